@@ -1,0 +1,270 @@
+"""Everything that esair raises, under one root.
+
+Each error is also the built-in that people expect, so a robot script can catch
+it broadly (``except TimeoutError``) or exactly (``except esair.StaleReadingError``)::
+
+    EsairError
+    ├── ConfigError              ValueError       the robot is described wrongly
+    ├── NameTakenError           ValueError       two components, one name
+    ├── UnknownNameError         LookupError      nobody has that name
+    ├── NotRegisteredError       PermissionError  used before it was registered
+    ├── AccessDeniedError        PermissionError  a rule says no
+    ├── ResourceRemovedError     ConnectionError  the user took the resource away
+    ├── DeviceLostError          ConnectionError  unplugged; it may come back
+    ├── DeviceFaultError         OSError          the device answered wrongly
+    ├── DriverStuckError         TimeoutError     a driver call did not return
+    ├── StaleReadingError        TimeoutError     no reading that is fresh enough
+    ├── BadValueError            ValueError       a value that must not be sent
+    ├── BehaviorUnavailableError TimeoutError     busy for the whole interval
+    ├── BehaviorRemovedError                      the other behavior is gone
+    ├── BehaviorFailedError                       the other behavior crashed
+    ├── CircularRequestError                      a get that waits for itself
+    ├── BusyError                                 a bound is reached
+    └── StoppingError                             the robot starts or stops
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class EsairError(Exception):
+    """The root of every error that esair raises."""
+
+
+class ConfigError(EsairError, ValueError):
+    """A robot, a component or a setting is described wrongly.
+
+    Attributes:
+        component: The name of the component, or of the file.
+        field: The field in question, as a dotted path; empty for the whole.
+    """
+
+    def __init__(self, component: str, field: str, message: str) -> None:
+        where = f"{component}: {field}" if field else component
+        super().__init__(f"{where}: {message}")
+        self.component = component
+        self.field = field
+
+
+class NameTakenError(EsairError, ValueError):
+    """Two components would have the same name."""
+
+    def __init__(self, kind: str, name: str) -> None:
+        super().__init__(
+            f"a {kind} named {name!r} is already there: "
+            f"choose another name=, or use replace({name!r}, ...)"
+        )
+        self.kind = kind
+        self.name = name
+
+
+class UnknownNameError(EsairError, LookupError):
+    """Nobody has the name; the nearest names are in the message."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str] = ()) -> None:
+        known = list(known)
+        hint = did_you_mean(name, known) or (
+            f"; there are {', '.join(sorted(known))}"
+            if known
+            else "; there is none yet"
+        )
+        super().__init__(f"no {kind} is named {name!r}{hint}")
+        self.kind = kind
+        self.name = name
+
+
+class NotRegisteredError(EsairError, PermissionError):
+    """A behavior used a resource that it had not registered."""
+
+    def __init__(self, behavior: str, resource: str, detail: str = "") -> None:
+        super().__init__(
+            f"{behavior!r} uses {resource!r}: register it first"
+            + (f" ({detail})" if detail else "")
+        )
+        self.behavior = behavior
+        self.resource = resource
+
+
+class AccessDeniedError(EsairError, PermissionError):
+    """A rule denies what a behavior asked for.
+
+    Attributes:
+        asked: What was asked for, such as ``"WRITE"``.
+        rule: The rule that denied it, in words.
+    """
+
+    def __init__(self, behavior: str, resource: str, asked: str, rule: str) -> None:
+        super().__init__(f"{behavior!r} may not {asked} {resource!r}: {rule}")
+        self.behavior = behavior
+        self.resource = resource
+        self.asked = asked
+        self.rule = rule
+
+
+class ResourceRemovedError(EsairError, ConnectionError):
+    """The user removed or replaced the resource; the registration is void."""
+
+    def __init__(self, resource: str) -> None:
+        super().__init__(
+            f"resource {resource!r} was removed: register again once it is back"
+        )
+        self.resource = resource
+
+
+class DeviceLostError(EsairError, ConnectionError):
+    """The device is not there. It is reopened by itself when it comes back.
+
+    Drivers raise it too, to say that their device is gone.
+    """
+
+    def __init__(self, resource: str, detail: str = "") -> None:
+        super().__init__(
+            f"device of {resource!r} is lost" + (f": {detail}" if detail else "")
+        )
+        self.resource = resource
+
+
+class DeviceFaultError(EsairError, OSError):
+    """The device, or its driver, did something it must not do."""
+
+    def __init__(self, resource: str, detail: str) -> None:
+        super().__init__(f"device of {resource!r} is at fault: {detail}")
+        self.resource = resource
+
+
+class DriverStuckError(EsairError, TimeoutError):
+    """A driver call did not return within its deadline."""
+
+    def __init__(self, resource: str, call: str, seconds: float) -> None:
+        super().__init__(
+            f"driver of {resource!r} is stuck: {call} did not return in {seconds:g} s"
+        )
+        self.resource = resource
+        self.call = call
+        self.seconds = seconds
+
+
+class StaleReadingError(EsairError, TimeoutError):
+    """There is no reading that is fresh enough.
+
+    Attributes:
+        age: Age of the newest reading in seconds; None if there never was one.
+        limit: What was asked for, in seconds.
+    """
+
+    def __init__(self, resource: str, age: float | None, limit: float) -> None:
+        newest = (
+            "there is no reading yet" if age is None else f"newest is {age:.3g} s old"
+        )
+        super().__init__(
+            f"no fresh reading of {resource!r}: {newest}, limit {limit:g} s"
+        )
+        self.resource = resource
+        self.age = age
+        self.limit = limit
+
+
+class BadValueError(EsairError, ValueError):
+    """A value of the wrong type, not finite, or outside its limits."""
+
+    def __init__(self, component: str, field: str, message: str) -> None:
+        super().__init__(
+            f"{component}: {field}: {message}" if field else f"{component}: {message}"
+        )
+        self.component = component
+        self.field = field
+
+
+class BehaviorUnavailableError(EsairError, TimeoutError):
+    """A behavior could not receive, or send, for the whole interval.
+
+    Attributes:
+        state: What it was doing when the interval was over.
+    """
+
+    def __init__(
+        self, behavior: str, request: str, interval: float, state: str
+    ) -> None:
+        super().__init__(
+            f"{behavior!r} could not {request} for {interval:g} s (it is {state})"
+        )
+        self.behavior = behavior
+        self.interval = interval
+        self.state = state
+
+
+class BehaviorRemovedError(EsairError):
+    """The behavior was removed while something waited for it, or used it.
+
+    Attributes:
+        data: What a cancelled put wanted to hand over; None else.
+    """
+
+    def __init__(self, behavior: str, data: object = None) -> None:
+        super().__init__(f"behavior {behavior!r} was removed")
+        self.behavior = behavior
+        self.data = data
+
+
+class BehaviorFailedError(EsairError):
+    """The behavior crashed; its error is the cause."""
+
+    def __init__(self, behavior: str, detail: str = "") -> None:
+        super().__init__(
+            f"behavior {behavior!r} failed" + (f": {detail}" if detail else "")
+        )
+        self.behavior = behavior
+
+
+class CircularRequestError(EsairError):
+    """A get that would wait for itself.
+
+    Attributes:
+        path: The names on the circle, the first one again at the end.
+    """
+
+    def __init__(self, path: Iterable[str]) -> None:
+        self.path = tuple(path)
+        super().__init__(f"a circle of get: {' -> '.join(self.path)}")
+
+
+class BusyError(EsairError):
+    """A bound is reached; nothing was done.
+
+    Attributes:
+        bound: The name of the bound.
+        limit: Its value.
+    """
+
+    def __init__(self, component: str, bound: str, limit: object) -> None:
+        super().__init__(f"{component}: {bound} is reached ({limit}): try again later")
+        self.component = component
+        self.bound = bound
+        self.limit = limit
+
+
+class StoppingError(EsairError):
+    """The robot is not running: it has not started, is stopping, or has stopped."""
+
+    def __init__(self, component: str, phase: str) -> None:
+        super().__init__(f"{component} takes no requests: it is {phase}")
+        self.component = component
+        self.phase = phase
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` for the nearest known word, or nothing."""
+    import difflib  # only when something went wrong
+
+    nearest = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {nearest[0]!r}?" if nearest else ""
+
+
+def describe(error: BaseException) -> str:
+    """Name an error in one line, even one whose own ``__str__`` raises."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # a user's __str__ may raise anything
+        text = "(its text cannot be shown)"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

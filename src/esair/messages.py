@@ -1,0 +1,294 @@
+"""Values that cross the layers: what readings, answers and rules are made of."""
+
+from __future__ import annotations
+
+import enum
+import math
+import re
+from collections.abc import Mapping
+from typing import Generic, NamedTuple, TypeVar
+
+import attrs
+
+from esair.exceptions import ConfigError
+
+T = TypeVar("T")
+
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,62}\Z")
+
+
+def check_name(kind: str, name: object) -> str:
+    """Return the name of a component, or say what a name must look like.
+
+    Raises:
+        ConfigError: It is not ``[a-z][a-z0-9_]{0,62}``.
+    """
+    if isinstance(name, str) and _NAME.match(name):
+        return name
+    raise ConfigError(
+        f"{kind} {name!r:.80}",
+        "name",
+        "expected a lower-case letter, then letters, digits or '_', 63 at most",
+    )
+
+
+def snake_case(name: str) -> str:
+    """Turn the name of a class into the name of a component: ``MyArm`` → ``my_arm``."""
+    words = re.sub(r"([A-Z]+)([A-Z][a-z])|([a-z0-9])([A-Z])", r"\1\3_\2\4", name)
+    return words.lower().strip("_")
+
+
+class Access(enum.Flag):
+    """What a behavior may do with a resource."""
+
+    READ = enum.auto()
+    """Read a sensor."""
+    WRITE = enum.auto()
+    """Write an actuator."""
+    CONFIGURE = enum.auto()
+    """Change the settings of a resource."""
+
+    def __str__(self) -> str:
+        return " | ".join(flag.name or "" for flag in type(self) if flag in self)
+
+
+class ResourceState(enum.Enum):
+    """What a resource is doing."""
+
+    CLOSED = "closed"
+    OPENING = "opening"
+    READY = "ready"
+    LOST = "lost"
+    FAILED = "failed"
+    REMOVED = "removed"
+
+
+class BehaviorState(enum.Enum):
+    """What a behavior or a reaction is doing."""
+
+    STARTING = "starting"
+    RUNNING = "running"
+    PARKED = "parked"
+    """It waits for a resource: lost, removed, or, for a reaction, stale."""
+    RESTARTING = "restarting"
+    FINISHED = "finished"
+    FAILED = "failed"
+    STOPPING = "stopping"
+    REMOVED = "removed"
+
+
+class SupervisorPhase(enum.Enum):
+    """The phases of a supervisor."""
+
+    INITIALIZING = "initializing"
+    WAIT_REQUEST = "waiting for requests"
+    HANDLING_REQUEST = "handling a request"
+    STOPPED = "stopped"
+
+
+class Reading(NamedTuple, Generic[T]):
+    """One value of a sensor.
+
+    Attributes:
+        value: The value.
+        time: When it arrived, in seconds of the event loop's monotonic clock.
+        sequence: 1 for the first reading of a sensor, then one more each time.
+    """
+
+    value: T
+    time: float
+    sequence: int
+
+
+class Answer:
+    """What a write is answered with: `Written` or `Refused`."""
+
+    __slots__ = ()
+
+
+@attrs.define
+class Written(Answer, Generic[T]):
+    """A command that was sent; true in a condition.
+
+    Attributes:
+        command: What was really applied, which may be less than what was asked.
+    """
+
+    command: T
+
+    def __bool__(self) -> bool:
+        return True
+
+
+@attrs.frozen
+class Refused(Answer):
+    """A command that was not sent, and why; false in a condition.
+
+    Attributes:
+        holder: Who holds the actuator.
+        priority: The priority of the holder.
+        rule: The rule that refused the command, in words.
+        since: Since when it has been held, on the event loop's clock (seconds).
+        until: When the hold ends unless it is renewed, on the same clock.
+    """
+
+    holder: str
+    priority: int
+    rule: str
+    since: float
+    until: float
+
+    def __bool__(self) -> bool:
+        return False
+
+
+class Why(NamedTuple):
+    """Who holds an actuator, by which rule, and what would free it.
+
+    Attributes:
+        resource: The actuator.
+        state: What the actuator is doing.
+        holder: Who holds it; None if nobody does.
+        priority: The priority of the holder.
+        rule: The rule by which it is held, in words.
+        since: Since when, on the event loop's clock (seconds).
+        until: When the hold ends unless it is renewed, on the same clock.
+        frees: What would free it, in words.
+        last: The last command that the device was told.
+    """
+
+    resource: str
+    state: ResourceState
+    holder: str | None = None
+    priority: int | None = None
+    rule: str = "nobody holds it"
+    since: float | None = None
+    until: float | None = None
+    frees: str = "it is free"
+    last: object = None
+
+    def __str__(self) -> str:
+        if self.holder is None:
+            return f"{self.resource} is {self.state.value}, and free: {self.rule}"
+        return (
+            f"{self.resource} is {self.state.value}, held by {self.holder} "
+            f"({self.rule}); freed by {self.frees}"
+        )
+
+
+class BehaviorStatus(NamedTuple):
+    """The answer to a query.
+
+    Attributes:
+        name: The name of the behavior or reaction.
+        state: What it is doing.
+        can_receive: Whether a put would be delivered at once.
+        can_send: Whether a get would be answered without waiting for its state.
+        restarts: How often it has been restarted.
+        error: Its last error; None if it had none.
+        detail: Why it is in this state, if there is more to say.
+        steps: How many steps a reaction has done.
+        late: How many steps a reaction has skipped because they were late.
+        waiting: How many puts wait for room in its inbox.
+    """
+
+    name: str
+    state: BehaviorState
+    can_receive: bool
+    can_send: bool
+    restarts: int = 0
+    error: BaseException | None = None
+    detail: str = ""
+    steps: int = 0
+    late: int = 0
+    waiting: int = 0
+
+
+class ResourceStatus(NamedTuple):
+    """The answer to a query for a resource.
+
+    Attributes:
+        name: The name of the resource.
+        state: What it is doing.
+        error: Why it is not READY; None if it is.
+        losses: How often the device was lost since the start.
+        faults: How often the device or its driver was at fault.
+        users: The behaviors that are registered for it.
+        settings: The current settings by name.
+    """
+
+    name: str
+    state: ResourceState
+    error: BaseException | None
+    losses: int
+    faults: int
+    users: tuple[str, ...]
+    settings: Mapping[str, object]
+
+
+def _positive(
+    instance: object, attribute: attrs.Attribute[float], value: float
+) -> None:
+    if isinstance(value, bool) or not 0 < value < math.inf:
+        raise ConfigError(
+            type(instance).__name__, attribute.name, f"expected > 0, not {value!r}"
+        )
+
+
+def _count(instance: object, attribute: attrs.Attribute[int], value: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ConfigError(
+            type(instance).__name__,
+            attribute.name,
+            f"expected 0 or more, not {value!r}",
+        )
+
+
+@attrs.frozen(kw_only=True)
+class Restart:
+    """How often, and how fast, a crashed component is started again.
+
+    Attributes:
+        max: How many restarts within the window; one more and it is FAILED.
+        within: The window, in seconds.
+        delay: The pause before the first restart, in seconds; it doubles each time.
+        max_delay: The longest pause, in seconds.
+    """
+
+    max: int = attrs.field(default=3, validator=_count)
+    within: float = attrs.field(default=30.0, validator=_positive)
+    delay: float = attrs.field(default=0.1, validator=_positive)
+    max_delay: float = attrs.field(default=5.0, validator=_positive)
+
+
+@attrs.frozen
+class Policy:
+    """Who may do what with a resource, and at which level.
+
+    Where a resource has a policy, only what it allows is allowed. ``"*"`` stands
+    for everybody who is not named.
+
+    Attributes:
+        resource: The name of the resource.
+        allow: For each behavior, what it may do.
+        exclusive: Only one behavior at a time may be registered to write.
+        max_priority: For each behavior, the highest priority it may write with.
+
+    Example:
+        >>> Policy("wheels", allow={"wander": Access.WRITE, "*": Access.READ})
+    """
+
+    resource: str
+    allow: Mapping[str, Access] = attrs.field(factory=dict)
+    exclusive: bool = attrs.field(default=False, kw_only=True)
+    max_priority: Mapping[str, int] = attrs.field(factory=dict, kw_only=True)
+
+    @allow.validator
+    def _check_allow(self, _attribute: object, allow: Mapping[str, Access]) -> None:
+        for behavior, access in allow.items():
+            if not isinstance(access, Access):
+                raise ConfigError(
+                    f"policy of {self.resource!r}",
+                    f"allow.{behavior}",
+                    f"expected an esair.Access, not {access!r}",
+                )
