@@ -1,0 +1,36 @@
+"""What the one event loop needs: a wheel for time, threads for blocking code."""
+
+from esair.loop._bridge import Bridge, bridge
+from esair.loop._every import Every, every
+from esair.loop._garbage import freeze_garbage, unfreeze_garbage
+from esair.loop._lane import CallRefused, Lane
+from esair.loop._ownership import OwnedTasks, Owner, current_owner, spawn
+from esair.loop._signals import SignalWatch
+from esair.loop._stepping import Suspended, finish, first_step
+from esair.loop._suspend import GLANCE, SuspendWatch
+from esair.loop._timer import clock_of
+from esair.loop._wheel import Spoke, Wheel
+
+__all__ = [
+    "GLANCE",
+    "Bridge",
+    "CallRefused",
+    "Every",
+    "Lane",
+    "OwnedTasks",
+    "Owner",
+    "SignalWatch",
+    "Spoke",
+    "SuspendWatch",
+    "Suspended",
+    "Wheel",
+    "bridge",
+    "clock_of",
+    "current_owner",
+    "every",
+    "finish",
+    "first_step",
+    "freeze_garbage",
+    "spawn",
+    "unfreeze_garbage",
+]

@@ -1,0 +1,172 @@
+"""The bridge between a plain behavior's thread and the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import contextvars
+import threading
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+from esair.exceptions import BehaviorRemovedError
+from esair.loop._lane import in_flight
+from esair.loop._ownership import Owner, spawn
+
+T = TypeVar("T")
+
+
+class Bridge:
+    """Runs a plain function in its own thread, and its calls in the loop.
+
+    The thread calls `call`, which waits there while the coroutine runs in the
+    loop. Once the bridge is closed every call raises `BehaviorRemovedError`, so a
+    function that still runs learns of its end at its next call.
+
+    Args:
+        name: The name of the behavior.
+        owner: Whose tasks the calls are.
+    """
+
+    def __init__(self, name: str, owner: Owner) -> None:
+        self.name = name
+        self._owner = owner
+        self._loop = asyncio.get_running_loop()
+        self._closed = False
+        self._calls: set[asyncio.Task[Any]] = set()
+        self._home = threading.current_thread()
+
+    async def run(self, function: Callable[[], object]) -> None:
+        """Run a function in a new daemon thread and wait for its end.
+
+        If the waiting task is cancelled the bridge is closed and the end is
+        awaited; cancel again not to wait for it.
+        """
+        loop = self._loop
+        owner = self._owner
+        ended: asyncio.Future[None] = loop.create_future()
+
+        def finished(error: BaseException | None) -> None:
+            in_flight(loop, -1)
+            owner.threads = tuple(t for t in owner.threads if t is not thread)
+            if ended.done():
+                return
+            if error is None:
+                ended.set_result(None)
+            else:
+                ended.set_exception(_raisable(error))
+
+        def work() -> None:
+            error: BaseException | None = None
+            bridge.set(self)
+            try:
+                function()
+            except BaseException as raised:  # contained, as in a task
+                error = raised
+            try:
+                loop.call_soon_threadsafe(finished, error)
+            except RuntimeError:  # the loop is closed: nobody waits any more
+                return
+
+        context = contextvars.copy_context()
+        thread = threading.Thread(
+            target=context.run, args=(work,), name=f"esair-{self.name}", daemon=True
+        )
+        in_flight(loop, +1)
+        try:
+            thread.start()
+        except BaseException:
+            in_flight(loop, -1)
+            raise
+        owner.threads = (*owner.threads, thread)
+        try:
+            await asyncio.shield(ended)
+        except asyncio.CancelledError:
+            self.close()
+            try:
+                await asyncio.shield(ended)
+            except asyncio.CancelledError:
+                ended.add_done_callback(_look_at)
+                raise
+            except BehaviorRemovedError:
+                pass
+            raise
+
+    def call(
+        self,
+        function: Callable[..., Coroutine[Any, Any, T]],
+        *args: Any,
+        **options: Any,
+    ) -> T:
+        """Run a coroutine function in the loop and wait for it, in the thread.
+
+        Raises:
+            BehaviorRemovedError: The behavior was removed.
+            RuntimeError: It was called in the loop itself, which must not wait.
+        """
+        if threading.current_thread() is self._home:
+            raise RuntimeError(
+                f"{self.name}: a call that waits, in the event loop: its run is a "
+                "plain function, so its other methods must be plain functions too"
+            )
+        outcome: concurrent.futures.Future[T] = concurrent.futures.Future()
+
+        def done(task: asyncio.Task[T]) -> None:
+            self._calls.discard(task)
+            in_flight(self._loop, +1)  # the thread goes on
+            if task.cancelled():
+                outcome.set_exception(BehaviorRemovedError(self.name))
+            elif (error := task.exception()) is not None:
+                outcome.set_exception(error)
+            else:
+                outcome.set_result(task.result())
+
+        def begin() -> None:
+            in_flight(self._loop, -1)  # the thread waits
+            if self._closed:
+                in_flight(self._loop, +1)
+                outcome.set_exception(BehaviorRemovedError(self.name))
+                return
+            try:
+                coroutine = function(*args, **options)
+            except BaseException as error:  # such as an argument that it does not have
+                in_flight(self._loop, +1)
+                outcome.set_exception(error)
+                return
+            task = spawn(
+                self._loop,
+                coroutine,
+                name=f"{self.name} call",
+                owner=self._owner,
+            )
+            self._calls.add(task)
+            task.add_done_callback(done)
+
+        try:
+            self._loop.call_soon_threadsafe(begin)
+        except RuntimeError:  # the loop is closed
+            raise BehaviorRemovedError(self.name) from None
+        return outcome.result()
+
+    def close(self) -> None:
+        """Refuse every further call, and cancel those that run."""
+        self._closed = True
+        for call in tuple(self._calls):
+            call.cancel()
+
+
+def _raisable(error: BaseException) -> BaseException:
+    if isinstance(error, StopIteration | KeyboardInterrupt | SystemExit):
+        wrapped = RuntimeError(f"the behavior raised {type(error).__name__}")
+        wrapped.__cause__ = error
+        return wrapped
+    return error
+
+
+def _look_at(ended: asyncio.Future[None]) -> None:
+    if not ended.cancelled():
+        ended.exception()
+
+
+bridge: contextvars.ContextVar[Bridge] = contextvars.ContextVar("esair_bridge")
+"""The bridge of the thread that runs, if it is the thread of a plain behavior."""

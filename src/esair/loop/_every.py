@@ -1,0 +1,98 @@
+"""``every``: a loop that runs at a fixed rate and never drifts."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncIterator, Iterator
+
+from esair.exceptions import BadValueError
+from esair.loop._bridge import bridge
+from esair.loop._wheel import Wheel
+
+
+class Every:
+    """Ticks at a fixed rate; see `every`.
+
+    Attributes:
+        late: How many ticks were left out because the loop's body took too long.
+    """
+
+    def __init__(self, period: float) -> None:
+        if (
+            isinstance(period, bool)
+            or not isinstance(period, int | float)
+            or not 0 < period < math.inf
+        ):
+            raise BadValueError(
+                "every", "period", f"expected seconds > 0, not {period!r:.80}"
+            )
+        self.period = float(period)
+        self.late = 0
+        self._begin: float | None = None
+        self._count = 0
+
+    def __aiter__(self) -> AsyncIterator[float]:
+        return self
+
+    async def __anext__(self) -> float:
+        loop = asyncio.get_running_loop()
+        due = self._next(loop.time())
+        if due > loop.time():
+            woken = loop.create_future()
+
+            def wake(_now: float) -> None:
+                if not woken.done():
+                    woken.set_result(None)
+
+            wheel = Wheel.of(loop)
+            shot = wheel.at(due, wake)
+            try:
+                await woken
+            except BaseException:
+                wheel.cancel(shot)
+                raise
+        return self._count * self.period
+
+    def __iter__(self) -> Iterator[float]:
+        """Tick in a plain behavior, whose thread waits meanwhile."""
+        own = bridge.get(None)
+        while True:
+            if own is not None:
+                yield own.call(self.__anext__)
+            else:
+                due = self._next(time.monotonic())
+                time.sleep(max(0.0, due - time.monotonic()))
+                yield self._count * self.period
+
+    def _next(self, now: float) -> float:
+        if self._begin is None:
+            self._begin = now
+            return now
+        self._count += 1
+        due = self._begin + self._count * self.period
+        missed = int((now - due) / self.period)
+        if missed > 0:
+            self.late += missed
+            self._count += missed
+            due = self._begin + self._count * self.period
+        return due
+
+
+def every(period: float) -> Every:
+    """Tick every ``period`` seconds: at once, then on a grid that never drifts.
+
+    A tick that has passed when the loop comes back is left out and counted in
+    ``late``; ticks are never made up for in a burst. The value of a tick is the
+    time since the first one, in seconds.
+
+    Raises:
+        BadValueError: The period is not a number of seconds above 0.
+
+    Example:
+        >>> async def run(self):
+        ...     async for _ in esair.every(0.05):
+        ...         await self.wheels.write(Twist(0.3, 0.0))
+    """
+    return Every(period)

@@ -1,0 +1,141 @@
+"""Which component a task belongs to, so that it ends with its component."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import threading
+from collections.abc import Coroutine, Generator
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+class Owner:
+    """Holds every task that a component has started and that still runs."""
+
+    __slots__ = ("_first", "_others", "threads")
+
+    def __init__(self) -> None:
+        # Most components have one task only; a set for it would be half their size.
+        self._first: asyncio.Task[Any] | None = None
+        self._others: set[asyncio.Task[Any]] | None = None
+        self.threads: tuple[threading.Thread, ...] = ()
+        """The threads that run its plain functions."""
+
+    def adopt(self, task: asyncio.Task[Any]) -> None:
+        """Remember a task until it is done. The loop itself keeps only weak references."""
+        if self._first is None or self._first.done():
+            self._first = task
+            return
+        if self._others is None:
+            self._others = set()
+        self._others.add(task)
+        task.add_done_callback(self._others.discard)
+
+    def living(self) -> list[asyncio.Task[Any]]:
+        """Return the tasks that are not done, in the order of their names."""
+        tasks = set(self._others or ())
+        if self._first is not None and not self._first.done():
+            tasks.add(self._first)
+        return sorted(tasks, key=lambda task: task.get_name())
+
+
+_owner: contextvars.ContextVar[Owner] = contextvars.ContextVar("esair_owner")
+
+
+def spawn(
+    loop: asyncio.AbstractEventLoop,
+    coroutine: Coroutine[Any, Any, T],
+    *,
+    name: str,
+    owner: Owner | None = None,
+) -> asyncio.Task[T]:
+    """Start a task that belongs to esair itself, or to an owner.
+
+    It gets a context of its own, so that what it starts is not mistaken for work
+    of the component that happened to call. It never begins before this returns, even
+    if the loop's factory makes eager tasks: esair's own records are complete then.
+    """
+    context = contextvars.Context()
+    if owner is not None:
+        context.run(_owner.set, owner)
+    task = asyncio.Task(coroutine, loop=loop, name=name, context=context)
+    if owner is not None:
+        owner.adopt(task)
+    return task
+
+
+def current_owner() -> Owner | None:
+    """Return the owner of the code that runs now; None if it is nobody's."""
+    return _owner.get(None)
+
+
+class Contained(Coroutine[Any, Any, Any]):
+    """A coroutine whose ``sys.exit()`` ends its own task, and not the event loop.
+
+    Raises:
+        RuntimeError: In place of SystemExit and KeyboardInterrupt.
+    """
+
+    __slots__ = ("_inner",)
+
+    def __init__(self, inner: Coroutine[Any, Any, Any]) -> None:
+        self._inner = inner
+
+    def send(self, value: Any) -> Any:
+        try:
+            return self._inner.send(value)
+        except (SystemExit, KeyboardInterrupt) as error:
+            raise RuntimeError(f"a task raised {type(error).__name__}") from error
+
+    def throw(self, *error: Any) -> Any:
+        try:
+            return self._inner.throw(*error)
+        except (SystemExit, KeyboardInterrupt) as raised:
+            raise RuntimeError(f"a task raised {type(raised).__name__}") from raised
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def __await__(self) -> Generator[Any, Any, Any]:
+        return self._inner.__await__()
+
+
+class OwnedTasks:
+    """A task factory that tells each owner of the tasks started in its context.
+
+    It keeps the factory that was there before and puts it back at the end.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._before = loop.get_task_factory()
+
+    def install(self) -> None:
+        """Begin to tell owners of their tasks."""
+        self._loop.set_task_factory(self._create)  # type: ignore[arg-type]
+
+    def uninstall(self) -> None:
+        """Put the factory from before back, unless somebody set another since."""
+        if self._loop.get_task_factory() == self._create:
+            self._loop.set_task_factory(self._before)
+
+    def _create(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        coroutine: Coroutine[Any, Any, Any],
+        **options: Any,
+    ) -> asyncio.Task[Any]:
+        task: asyncio.Task[Any]
+        context = options.get("context")
+        owner = _owner.get(None) if context is None else context.get(_owner)
+        if owner is not None:
+            coroutine = Contained(coroutine)
+        if self._before is None:
+            task = asyncio.Task(coroutine, loop=loop, **options)
+        else:
+            task = self._before(loop, coroutine, **options)  # type: ignore[assignment]
+        if owner is not None and not task.done():
+            owner.adopt(task)
+        return task

@@ -1,0 +1,96 @@
+"""Timers that wake the event loop at a given moment."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+
+class Timer(Protocol):
+    """Calls a function once, at the moment it was last set to."""
+
+    def set(self, when: float) -> None:
+        """Call at this moment of the loop's clock; a moment set before is forgotten."""
+
+    def close(self) -> None:
+        """Never call again."""
+
+
+class LoopTimer:
+    """The event loop's own timer. Selectors round it up to whole milliseconds."""
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, function: Callable[[], None]
+    ) -> None:
+        self._loop = loop
+        self._function = function
+        self._handle: asyncio.TimerHandle | None = None
+
+    def set(self, when: float) -> None:
+        self.close()
+        self._handle = self._loop.call_at(when, self._function)
+
+    def close(self) -> None:
+        if self._handle is not None:
+            self._handle.cancel()
+            self._handle = None
+
+
+class DescriptorTimer:
+    """Linux's timerfd: the kernel wakes the selector, some 50 us after the moment.
+
+    Raises:
+        OSError: The kernel gives no descriptor.
+        NotImplementedError: The loop watches no descriptors.
+    """
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, function: Callable[[], None]
+    ) -> None:
+        self._loop = loop
+        self._function = function
+        from esair.loop import _timerfd  # loads ctypes: only when something runs
+
+        self._settime = _timerfd.settime
+        self._fd = _timerfd.create()
+        try:
+            loop.add_reader(self._fd, self._expired)
+        except BaseException:
+            os.close(self._fd)
+            raise
+
+    def set(self, when: float) -> None:
+        self._settime(self._fd, max(1, int(when * 1e9)))
+
+    def close(self) -> None:
+        if self._fd >= 0:
+            self._loop.remove_reader(self._fd)
+            os.close(self._fd)
+            self._fd = -1
+
+    def _expired(self) -> None:
+        with contextlib.suppress(BlockingIOError):  # set again in the meantime
+            os.read(self._fd, 8)
+            self._function()
+
+
+def clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
+    """Return the cheapest function that reads a loop's clock, in seconds."""
+    if type(loop).time is asyncio.BaseEventLoop.time:
+        return time.monotonic  # what that method calls
+    return loop.time
+
+
+def timer_for(loop: asyncio.AbstractEventLoop, function: Callable[[], None]) -> Timer:
+    """Return the most exact timer that a loop can have.
+
+    A loop whose clock is not the kernel's says so by an attribute ``virtual``.
+    """
+    if not getattr(loop, "virtual", False):
+        with contextlib.suppress(OSError, NotImplementedError, AttributeError):
+            return DescriptorTimer(loop, function)
+    return LoopTimer(loop, function)

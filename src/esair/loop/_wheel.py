@@ -1,0 +1,326 @@
+"""The wheel: one timer and one task that call every step when it is due.
+
+A step is a plain function, called as ``step(now)``. So a thousand steps cost a
+thousand calls, not a thousand wake-ups of tasks. A step that has to wait returns
+the rest of its work as an awaitable; the task that turned the wheel then stays with
+that rest, and a new task goes on turning (the *leader and followers* pattern), so
+that whatever the step began stays in the task that began it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import itertools
+import logging
+import math
+import weakref
+from collections.abc import Awaitable, Callable, Iterator
+from typing import ClassVar
+
+from esair.loop._ownership import spawn
+from esair.loop._suspend import SuspendWatch
+from esair.loop._timer import Timer, timer_for
+
+Step = Callable[[float], Awaitable[object] | None]
+
+_log = logging.getLogger("esair")
+
+SPREAD = 0.0025
+"""Steps of the same period are spread over phases at least this far apart, in s."""
+
+CROWD = 32
+"""How many steps share a phase before the next phase is used."""
+
+_EARLY = 1e-6  # timers may fire a hair early; such a step is on time
+
+
+def _idle(_now: float) -> None:
+    return None
+
+
+class Shot:
+    """One call at one moment."""
+
+    __slots__ = ("due", "function", "number")
+
+    def __init__(self, due: float, number: int, function: Step) -> None:
+        self.due = due
+        self.number = number
+        self.function = function
+
+    def __lt__(self, other: Shot | Ring) -> bool:
+        return (self.due, self.number) < (other.due, other.number)
+
+    def turn(self, _now: float) -> tuple[Spoke | Shot, ...]:
+        return (self,)
+
+
+class Spoke:
+    """A step that the wheel calls again and again."""
+
+    __slots__ = ("_skipped_before", "function", "queued", "ring", "wheel")
+
+    def __init__(self, wheel: Wheel, function: Step, ring: Ring | None) -> None:
+        self.wheel = wheel
+        self.function = function
+        self.ring = ring
+        self.queued = False
+        self._skipped_before = ring.skipped if ring is not None else 0
+
+    @property
+    def skipped(self) -> int:
+        """How many steps were left out because they came too late."""
+        return self.ring.skipped - self._skipped_before if self.ring is not None else 0
+
+    @property
+    def lateness(self) -> float:
+        """How late the steps have been on average, in seconds."""
+        ring = self.ring
+        return ring.late / ring.turns if ring is not None and ring.turns else 0.0
+
+    def soon(self) -> None:
+        """Have the step called in the next turn, once."""
+        if not self.queued:
+            self.queued = True
+            self.wheel.queue(self)
+
+    def stop(self) -> None:
+        """Never call the step again."""
+        self.function = _idle
+        ring = self.ring
+        if ring is not None and self in ring.spokes:
+            ring.spokes = tuple(spoke for spoke in ring.spokes if spoke is not self)
+            if not ring.spokes:
+                self.wheel.drop(ring)
+
+
+class Ring:
+    """The steps that share a period and a phase. It never drifts."""
+
+    __slots__ = (
+        "_begin",
+        "_count",
+        "due",
+        "late",
+        "number",
+        "period",
+        "skipped",
+        "spokes",
+        "turns",
+    )
+
+    def __init__(self, period: float, begin: float, number: int) -> None:
+        self.period = period
+        self.due = begin
+        self.number = number
+        self.spokes: tuple[Spoke, ...] = ()
+        self.skipped = 0
+        self.late = 0.0
+        self.turns = 0
+        self._begin = begin
+        self._count = 0
+
+    def __lt__(self, other: Shot | Ring) -> bool:
+        return (self.due, self.number) < (other.due, other.number)
+
+    def turn(self, now: float) -> tuple[Spoke | Shot, ...]:
+        """Move on to the next moment that has not passed; return whom to call."""
+        behind = now - self.due
+        self.late += behind if behind > 0 else 0.0
+        self.turns += 1
+        missed = int((behind + _EARLY) / self.period)
+        if missed > 0:
+            self.skipped += missed
+            self._count += missed
+        self._count += 1
+        self.due = self._begin + self._count * self.period
+        return self.spokes
+
+
+class Wheel:
+    """Calls steps when they are due, all from one timer. One for each event loop."""
+
+    _of_loop: ClassVar[weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, Wheel]] = (
+        weakref.WeakKeyDictionary()
+    )
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = weakref.ref(loop)
+        self.suspends = SuspendWatch(loop)
+        """Looked at each time the wheel begins to turn after a sleep."""
+        self._numbers = itertools.count()
+        self._heap: list[Shot | Ring] = []
+        self._rings: dict[float, list[Ring]] = {}
+        self._queue: list[Spoke] = []
+        self._calls: Iterator[Spoke | Shot] = iter(())
+        self._now = 0.0
+        self._grid = 0.0
+        self._timer: Timer | None = None
+        self._timer_due = 0.0
+        self._turning = False
+        self._leader: asyncio.Task[None] | None = None
+        self._sleep: asyncio.Future[None] | None = None
+
+    @classmethod
+    def of(cls, loop: asyncio.AbstractEventLoop) -> Wheel:
+        """Return the wheel of a loop."""
+        wheel = cls._of_loop.get(loop)
+        if wheel is None:
+            wheel = cls._of_loop[loop] = cls(loop)
+        return wheel
+
+    def every(self, period: float, function: Step) -> Spoke:
+        """Call a step each period (seconds), the first time within one period."""
+        ring = self._ring(period)
+        spoke = Spoke(self, function, ring)
+        ring.spokes = (*ring.spokes, spoke)
+        return spoke
+
+    def on_demand(self, function: Step) -> Spoke:
+        """Return a step that is called only when its ``soon`` is."""
+        return Spoke(self, function, None)
+
+    def at(self, due: float, function: Step) -> Shot:
+        """Call a function once, at a moment of the loop's clock."""
+        shot = Shot(due, next(self._numbers), function)
+        self._push(shot)
+        return shot
+
+    def cancel(self, shot: Shot) -> None:
+        """Never call the function of a shot."""
+        shot.function = _idle
+        self.drop(shot)
+
+    def queue(self, spoke: Spoke) -> None:
+        """Call the step of a spoke in the next turn."""
+        self._queue.append(spoke)
+        self._wake()
+
+    def drop(self, entry: Shot | Ring) -> None:
+        """Take an entry out; the wheel stands still when it was the last one."""
+        if entry in self._heap:
+            self._heap.remove(entry)
+            heapq.heapify(self._heap)
+        if isinstance(entry, Ring):
+            self._rings[entry.period].remove(entry)
+            if not self._rings[entry.period]:
+                del self._rings[entry.period]
+        if not self._heap:
+            self._wake()
+
+    def _ring(self, period: float) -> Ring:
+        rings = self._rings.setdefault(period, [])
+        phases = max(1, int(period / SPREAD))
+        emptiest = min(rings, key=lambda ring: len(ring.spokes), default=None)
+        if emptiest is not None and (
+            len(emptiest.spokes) < CROWD or len(rings) >= phases
+        ):
+            return emptiest
+        begin = self._time()
+        if not any(self._rings.values()):
+            self._grid = begin
+        # All rings begin on one grid, so that one wake-up serves many of them.
+        begin = self._grid + math.ceil((begin - self._grid) / SPREAD - _EARLY) * SPREAD
+        begin += len(rings) * SPREAD % period
+        ring = Ring(period, begin, next(self._numbers))
+        rings.append(ring)
+        self._push(ring)
+        return ring
+
+    def _time(self) -> float:
+        loop = self._loop()
+        assert loop is not None
+        return loop.time()
+
+    def _push(self, entry: Shot | Ring) -> None:
+        heapq.heappush(self._heap, entry)
+        if not self._turning:
+            self._wake()
+        elif (
+            self._heap[0] is entry
+            and self._timer is not None
+            and self._sleep is not None
+        ):
+            self._timer_due = entry.due
+            self._timer.set(entry.due)
+
+    def _wake(self) -> None:
+        if not self._turning:
+            self.suspends.look()
+            self._lead_on()
+        elif self._sleep is not None and not self._sleep.done():
+            self._sleep.set_result(None)
+
+    def _lead_on(self) -> None:
+        loop = self._loop()
+        assert loop is not None
+        self._turning = True
+        self._leader = None  # an eager task sets it before spawn returns
+        spawn(loop, self._lead(loop), name="esair wheel")
+
+    async def _lead(self, loop: asyncio.AbstractEventLoop) -> None:
+        me = self._leader = asyncio.current_task()
+        try:
+            while True:
+                for call in self._calls:
+                    try:
+                        rest = call.function(self._now)
+                    except Exception:
+                        _log.exception("a step of the wheel raised; it goes on")
+                        continue
+                    if rest is not None:
+                        self._lead_on()
+                        await rest
+                        return
+                if not self._collect(loop):
+                    if not self._heap:
+                        return
+                    await self._wait(loop)
+        finally:
+            if self._leader is me:
+                self._leader = None
+                self._turning = False
+                if self._timer is not None:
+                    self._timer.close()
+                    self._timer = None
+
+    def _collect(self, loop: asyncio.AbstractEventLoop) -> bool:
+        now = self._now = loop.time()
+        heap = self._heap
+        if self._queue:
+            queue, self._queue = self._queue, []
+            for spoke in queue:
+                spoke.queued = False
+            self._calls = iter(queue)
+            return True
+        if not heap or heap[0].due > now + _EARLY:
+            return False
+        entry = heap[0]
+        self._calls = iter(entry.turn(now))
+        if isinstance(entry, Ring):
+            heapq.heapreplace(heap, entry)
+        else:
+            heapq.heappop(heap)
+        return True
+
+    async def _wait(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._timer is None:
+            self._timer = timer_for(loop, self._wake)
+            self._timer_due = 0.0
+        due = self._heap[0].due
+        if due != self._timer_due:
+            self._timer_due = due
+            self._timer.set(due)
+        self._sleep = loop.create_future()
+        try:
+            await self._sleep
+        finally:
+            self._sleep = None
+            self._timer_due = 0.0
+        self.suspends.look()
+
+
+def wheel() -> Wheel:
+    """Return the wheel of the running loop."""
+    return Wheel.of(asyncio.get_running_loop())

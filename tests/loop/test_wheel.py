@@ -1,0 +1,160 @@
+"""The wheel calls every step when it is due, and what has to wait stays in its task."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+import esair
+from esair.loop import Wheel
+from esair.testing import VirtualLoop
+
+pytestmark = pytest.mark.virtual_clock
+
+
+def clock() -> float:
+    return asyncio.get_running_loop().time()
+
+
+def wheel() -> Wheel:
+    return Wheel.of(asyncio.get_running_loop())
+
+
+async def test_a_step_is_called_each_period_without_drift() -> None:
+    """A thousand turns later the step is still on its grid."""
+    calls: list[float] = []
+    spoke = wheel().every(0.1, lambda _now: calls.append(clock()))
+    await asyncio.sleep(100.05)
+    spoke.stop()
+    await asyncio.sleep(1.0)
+
+    assert len(calls) in {1000, 1001}
+    assert calls[-1] - calls[0] == pytest.approx(0.1 * (len(calls) - 1))
+    assert spoke.skipped == 0
+
+
+@pytest.mark.promise("REA-3")
+async def test_late_steps_are_counted_and_skipped() -> None:
+    """After a second in which the computer was busy there is no burst."""
+    calls: list[float] = []
+    spoke = wheel().every(0.1, lambda _now: calls.append(clock()))
+    await asyncio.sleep(0.25)
+    before = len(calls)
+    loop: Any = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    loop.advance(1.0)
+    await asyncio.sleep(0.05)
+
+    assert len(calls) - before <= 2
+    assert spoke.skipped in {9, 10}
+    spoke.stop()
+
+
+@pytest.mark.promise("ROB-3")
+async def test_a_step_that_raises_does_not_stop_the_others(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The error is logged, and the wheel turns on."""
+    calls: list[float] = []
+
+    def bad(_now: float) -> None:
+        raise RuntimeError("no")
+
+    spokes = [wheel().every(0.1, bad), wheel().every(0.1, calls.append)]
+    await asyncio.sleep(1.05)
+    for spoke in spokes:
+        spoke.stop()
+    await asyncio.sleep(0)
+    assert len(calls) >= 10
+    assert "RuntimeError: no" in caplog.text
+
+
+async def test_a_step_that_waits_holds_nobody_up() -> None:
+    """The others keep their times while its rest goes on in its own task."""
+    calls: list[float] = []
+    tasks: list[Any] = []
+    started: list[Any] = []
+
+    async def rest() -> None:
+        await asyncio.sleep(0.45)
+        tasks.append(asyncio.current_task())
+
+    def slow(_now: float) -> Any:
+        started.append(asyncio.current_task())
+        return rest() if len(started) == 1 else None
+
+    spokes = [wheel().every(0.1, slow), wheel().every(0.1, calls.append)]
+    await asyncio.sleep(1.05)
+    for spoke in spokes:
+        spoke.stop()
+    await asyncio.sleep(0)
+    assert len(calls) >= 10
+    assert tasks == started[:1]
+
+
+async def test_a_step_on_demand_is_called_once_for_many_demands() -> None:
+    """Demands within one turn are one call."""
+    calls: list[float] = []
+    spoke = wheel().on_demand(calls.append)
+    for _ in range(5):
+        spoke.soon()
+    await asyncio.sleep(0.01)
+    assert len(calls) == 1
+    spoke.soon()
+    spoke.stop()
+    await asyncio.sleep(0.01)
+    assert len(calls) == 1
+
+
+async def test_a_shot_is_called_at_its_moment_unless_it_is_cancelled() -> None:
+    """One call, neither early nor twice."""
+    calls: list[float] = []
+    loop = asyncio.get_running_loop()
+    wheel().at(loop.time() + 0.5, lambda _now: calls.append(clock()))
+    other = wheel().at(loop.time() + 0.2, lambda _now: calls.append(-1.0))
+    wheel().cancel(other)
+    await asyncio.sleep(2.0)
+    assert calls == [pytest.approx(0.5)]
+
+
+async def test_every_ticks_at_once_and_then_on_its_grid() -> None:
+    """The value of a tick is the time since the first one."""
+    ticks: list[float] = []
+    async for tick in esair.every(0.25):
+        ticks.append(tick)
+        if len(ticks) == 4:
+            break
+    assert ticks == [0.0, 0.25, 0.5, 0.75]
+
+
+async def test_every_leaves_out_ticks_that_have_passed() -> None:
+    """A slow body costs ticks, which are counted, and causes no burst."""
+    times: list[float] = []
+    every = esair.every(0.1)
+    async for _ in every:
+        times.append(clock())
+        if len(times) == 2:
+            await asyncio.sleep(0.55)
+        if len(times) == 4:
+            break
+    assert every.late >= 4
+    assert times[3] - times[2] <= 0.1 + 1e-9
+
+
+@pytest.mark.parametrize("period", [0, -1.0, float("nan"), float("inf"), True, "1"])
+def test_every_takes_a_number_of_seconds(period: Any) -> None:
+    """Anything else is refused before it starts."""
+    with pytest.raises(esair.BadValueError, match="period"):
+        esair.every(period)
+
+
+@pytest.mark.real_clock
+def test_every_waits_without_a_loop_too() -> None:
+    """A plain loop outside of a robot ticks in real time."""
+    assert [tick for tick, _ in zip(esair.every(0.01), range(3), strict=False)] == [
+        0.0,
+        0.01,
+        0.02,
+    ]
