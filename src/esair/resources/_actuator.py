@@ -1,0 +1,66 @@
+"""Actuators: data flows from actions to them."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Mapping
+from typing import Any, Generic, TypeVar
+
+from esair.resources._resource import Resource, value_type
+
+T = TypeVar("T")
+
+
+class Actuator(Resource, Generic[T]):
+    """A device that takes commands of type ``T``.
+
+    Every actuator declares ``safe``: the command that it gets when nobody has
+    written for ``command_timeout``, when its user is removed or crashes, after
+    each opening, and last of all at every exit.
+
+    Example:
+        >>> class Wheels(esair.Actuator[Twist]):
+        ...     safe = Twist(0.0, 0.0)
+        ...     command_timeout = 0.2
+        ...     limits = {"linear": (-1.0, 1.0), "angular": (-2.0, 2.0)}
+        ...
+        ...     async def write(self, command: Twist) -> None:
+        ...         await self.bus.send(pack(command))
+    """
+
+    safe: T
+    """The command that makes the device safe. There is no default."""
+
+    command_timeout: float = 0.2
+    """After this many seconds without a write the device gets ``safe``; never 0."""
+
+    limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None
+    """Least and greatest value: of the command, or of each of its fields by name."""
+
+    clamp: bool = False
+    """Move a value to the nearest limit, instead of refusing it."""
+
+    slew: float | Mapping[str, float] | None = None
+    """The fastest change, in units per second: of the command, or of its fields."""
+
+    own_timeout: float | None = None
+    """After how many seconds the *device itself* stops when it hears nothing.
+
+    None if it would go on for ever when this computer dies. ``esair check``
+    prints it; nothing in this process can replace it.
+    """
+
+    def write(self, command: T) -> Awaitable[T | None] | T | None:
+        """Send a command to the device; it is checked already.
+
+        Returns:
+            What was really applied, if that is not the command itself.
+        """
+        raise NotImplementedError
+
+    @property
+    def value_type(self) -> Any:
+        """The type of the commands, from the class or else from ``safe``."""
+        declared = value_type(type(self), Actuator)
+        if declared is Any and hasattr(self, "safe"):
+            return type(self.safe)
+        return declared

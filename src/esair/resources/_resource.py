@@ -1,0 +1,179 @@
+"""What sensors and actuators have in common: a life, settings, and a bus."""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from collections.abc import Awaitable, Callable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from esair import abc
+from esair.exceptions import ConfigError
+from esair.resources._setting import Setting, check_settings, setting, settings_of
+
+if TYPE_CHECKING:
+    from esair.buses import Bus
+
+
+class Resource(abc.Resource):
+    """A piece of hardware: a sensor or an actuator.
+
+    Any of the methods below may be ``async def`` (it runs in the event loop) or a
+    plain, blocking ``def`` (it runs on the worker thread of its bus, or on one of
+    its own).
+
+    A driver tells what happened to its device by raising: `DeviceLostError` or any
+    other `ConnectionError` when the device is gone (it is then reopened with a
+    growing delay), any other exception when the device is there but answered
+    wrongly (after `fault_limit` in a row it is closed and opened again).
+
+    Args:
+        name: The name; the class name in snake case unless given.
+        bus: The bus that the device is on, if several devices share it.
+        required: Whether the robot refuses to start without the device.
+        **settings: First values of the settings that the class declares.
+    """
+
+    required: bool = False
+    """Whether the robot refuses to start while the device is not there."""
+
+    deadline: float = 1.0
+    """How long one call of the driver may take, in seconds."""
+
+    fault_limit: int = 3
+    """How many faults in a row before the device is closed and opened again."""
+
+    bus: Any = None
+    """The `Bus` that the device is on, if it is on one; a driver narrows the type."""
+
+    _listener: Callable[[BaseException | None], None] | None = None
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        bus: Bus | None = None,
+        required: bool | None = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(name=name)
+        if bus is not None:
+            self.bus = bus
+        if required is not None:
+            self.required = required
+        for key, value in check_settings(self, settings).items():
+            setattr(self, key, value)
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for name, described in settings_of(cls).items():
+            plain = vars(cls).get(name, described)
+            if not isinstance(plain, Setting):  # ``rate = 50.0`` in a subclass
+                value = described.check(f"class {cls.__name__}", plain)
+                narrowed = setting(
+                    value,
+                    unit=described.unit,
+                    min=described.min,
+                    max=described.max,
+                    choices=described.choices,
+                    doc=described.doc,
+                )
+                typing.cast("Setting", narrowed).__set_name__(cls, name)
+                setattr(cls, name, narrowed)
+
+    @property
+    def value_type(self) -> Any:
+        """The type of what flows from or to the device; `typing.Any` if unknown."""
+        return Any
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The current value of each setting, by name (read only)."""
+        return MappingProxyType(
+            {key: getattr(self, key) for key in settings_of(type(self))}
+        )
+
+    if TYPE_CHECKING:
+
+        def open(self) -> Awaitable[None] | None: ...
+        def close(self) -> Awaitable[None] | None: ...
+        def apply(self, *_: Any, **changes: Any) -> Awaitable[None] | None: ...
+
+    else:  # the types above allow drivers to write either kind of method
+
+        async def open(self) -> None:
+            """Make the device ready. Called at the start and after each loss."""
+
+        async def close(self) -> None:
+            """Let the device go. Called at the stop and after each loss."""
+
+        async def apply(self, **changes: Any) -> None:
+            """Send changed settings to the device; they are checked already.
+
+            The attributes change after this returns. If it raises, it is called again
+            with the values from before. After each opening it is called with all the
+            settings that differ from their defaults.
+            """
+
+    def report_lost(self, error: BaseException | None = None) -> None:
+        """Say from a driver, on any thread, that the device is gone."""
+        listener = self._listener
+        if listener is not None:
+            listener(error or ConnectionError("the device reported that it is gone"))
+
+    def report_arrived(self) -> None:
+        """Say from a driver, on any thread, that the device is back: reopen now."""
+        listener = self._listener
+        if listener is not None:
+            listener(None)
+
+
+def value_type(cls: type, base: type) -> Any:
+    """Return ``T`` of ``class X(Sensor[T])``; `typing.Any` if it does not say."""
+    for klass in cls.__mro__:
+        for generic in getattr(klass, "__orig_bases__", ()):
+            origin = typing.get_origin(generic)
+            if inspect.isclass(origin) and issubclass(origin, base):
+                (argument, *_) = typing.get_args(generic)
+                return Any if isinstance(argument, typing.TypeVar) else argument
+    return Any
+
+
+def same_type(given: Any, wanted: Any) -> bool:
+    """Tell whether values of one type may be used where another is wanted."""
+    if given is Any or wanted is Any or given is object or wanted is object:
+        return True
+    given_class = typing.get_origin(given) or given
+    wanted_class = typing.get_origin(wanted) or wanted
+    if not (inspect.isclass(given_class) and inspect.isclass(wanted_class)):
+        return bool(given == wanted)
+    if wanted_class is float and given_class is int:
+        return True
+    return issubclass(given_class, wanted_class)
+
+
+def checked_class(kind: Any) -> type | None:
+    """Return the class that values can be checked for; None if any value will do."""
+    cls = typing.get_origin(kind) or kind
+    if cls is Any or cls is object or not inspect.isclass(cls):
+        return None
+    return cls
+
+
+def type_name(kind: Any) -> str:
+    """Name a type in an error message."""
+    return getattr(kind, "__name__", str(kind))
+
+
+def check_seconds(component: str, field: str, value: object) -> float:
+    """Return a positive, finite number of seconds.
+
+    Raises:
+        ConfigError: It is something else.
+    """
+    if type(value) in {int, float} and 0 < typing.cast("float", value) < float("inf"):
+        return float(typing.cast("float", value))
+    raise ConfigError(
+        component, field, f"expected a number of seconds > 0, not {value!r:.80}"
+    )

@@ -1,0 +1,60 @@
+"""Sensors: data flows from them to actions."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Awaitable, Iterator
+from typing import Any, Generic, TypeVar
+
+from esair.resources._resource import Resource, value_type
+from esair.resources._setting import setting
+
+T = TypeVar("T")
+
+
+class Sensor(Resource, Generic[T]):
+    """A device that gives values of type ``T``.
+
+    Write ``read`` for a device that is asked, or ``stream`` for a device that
+    pushes, or both. Write the type as ``class Sonar(esair.Sensor[float])``; values
+    of another type are then a fault of the device.
+
+    Example:
+        >>> class Sonar(esair.Sensor[float]):
+        ...     '''Distance in metres.'''
+        ...
+        ...     rate = esair.setting(20.0, unit="Hz", min=1.0, max=50.0)
+        ...
+        ...     async def read(self) -> float:
+        ...         return await self.bus.ask(b"R?") / 1000
+    """
+
+    rate: float = setting(
+        10.0, unit="Hz", min=0.001, max=100_000.0, doc="how often the device is asked"
+    )
+    """How often the device is asked while somebody follows it, in Hz."""
+
+    history_size: int = 64
+    """How many readings are kept for ``port.history``."""
+
+    def read(self) -> Awaitable[T] | T:
+        """Ask the device for one value."""
+        raise NotImplementedError
+
+    def stream(self) -> AsyncIterator[T] | Iterator[T]:
+        """Yield each value that the device pushes, until it is gone."""
+        raise NotImplementedError
+
+    @property
+    def value_type(self) -> Any:
+        """The type of the values; `typing.Any` if the class does not say."""
+        return value_type(type(self), Sensor)
+
+    @property
+    def can_be_asked(self) -> bool:
+        """Whether the class has a ``read``."""
+        return type(self).read is not Sensor.read
+
+    @property
+    def pushes(self) -> bool:
+        """Whether the class has a ``stream``."""
+        return type(self).stream is not Sensor.stream

@@ -1,0 +1,171 @@
+"""Settings: the named attributes of a resource that can be configured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import attrs
+
+from esair.exceptions import BadValueError, did_you_mean
+
+if TYPE_CHECKING:
+    from esair.resources._resource import Resource
+
+T = TypeVar("T")
+
+
+@attrs.frozen
+class Setting:
+    """The description of a setting: its type, unit, and limits.
+
+    Attributes:
+        default: The value until somebody configures another; its type is the
+            type of the setting.
+        unit: The unit, such as ``"Hz"``; empty if it has none.
+        min: The least value allowed.
+        max: The greatest value allowed.
+        choices: The only values allowed.
+        doc: What the setting does, in one line.
+        name: The name, as the class gives it.
+    """
+
+    default: Any
+    unit: str = ""
+    min: float | None = None
+    max: float | None = None
+    choices: Collection[object] | None = None
+    doc: str = ""
+    name: str = ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        object.__setattr__(self, "name", name)
+
+    def __get__(self, instance: object, owner: type) -> Any:
+        # A configured value lies in the instance and is found before this.
+        return self if instance is None else self.default
+
+    @property
+    def type(self) -> type:
+        """The type that values of this setting have."""
+        return type(self.default)
+
+    def check(self, component: str, value: object) -> object:
+        """Return the value in the type of the setting.
+
+        Raises:
+            BadValueError: The type is wrong, or it is not finite, outside the
+                limits, or not one of the choices.
+        """
+        wanted = self.type
+        if wanted is float and type(value) is int:
+            value = float(value)
+        if self.default is not None and type(value) is not wanted:
+            raise BadValueError(
+                component,
+                self.name,
+                f"expected {wanted.__name__}{self._in_unit()}, not {value!r:.80}",
+            )
+        if isinstance(value, float) and not math.isfinite(value):
+            raise BadValueError(
+                component, self.name, f"expected a finite number, not {value}"
+            )
+        if self.choices is not None and value not in self.choices:
+            names = ", ".join(repr(choice) for choice in self.choices)
+            raise BadValueError(
+                component, self.name, f"expected one of {names}, not {value!r:.80}"
+            )
+        number = cast("float", value)
+        if self.min is not None and number < self.min:
+            raise BadValueError(
+                component,
+                self.name,
+                f"expected at least {self.min}{self._in_unit()}, not {value}",
+            )
+        if self.max is not None and number > self.max:
+            raise BadValueError(
+                component,
+                self.name,
+                f"expected at most {self.max}{self._in_unit()}, not {value}",
+            )
+        return value
+
+    def _in_unit(self) -> str:
+        return f" {self.unit}" if self.unit else ""
+
+
+def setting(
+    default: T,
+    *,
+    unit: str = "",
+    min: float | None = None,  # noqa: A002 - the word that everybody expects
+    max: float | None = None,  # noqa: A002 - the word that everybody expects
+    choices: Collection[T] | None = None,
+    doc: str = "",
+) -> T:
+    """Declare a setting of a resource, as a class attribute.
+
+    The attribute holds the current value. It is changed by the constructor
+    (``Sonar(rate=20.0)``), the configuration file, or at run time by
+    ``port.configure(rate=20.0)``, which checks every value first.
+
+    Args:
+        default: The value to begin with. Its type is the type of the setting.
+        unit: The unit, such as ``"Hz"``.
+        min: The least value allowed.
+        max: The greatest value allowed.
+        choices: The only values allowed.
+        doc: What the setting does, in one line.
+
+    Example:
+        >>> class Sonar(esair.Sensor[float]):
+        ...     rate = esair.setting(20.0, unit="Hz", min=1.0, max=50.0)
+        ...     gain = esair.setting(3, min=0, max=7, doc="amplification step")
+    """
+    # The static type is that of the value, as with attrs.field and its kin.
+    return cast("T", Setting(default, unit, min, max, choices, doc))
+
+
+def settings_of(component: type[Resource]) -> dict[str, Setting]:
+    """Return the settings that a class of resources declares, by name."""
+    found: dict[str, Setting] = {}
+    for cls in reversed(component.__mro__):
+        found.update(
+            (name, value)
+            for name, value in vars(cls).items()
+            if isinstance(value, Setting)
+        )
+    return found
+
+
+def check_settings(
+    resource: Resource, changes: Mapping[str, object]
+) -> dict[str, object]:
+    """Return the changes in the right types, or name every mistake at once.
+
+    Raises:
+        BadValueError: A name is unknown or a value is not allowed.
+    """
+    known = settings_of(type(resource))
+    checked: dict[str, object] = {}
+    mistakes: list[str] = []
+    fields: list[str] = []
+    for name, value in changes.items():
+        if name not in known:
+            hint = (
+                did_you_mean(name, known) or f"; there are {', '.join(sorted(known))}"
+            )
+            mistakes.append(f"{name}: there is no such setting{hint}")
+            fields.append(name)
+            continue
+        try:
+            checked[name] = known[name].check(resource.name, value)
+        except BadValueError as error:
+            mistakes.append(str(error).removeprefix(f"{resource.name}: "))
+            fields.append(name)
+    if mistakes:
+        refusal = BadValueError(resource.name, "", "; ".join(mistakes))
+        refusal.field = ", ".join(fields)
+        raise refusal
+    return checked

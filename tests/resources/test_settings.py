@@ -1,0 +1,138 @@
+"""Settings: typed, with unit and limits, and checked before anything is applied."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import esair
+from esair.resources._resource import same_type
+
+
+class Sonar(esair.Sensor[float]):
+    rate = esair.setting(20.0, unit="Hz", min=1.0, max=50.0)
+    gain = esair.setting(3, min=0, max=7, doc="amplification step")
+    mode = esair.setting("near", choices=["near", "far"])
+    label = esair.setting(None)
+
+    async def read(self) -> float:
+        return 1.0
+
+
+@pytest.mark.promise("RS-4")
+def test_settings_are_discoverable() -> None:
+    """Class attributes describe them: type, unit, limits, choices."""
+    described: Any = Sonar.rate
+
+    assert (described.name, described.type, described.unit) == ("rate", float, "Hz")
+    assert (described.min, described.max, described.default) == (1.0, 50.0, 20.0)
+    assert dict(Sonar().settings) == {
+        "rate": 20.0,
+        "gain": 3,
+        "mode": "near",
+        "label": None,
+    }
+    with pytest.raises(TypeError):
+        Sonar().settings["rate"] = 1.0  # type: ignore[index]
+
+
+@pytest.mark.promise("RS-4")
+def test_the_constructor_sets_them() -> None:
+    """The first values are checked like later ones; a whole number is a float."""
+    sonar = Sonar(rate=30, gain=5, mode="far", label="front")
+
+    assert (sonar.rate, sonar.gain, sonar.mode) == (30.0, 5, "far")
+    assert type(sonar.rate) is float
+
+
+@pytest.mark.promise("RS-4")
+@pytest.mark.fault("G02", "G03")
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("rate", "fast", "expected float Hz"),
+        ("rate", True, "expected float"),
+        ("rate", math.nan, "finite"),
+        ("rate", math.inf, "finite"),
+        ("rate", 0.5, "at least 1.0 Hz"),
+        ("rate", 51, "at most 50.0 Hz"),
+        ("gain", 1.5, "expected int"),
+        ("gain", False, "expected int"),
+        ("mode", "middle", "one of 'near', 'far'"),
+        ("gian", 1, "did you mean 'gain'"),
+        ("volume", 1, "there are gain, label, mode, rate"),
+    ],
+)
+def test_a_bad_setting_is_named(name: str, value: Any, message: str) -> None:
+    """Field, what was expected, and the nearest name."""
+    with pytest.raises(esair.BadValueError, match=message) as caught:
+        Sonar(**{name: value})
+
+    assert caught.value.field == name
+
+
+@pytest.mark.fault("G03")
+@given(value=st.one_of(st.floats(), st.integers(), st.booleans(), st.text(), st.none()))
+def test_what_is_accepted_is_within_the_limits(value: Any) -> None:
+    """No value of any type slips through."""
+    try:
+        sonar = Sonar(rate=value)
+    except esair.BadValueError:
+        return
+    assert type(sonar.rate) is float
+    assert 1.0 <= sonar.rate <= 50.0
+
+
+def test_a_subclass_gives_another_default() -> None:
+    """`rate = 5` in a subclass keeps the unit and the limits, and is checked."""
+
+    class Slow(Sonar):
+        rate = 5  # type: ignore[assignment]
+
+    described: Any = Slow.rate
+    assert (Slow().rate, described.unit, described.max) == (5.0, "Hz", 50.0)
+    assert Sonar().rate == 20.0
+    with pytest.raises(esair.BadValueError, match="class TooFast: rate"):
+
+        class TooFast(Sonar):
+            rate = 500.0
+
+
+@pytest.mark.promise("RES-1")
+def test_a_sensor_is_asked_ten_times_a_second_unless_it_says_otherwise() -> None:
+    """The default rate of the contract."""
+    assert esair.Sensor().rate == 10.0
+
+
+@pytest.mark.parametrize(
+    ("given_", "wanted", "fits"),
+    [
+        (float, float, True), (int, float, True), (float, int, False), (Any, str, True),
+        (str, object, True), (bool, int, True), (list[float], list, True),
+        (str, float, False), (int | str, int | str, True), (int | str, int, False),
+    ],
+)  # fmt: skip
+def test_types_that_fit(given_: Any, wanted: Any, fits: bool) -> None:
+    """A reading of one type serves where another is wanted."""
+    assert same_type(given_, wanted) is fits
+
+
+@pytest.mark.promise("RES-1")
+def test_names_come_from_the_class_or_the_keyword() -> None:
+    """Snake case unless ``name=`` says otherwise; flags are kept."""
+
+    class RangeFinder(Sonar):
+        pass
+
+    assert RangeFinder().name == "range_finder"
+    front = RangeFinder(name="front", required=True)
+    assert (front.name, front.required) == ("front", True)
+    assert "front" in repr(front)
+    with pytest.raises(esair.ConfigError, match="lower-case"):
+        RangeFinder(name="Front")
+    front.report_lost()  # nobody listens yet
+    front.report_arrived()
