@@ -1,0 +1,118 @@
+"""What one listener on a bus has not taken yet: bounded, and the newest wins."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+from collections.abc import AsyncIterator, Callable
+from typing import Generic, TypeVar
+
+from esair.exceptions import BadValueError
+
+T = TypeVar("T")
+
+
+class Inbox(Generic[T]):
+    """The items that arrived for one listener, oldest first.
+
+    When it is full the oldest item gives way to the newest and is counted. When the
+    bus is lost whoever waits gets the error at once, and so does everybody later:
+    listen again once the bus is open again.
+
+    Attributes:
+        dropped: How many items gave way because nobody took them in time.
+    """
+
+    def __init__(
+        self, limit: int, forget: Callable[[Inbox[T]], None] = lambda _inbox: None
+    ) -> None:
+        if type(limit) is not int or limit < 1:
+            raise BadValueError(
+                "inbox", "limit", f"expected 1 or more, not {limit!r:.80}"
+            )
+        self.dropped = 0
+        self._items: collections.deque[T] = collections.deque(maxlen=limit)
+        self._forget = forget
+        self._waiter: asyncio.Future[None] | None = None
+        self._error: BaseException | None = None
+        self._closed = False
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def offer(self, item: T) -> None:
+        """Add the newest item; never waits and never fails."""
+        items = self._items
+        if len(items) == items.maxlen:
+            self.dropped += 1
+        items.append(item)
+        self._wake()
+
+    def fail(self, error: BaseException) -> None:
+        """Let every further wait raise an error."""
+        self._error = error
+        self._items.clear()
+        self._wake()
+
+    def close(self) -> None:
+        """Listen no more; whoever waits comes to the end of the iteration."""
+        self._closed = True
+        self._forget(self)
+        self._wake()
+
+    async def take(self, *, timeout: float | None = None) -> T:
+        """Wait for the next item and take it.
+
+        Args:
+            timeout: How long to wait, in seconds; for ever if None.
+
+        Raises:
+            TimeoutError: Nothing came in time.
+            StopAsyncIteration: The inbox was closed.
+            DeviceLostError: The bus is lost.
+        """
+        while not self._items:
+            if self._error is not None:
+                raise self._error
+            if self._closed:
+                raise StopAsyncIteration
+            if self._waiter is not None:
+                raise RuntimeError(
+                    "an inbox has one listener; open another for another"
+                )
+            self._waiter = asyncio.get_running_loop().create_future()
+            try:
+                await within(self._waiter, timeout)
+            finally:
+                self._waiter = None
+        return self._items.popleft()
+
+    def __aiter__(self) -> AsyncIterator[T]:
+        return self
+
+    async def __anext__(self) -> T:
+        return await self.take()
+
+    def _wake(self) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+
+async def within(future: asyncio.Future[T], seconds: float | None) -> T:
+    """Wait for a future, at the cost of one timer and no task.
+
+    Raises:
+        TimeoutError: It was not done in time.
+    """
+    if seconds is None or future.done():
+        return await future
+    timer = asyncio.get_running_loop().call_later(seconds, _expire, future)
+    try:
+        return await future
+    finally:
+        timer.cancel()
+
+
+def _expire(future: asyncio.Future[T]) -> None:
+    if not future.done():
+        future.set_exception(TimeoutError())

@@ -1,0 +1,157 @@
+"""InvenSense MPU-6050: acceleration and turn rate, over I²C.
+
+Source: MPU-6000 and MPU-6050 Register Map and Descriptions, revision 4.2; the names
+of the registers are those of that document.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import attrs
+
+from esair.buses import I2CBus
+from esair.exceptions import ConfigError, DeviceFaultError
+from esair.resources import Sensor, setting
+
+ADDRESS = 0x68
+SMPLRT_DIV = 0x19
+CONFIG = 0x1A
+GYRO_CONFIG = 0x1B
+ACCEL_CONFIG = 0x1C
+ACCEL_XOUT_H = 0x3B
+PWR_MGMT_1 = 0x6B
+WHO_AM_I = 0x75
+
+IDENTITY = 0x68
+"""What ``WHO_AM_I`` holds."""
+
+SLEEP = 0x40
+"""The bit of ``PWR_MGMT_1`` that is set after power-up."""
+
+CLOCK_FROM_GYRO = 0x01
+"""``PWR_MGMT_1``: awake, with the clock of the gyroscope, as the maker recommends."""
+
+ACCEL_SCALE = 16384.0
+"""Counts for each g, at ``AFS_SEL`` 0; half with each step."""
+
+GYRO_SCALE = 131.0
+"""Counts for each degree per second, at ``FS_SEL`` 0; half with each step."""
+
+GRAVITY = 9.80665
+"""Standard gravity in m/s²."""
+
+_BLOCK = struct.Struct(">hhhhhhh")
+
+
+@attrs.frozen
+class Motion:
+    """What the chip feels, in its own axes (x forward, y left, z up).
+
+    Attributes:
+        acceleration: In m/s², gravity included.
+        turn_rate: In rad/s, counter-clockwise positive.
+        temperature: In °C.
+    """
+
+    acceleration: tuple[float, float, float]
+    turn_rate: tuple[float, float, float]
+    temperature: float
+
+
+def decode_motion(block: bytes, accel_step: int = 0, gyro_step: int = 0) -> Motion:
+    """Turn the 14 registers from ``ACCEL_XOUT_H`` on into SI units."""
+    ax, ay, az, temperature, gx, gy, gz = _BLOCK.unpack(block)
+    accel = GRAVITY * (1 << accel_step) / ACCEL_SCALE
+    gyro = math.radians(1.0) * (1 << gyro_step) / GYRO_SCALE
+    return Motion(
+        (ax * accel, ay * accel, az * accel),
+        (gx * gyro, gy * gyro, gz * gyro),
+        temperature / 340.0 + 36.53,
+    )
+
+
+def encode_motion(motion: Motion, accel_step: int = 0, gyro_step: int = 0) -> bytes:
+    """Turn a motion into the 14 registers, as the chip does; too much is cut off."""
+    accel = ACCEL_SCALE / (1 << accel_step) / GRAVITY
+    gyro = GYRO_SCALE / (1 << gyro_step) / math.radians(1.0)
+    values = [value * accel for value in motion.acceleration]
+    values.append((motion.temperature - 36.53) * 340.0)
+    values += [value * gyro for value in motion.turn_rate]
+    return _BLOCK.pack(*(max(-32768, min(32767, round(value))) for value in values))
+
+
+class Mpu6050(Sensor[Motion]):
+    """An MPU-6050 on an I²C bus.
+
+    At each opening its identity is checked and it is woken and scaled.
+
+    Args:
+        address: 0x68, or 0x69 if the chip's pin AD0 is high.
+    """
+
+    rate = setting(50.0, unit="Hz", min=1.0, max=200.0, doc="how often it is asked")
+    gyro_range = setting(
+        250,
+        unit="°/s",
+        choices=(250, 500, 1000, 2000),
+        doc="the fastest turn it measures",
+    )
+    accel_range = setting(
+        2, unit="g", choices=(2, 4, 8, 16), doc="the hardest push it measures"
+    )
+    deadline = 0.5
+
+    def __init__(self, *, address: int = ADDRESS, **options: object) -> None:
+        super().__init__(**options)  # type: ignore[arg-type]
+        if address not in {0x68, 0x69}:
+            raise ConfigError(
+                self.name, "address", f"expected 0x68 or 0x69, not {address!r}"
+            )
+        self.address = address
+        self._gyro_step = 0
+        self._accel_step = 0
+
+    async def open(self) -> None:
+        """Check that it is the chip, wake it and set its ranges."""
+        found = (await self._i2c.read(self.address, WHO_AM_I))[0]
+        if found != IDENTITY:
+            raise DeviceFaultError(
+                self.name,
+                f"WHO_AM_I is {found:#04x} instead of {IDENTITY:#04x}: another chip",
+            )
+        await self._i2c.write(self.address, PWR_MGMT_1, bytes([CLOCK_FROM_GYRO]))
+        await self._scale(self.gyro_range, self.accel_range)
+
+    async def apply(
+        self,
+        *,
+        gyro_range: int | None = None,
+        accel_range: int | None = None,
+        **_: object,
+    ) -> None:
+        """Set the ranges in the chip."""
+        await self._scale(
+            gyro_range or self.gyro_range, accel_range or self.accel_range
+        )
+
+    async def read(self) -> Motion:
+        """Read all axes at one moment, in one transfer."""
+        block = await self._i2c.read(self.address, ACCEL_XOUT_H, _BLOCK.size)
+        return decode_motion(block, self._accel_step, self._gyro_step)
+
+    async def _scale(self, gyro_range: int, accel_range: int) -> None:
+        gyro_step = (250, 500, 1000, 2000).index(gyro_range)
+        accel_step = (2, 4, 8, 16).index(accel_range)
+        await self._i2c.write(
+            self.address, GYRO_CONFIG, bytes([gyro_step << 3, accel_step << 3])
+        )
+        self._gyro_step = gyro_step
+        self._accel_step = accel_step
+
+    @property
+    def _i2c(self) -> I2CBus:
+        if not isinstance(self.bus, I2CBus):
+            raise ConfigError(self.name, "bus", f"expected an I2CBus, not {self.bus!r}")
+        return self.bus
