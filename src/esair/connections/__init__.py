@@ -1,0 +1,26 @@
+"""The only way of data between actions and resources."""
+
+from esair.connections._actuator_channel import ActuatorChannel, Told
+from esair.connections._actuator_connection import ActuatorConnection
+from esair.connections._driver import Driver, is_drivers, is_loss, translate
+from esair.connections._durations import check_duration
+from esair.connections._registrations import Registration, Registrations
+from esair.connections._sensor_channel import READ_TIMEOUT, Follower, SensorChannel
+from esair.connections._sensor_connection import SensorConnection
+
+__all__ = [
+    "READ_TIMEOUT",
+    "ActuatorChannel",
+    "ActuatorConnection",
+    "Driver",
+    "Follower",
+    "Registration",
+    "Registrations",
+    "SensorChannel",
+    "SensorConnection",
+    "Told",
+    "check_duration",
+    "is_drivers",
+    "is_loss",
+    "translate",
+]

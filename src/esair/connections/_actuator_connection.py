@@ -1,0 +1,70 @@
+"""The actuator connection (AC): the only way to write any actuator."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from esair.abc import Connection
+from esair.connections._actuator_channel import ActuatorChannel
+from esair.connections._durations import check_duration
+from esair.connections._registrations import Registration
+from esair.exceptions import NotRegisteredError, UnknownNameError
+from esair.messages import Answer, Refused, Written
+
+
+class ActuatorConnection(Connection):
+    """Writes actuators for whoever is registered; priority decides who moves one."""
+
+    def __init__(self) -> None:
+        self.channels: dict[str, ActuatorChannel] = {}
+        """The way to each actuator; the resource supervisor fills it."""
+
+    def names(self) -> list[str]:
+        """Return the names of the actuators."""
+        return list(self.channels)
+
+    def channel(self, name: str) -> ActuatorChannel:
+        """Return the way to one actuator.
+
+        Raises:
+            UnknownNameError: No actuator has the name.
+        """
+        try:
+            return self.channels[name]
+        except KeyError:
+            raise UnknownNameError("actuator", name, self.channels) from None
+
+    async def write(
+        self, registration: Registration, command: Any, *, hold: float | None = None
+    ) -> Written[Any] | Refused:
+        """Send a command, or say who holds the actuator.
+
+        Args:
+            registration: The right to write.
+            command: A command of the actuator's type, finite and within limits.
+            hold: For how long it holds the actuator, in seconds; the actuator's
+                command timeout unless given.
+
+        Returns:
+            What was really sent, or a refusal, which is false in a condition.
+
+        Raises:
+            NotRegisteredError: The registration is not valid (any more).
+            BadValueError: The command must not be sent.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device did not take it.
+        """
+        channel = self.channels.get(getattr(registration, "resource", ""))
+        if channel is None:
+            if not isinstance(registration, Registration):
+                raise NotRegisteredError(
+                    "?", "?", f"{registration!r:.80} is no registration"
+                )
+            if registration.reason is not None:
+                raise registration.reason()
+            raise UnknownNameError("actuator", registration.resource, self.channels)
+        channel.registrations.check(registration)
+        if hold is not None:
+            check_duration(channel.name, "hold", hold)
+        outcome = channel.begin(registration, command, hold)
+        return outcome if isinstance(outcome, Answer) else await outcome

@@ -1,0 +1,266 @@
+"""The check of a command before it may leave: type, finite, limits, slew."""
+
+from __future__ import annotations
+
+import copy
+import enum
+import inspect
+import math
+import numbers
+import operator
+import types
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+import attrs
+
+from esair.exceptions import BadValueError, ConfigError, describe
+from esair.resources import Actuator
+from esair.resources._resource import checked_class, type_name
+
+_NUMBERS = (int, float)
+
+
+class CommandCheck:
+    """Checks, and where declared clamps, the commands of one actuator."""
+
+    def __init__(self, actuator: Actuator[Any]) -> None:
+        self.name = actuator.name
+        self.wanted = checked_class(actuator.value_type)
+        self._clamp = actuator.clamp
+        self._limits = _by_field(actuator.limits)
+        self._slew = _by_field(actuator.slew)
+        self._fields = _number_fields(actuator.safe)
+        self._get: Callable[[Any], Any] | None = None
+        if not _all_numbers(actuator.safe, self._fields):
+            pass  # what is no number may hide one: look at every part
+        elif len(self._fields) == 1:
+            self._get = lambda command, get=operator.attrgetter(*self._fields): (
+                get(command),
+            )
+        else:
+            self._get = operator.attrgetter(*self._fields)
+        self.slews = bool(self._slew)
+        """Whether how fast a command changes is limited."""
+
+    def checked(self, command: Any) -> Any:
+        """Return the command that may be sent.
+
+        Raises:
+            BadValueError: The type is wrong, a number is not finite, or it is
+                outside the limits.
+        """
+        wanted: Any = self.wanted
+        if not self._limits and type(command) is wanted:
+            # Most commands end here: a number, or a structure of numbers.
+            if wanted is float and math.isfinite(command):
+                return command
+            if self._get is not None:
+                try:
+                    if all(map(math.isfinite, self._get(command))):
+                        return command
+                except (TypeError, OverflowError):
+                    pass  # a field is no number: it is named below
+        try:
+            if wanted is not None and type(command) is not wanted:
+                command = self._accept(command, wanted)
+            self._check_finite("", command)
+            return self._limited(command) if self._limits else command
+        except BadValueError:
+            raise
+        except Exception as error:  # a command may be an object of any class
+            raise BadValueError(
+                self.name, "command", f"it cannot be checked: {describe(error)}"
+            ) from error
+
+    def slewed(self, command: Any, last: Any, seconds: float) -> Any:
+        """Return the command, moved towards the last one if it changes too fast.
+
+        Args:
+            command: A command that was checked.
+            last: What the device was told last.
+            seconds: How long ago that was.
+        """
+        changes: dict[str, float] = {}
+        for field, slew in self._slew.items():
+            value, before = _get(command, field), _get(last, field)
+            step = slew * max(seconds, 0.0)
+            bounded = min(before + step, max(before - step, value))
+            if bounded != value:
+                changes[field] = bounded
+        return _changed(command, changes)
+
+    def _accept(self, command: Any, wanted: type) -> Any:
+        if wanted is float and type(command) is int:
+            return float(command)
+        if isinstance(command, wanted) and not (
+            wanted is int and isinstance(command, bool)
+        ):
+            return command
+        raise BadValueError(
+            self.name, "command", f"expected {type_name(wanted)}, not {command!r:.80}"
+        )
+
+    def _check_finite(self, field: str, value: Any, depth: int = 8) -> None:
+        if isinstance(value, numbers.Number):
+            if not (value - value == 0):  # type: ignore[operator]
+                raise BadValueError(
+                    self.name,
+                    field or "command",
+                    f"expected a finite number, not {value!r:.80}",
+                )
+            return
+        if field in self._fields:
+            raise BadValueError(
+                self.name, field, f"expected a number, not {value!r:.80}"
+            )
+        if depth == 0:
+            raise BadValueError(
+                self.name, field or "command", "it is nested too deeply"
+            )
+        for name, part in _parts(value):
+            self._check_finite(
+                f"{field}.{name}" if field else str(name), part, depth - 1
+            )
+
+    def _limited(self, command: Any) -> Any:
+        changes: dict[str, float] = {}
+        for field, (low, high) in self._limits.items():
+            value = _get(command, field)
+            if low <= value <= high:
+                continue
+            if not self._clamp:
+                raise BadValueError(
+                    self.name,
+                    field or "command",
+                    f"expected {low:g} to {high:g}, not {value:g}",
+                )
+            changes[field] = min(
+                high, max(low, value)
+            )  # value is finite: checked before
+        return _changed(command, changes)
+
+
+def check_declaration(actuator: Actuator[Any]) -> list[ConfigError]:
+    """Return what is wrong with what an actuator declares."""
+    name = actuator.name
+    mistakes: list[ConfigError] = []
+    timeout = actuator.command_timeout
+    if type(timeout) not in _NUMBERS or not 0 < timeout < math.inf:
+        mistakes.append(
+            ConfigError(
+                name, "command_timeout", f"expected seconds > 0, not {timeout!r:.80}"
+            )
+        )
+    if not hasattr(actuator, "safe"):
+        mistakes.append(
+            ConfigError(
+                name, "safe", "an actuator must declare its safe command: safe = ..."
+            )
+        )
+        return mistakes
+    for field, bounds in _by_field(actuator.limits).items():
+        try:
+            low, high = bounds
+            fits = low <= _get(actuator.safe, field) <= high
+        except (TypeError, ValueError, AttributeError, LookupError):
+            mistakes.append(
+                ConfigError(
+                    name,
+                    f"limits.{field}".rstrip("."),
+                    f"expected (least, greatest), not {bounds!r:.80}",
+                )
+            )
+            continue
+        if not fits:
+            mistakes.append(
+                ConfigError(name, "safe", f"{actuator.safe!r} is outside the limits")
+            )
+    if not mistakes:
+        try:
+            check = CommandCheck(actuator)
+            check.slewed(check.checked(actuator.safe), actuator.safe, 1.0)
+        except BadValueError as error:
+            mistakes.append(ConfigError(name, "safe", str(error)))
+        except (TypeError, AttributeError, LookupError) as error:
+            mistakes.append(
+                ConfigError(name, "slew", f"does not fit the command: {error}")
+            )
+    return mistakes
+
+
+def _by_field(value: Any) -> dict[str, Any]:
+    """One entry for each field; the command itself is the field without a name."""
+    if value is None:
+        return {}
+    return dict(value) if isinstance(value, Mapping) else {"": value}
+
+
+def _number_fields(safe: Any) -> list[str]:
+    """The fields of a structured command that are numbers."""
+    if isinstance(safe, Collection | int | float) or hasattr(safe, "__array__"):
+        return []
+    return [
+        str(name)
+        for name, part in _parts(safe)
+        if isinstance(part, int | float) and not isinstance(part, bool)
+    ]
+
+
+def _all_numbers(safe: Any, fields: list[str]) -> bool:
+    """Whether a structured command has no other parts than its number fields."""
+    return bool(fields) and len(fields) == len(_parts(safe))
+
+
+_ATOMS = (str, bytes, bytearray, memoryview, range, type, types.ModuleType)
+"""What cannot hide a number that is not finite."""
+
+
+def _parts(value: Any) -> list[tuple[object, Any]]:
+    """The parts of a value by their names or places: fields, entries, attributes."""
+    if value is None or isinstance(value, _ATOMS) or inspect.isroutine(value):
+        return []
+    if isinstance(value, enum.Enum):
+        return [("value", value.value)]
+    if isinstance(value, Mapping):
+        return [*value.items(), *enumerate(value)]
+    if hasattr(value, "__array__"):
+        return list(enumerate(value.ravel().tolist()))
+    parts: dict[object, Any] = {}
+    if isinstance(value, Collection):
+        parts.update(enumerate(value))
+    for cls in type(value).__mro__:
+        for name, slot in vars(cls).items():
+            if isinstance(slot, types.MemberDescriptorType) and hasattr(value, name):
+                parts[name] = getattr(value, name)
+    parts.update(getattr(value, "__dict__", {}))
+    return list(parts.items())
+
+
+def _get(command: Any, field: str) -> Any:
+    if not field:
+        return command
+    if isinstance(command, Mapping):
+        return command[field]
+    return getattr(command, field)
+
+
+def _changed(command: Any, changes: Mapping[str, float]) -> Any:
+    if not changes:
+        return command
+    if "" in changes:
+        return type(command)(changes[""])
+    if isinstance(command, Mapping):
+        return {**command, **changes}
+    if attrs.has(type(command)):
+        return attrs.evolve(command, **changes)
+    if hasattr(command, "__dataclass_fields__"):
+        import dataclasses  # only for the robots that use them
+
+        return dataclasses.replace(command, **changes)
+    if isinstance(command, tuple):
+        return command._replace(**changes)  # type: ignore[attr-defined]
+    changed = copy.copy(command)
+    for field, value in changes.items():
+        setattr(changed, field, value)
+    return changed

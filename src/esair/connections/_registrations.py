@@ -1,0 +1,194 @@
+"""Who may use what. The supervisor writes this table, the connections read it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+
+from esair.exceptions import BusyError, EsairError, NotRegisteredError
+from esair.messages import Access
+
+LIMIT = 65_536
+"""How many registrations there may be at a time."""
+
+
+class Registration:
+    """The right of one behavior to use one resource. Only the supervisor issues it.
+
+    Its number only grows: a right that was revoked never comes back, and whoever
+    still holds one is refused at the connection.
+
+    Attributes:
+        number: Unique in a robot, and higher than that of all before.
+        behavior: The name of the behavior.
+        resource: The name of the resource.
+        access: What the behavior may do.
+        priority: With which priority it writes; higher wins.
+        hold: For how long a write holds the actuator, in seconds; None for the
+            actuator's command timeout.
+    """
+
+    access: Access
+    behavior: str
+    hold: float | None
+    number: int
+    priority: int
+    reason: Callable[[], EsairError] | None
+    resource: str
+    usable: bool
+
+    __slots__ = (
+        "access",
+        "behavior",
+        "hold",
+        "number",
+        "priority",
+        "reason",
+        "resource",
+        "usable",
+    )
+
+    def __init__(
+        self,
+        number: int,
+        behavior: str,
+        resource: str,
+        access: Access,
+        priority: int,
+        hold: float | None,
+    ) -> None:
+        write = super().__setattr__
+        write("number", number)
+        write("behavior", behavior)
+        write("resource", resource)
+        write("access", access)
+        write("priority", priority)
+        write("hold", hold)
+        write("usable", bool(access & (Access.READ | Access.WRITE)))
+        write("reason", None)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{self!r} cannot be changed: register again")
+
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError(f"{self!r} cannot be changed: register again")
+
+    def end(self, reason: Callable[[], EsairError] | None) -> None:
+        """Make it void; nothing makes it valid again."""
+        super().__setattr__("usable", False)
+        super().__setattr__("reason", reason)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Registration {self.number}: {self.behavior} may {self.access} "
+            f"{self.resource}>"
+        )
+
+
+class Registrations:
+    """The one table of all registrations of a robot."""
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count(1)
+        self.live: dict[int, Registration] = {}
+        """What is valid now, by number."""
+
+    def __len__(self) -> int:
+        return len(self.live)
+
+    def __iter__(self) -> Iterator[Registration]:
+        return iter(tuple(self.live.values()))
+
+    def issue(
+        self,
+        behavior: str,
+        resource: str,
+        access: Access,
+        *,
+        priority: int = 0,
+        hold: float | None = None,
+    ) -> Registration:
+        """Enter a new registration; the caller has checked that it is allowed.
+
+        Raises:
+            BusyError: There are too many.
+        """
+        if len(self.live) >= LIMIT:
+            raise BusyError("resources", "number of registrations", LIMIT)
+        registration = Registration(
+            next(self._numbers), behavior, resource, access, priority, hold
+        )
+        self.live[registration.number] = registration
+        return registration
+
+    def revoke(
+        self, registration: Registration, reason: Callable[[], EsairError] | None = None
+    ) -> bool:
+        """Make a registration void, from this moment on.
+
+        Args:
+            registration: What is revoked.
+            reason: Makes the error that its holder gets from now on.
+
+        Returns:
+            Whether it was valid until now.
+        """
+        if self.live.get(registration.number) is not registration:
+            return False
+        del self.live[registration.number]
+        registration.end(reason)
+        return True
+
+    def find(
+        self,
+        behavior: str,
+        resource: str,
+        access: Access,
+        priority: int,
+        hold: float | None,
+    ) -> Registration | None:
+        """Return the registration with exactly these terms, if there is one."""
+        for registration in self.live.values():
+            if (
+                registration.behavior == behavior
+                and registration.resource == resource
+                and registration.access == access
+                and registration.priority == priority
+                and registration.hold == hold
+            ):
+                return registration
+        return None
+
+    def of_behavior(self, behavior: str) -> list[Registration]:
+        """Return what a behavior is registered for."""
+        return [r for r in self.live.values() if r.behavior == behavior]
+
+    def of_resource(self, resource: str) -> list[Registration]:
+        """Return who is registered for a resource."""
+        return [r for r in self.live.values() if r.resource == resource]
+
+    def check(self, registration: Registration) -> None:
+        """Pass if this is one of the table's own registrations, valid and for data.
+
+        Raises:
+            NotRegisteredError: It is not.
+        """
+        if (
+            not isinstance(registration, Registration)
+            or self.live.get(registration.number) is not registration
+            or not registration.usable
+        ):
+            raise self.refusal(registration)
+
+    def refusal(self, registration: Registration) -> EsairError:
+        """Make the error for the use of a registration that does not allow it."""
+        if not isinstance(registration, Registration):
+            return NotRegisteredError(
+                "?", "?", f"{registration!r:.80} is no registration"
+            )
+        if registration.reason is not None:
+            return registration.reason()
+        detail = "its registration was revoked"
+        if self.live.get(registration.number) is registration:
+            detail = f"its registration is for {registration.access} only"
+        return NotRegisteredError(registration.behavior, registration.resource, detail)

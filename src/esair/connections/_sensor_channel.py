@@ -1,0 +1,433 @@
+"""The way of data from one sensor: newest reading, waiting readers, followers."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from typing import Any, Protocol
+
+from esair.connections._driver import Driver, is_drivers, translate
+from esair.connections._registrations import Registration, Registrations
+from esair.exceptions import (
+    BusyError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    ResourceRemovedError,
+    StaleReadingError,
+)
+from esair.loop import (
+    Lane,
+    Spoke,
+    Suspended,
+    Wheel,
+    clock_of,
+    finish,
+    first_step,
+    spawn,
+)
+from esair.messages import Reading, ResourceState
+from esair.resources import Sensor
+from esair.resources._resource import checked_class, type_name
+
+WAITING_LIMIT = 1024
+"""How many readers may wait for one sensor at a time."""
+
+LISTEN_AGAIN = 0.1
+"""The pause before a stream that raised is asked for again, in seconds."""
+
+READ_TIMEOUT = 1.0
+"""How long a read waits for the device unless it says otherwise, in seconds."""
+
+
+class Follower(Protocol):
+    """Gets every new reading of a sensor, at once, in the loop."""
+
+    @property
+    def registration(self) -> Registration:
+        """The right by which it follows."""
+
+    def feed(self, reading: Reading[Any]) -> None:
+        """Take a new reading; must not wait."""
+
+    def changed(self, error: EsairError | None) -> None:
+        """Learn that the sensor is gone for now (why), or back (None)."""
+
+
+class SensorChannel:
+    """Reads one sensor for everybody who asks; one transaction serves them all."""
+
+    def __init__(
+        self,
+        sensor: Sensor[Any],
+        registrations: Registrations,
+        loop: asyncio.AbstractEventLoop,
+        on_error: Callable[[Exception], None],
+    ) -> None:
+        self.name = sensor.name
+        self.state = ResourceState.CLOSED
+        self.error: EsairError | None = None
+        self.newest: Reading[Any] | None = None
+        self.transactions = 0
+        """How many times the device was asked."""
+        self.missed = 0
+        """How many polls were left out because the device had not answered yet."""
+        self.dropped = 0
+        """How many readings a slow follower has not seen."""
+        self.sequence = 0
+        self.registrations = registrations
+        self._loop = loop
+        self.time = clock_of(loop)
+        self._on_error = on_error
+        self._followers: tuple[Follower, ...] = ()
+        self._waiters: list[tuple[float, asyncio.Future[Reading[Any]]]] = []
+        self._poll: Spoke | None = None
+        self._asking = False
+        self._asked: asyncio.Task[None] | None = None
+        self._polled: asyncio.Task[Any] | None = None
+        self._pump: asyncio.Task[None] | None = None
+        self.attach(sensor)
+
+    def attach(self, sensor: Sensor[Any]) -> None:
+        """Read this sensor from now on; it is not ready yet."""
+        self.sensor = sensor
+        self.driver = Driver(sensor)
+        self._history: collections.deque[Reading[Any]] = collections.deque(
+            maxlen=sensor.history_size
+        )
+        self._wanted = checked_class(sensor.value_type)
+        if sensor.can_be_asked:
+            self._ask_device = self.driver.call("read")
+        self.configured()
+
+    def configured(self) -> None:
+        """Take over a changed rate."""
+        sensor = self.sensor
+        self.good_for = 1.0 / sensor.rate if sensor.can_be_asked else math.inf
+        if self._poll is not None:
+            self._stop_polling()
+            self._start_polling()
+
+    @property
+    def successes(self) -> int:
+        """How many values the device has given."""
+        return self.sequence
+
+    # State, told by the supervisor.
+
+    def up(self) -> None:
+        """The device is ready: begin to listen, and to ask if somebody follows."""
+        self.state = ResourceState.READY
+        self.error = None
+        if self.sensor.pushes:
+            self._pump = spawn(self._loop, self._listen(), name=f"{self.name} stream")
+        self._start_polling()
+        for follower in self._followers:
+            follower.changed(None)
+
+    def down(self, state: ResourceState, error: EsairError) -> None:
+        """The device is gone: tell everybody who reads it."""
+        self.state = state
+        self.error = error
+        self.newest = None
+        self._stop_polling()
+        for task in (self._pump, self._asked, self._polled):
+            if task is not None:
+                task.cancel()
+        self._pump = self._asked = self._polled = None
+        self._asking = False
+        waiters, self._waiters = self._waiters, []
+        for _, future in waiters:
+            if not future.done():
+                future.set_exception(error)
+        for follower in self._followers:
+            follower.changed(error)
+
+    def forget_age(self) -> None:
+        """Make every reading stale, as after a suspend of the computer."""
+        self.newest = None
+        error = StaleReadingError(self.name, None, self.good_for)
+        for follower in self._followers:
+            follower.changed(error)
+
+    # Readers.
+
+    def cached(self, registration: Registration, limit: float) -> Reading[Any] | None:
+        """Return the newest reading if it is good enough, without any wait.
+
+        Args:
+            registration: The right to read.
+            limit: The greatest age in seconds.
+        """
+        if not registration.usable:
+            raise self.registrations.refusal(registration)
+        reading = self.newest
+        if reading is not None and self.time() - reading.time <= limit:
+            return reading
+        return None
+
+    async def ask(
+        self, registration: Registration, *, fresh: bool, max_age: float, timeout: float
+    ) -> Reading[Any]:
+        """Return a reading that is good enough, asking the device or waiting for it.
+
+        Raises:
+            StaleReadingError: There is none in time.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            BusyError: Too many readers wait.
+        """
+        self._check(registration)
+        if not fresh and not self.sensor.can_be_asked and self.newest is not None:
+            # A device that pushes cannot be asked; it has been silent for too long.
+            raise StaleReadingError(self.name, self.time() - self.newest.time, max_age)
+        if len(self._waiters) >= WAITING_LIMIT:
+            raise BusyError(self.name, "number of waiting readers", WAITING_LIMIT)
+        need = (
+            self.transactions if self._asking and not fresh else self.transactions + 1
+        )
+        future: asyncio.Future[Reading[Any]] = self._loop.create_future()
+        waiter = (need, future)
+        self._waiters.append(waiter)
+        self._ask()
+        timer = self._loop.call_later(timeout, self._expire, future, timeout)
+        try:
+            reading = await future
+        finally:
+            timer.cancel()
+            if waiter in self._waiters:
+                self._waiters.remove(waiter)
+        self._check(registration)
+        age = self.time() - reading.time
+        if age > max_age:
+            raise StaleReadingError(self.name, age, max_age)
+        return reading
+
+    def history(self, registration: Registration, count: int) -> list[Reading[Any]]:
+        """Return the last readings, the oldest first."""
+        if not registration.usable:
+            raise self.registrations.refusal(registration)
+        return list(self._history)[-count:] if count > 0 else []
+
+    def _check(self, registration: Registration) -> None:
+        if not registration.usable:
+            raise self.registrations.refusal(registration)
+        if self.state is not ResourceState.READY:
+            raise self.error or DeviceLostError(self.name, f"it is {self.state.value}")
+
+    def _expire(self, future: asyncio.Future[Reading[Any]], timeout: float) -> None:
+        if not future.done():
+            newest = self.newest
+            age = None if newest is None else self.time() - newest.time
+            future.set_exception(StaleReadingError(self.name, age, timeout))
+
+    # Followers.
+
+    def follow(self, follower: Follower) -> None:
+        """Feed every new reading to a follower; polls the device meanwhile."""
+        if follower not in self._followers:
+            self._followers = (*self._followers, follower)
+            self._start_polling()
+
+    def unfollow(self, follower: Follower) -> None:
+        """Stop feeding a follower."""
+        self._followers = tuple(f for f in self._followers if f is not follower)
+        if not self._followers:
+            self._stop_polling()
+
+    def _start_polling(self) -> None:
+        if (
+            self._poll is None
+            and self._followers
+            and self.state is ResourceState.READY
+            and self.sensor.can_be_asked
+        ):
+            self._poll = Wheel.of(self._loop).every(1.0 / self.sensor.rate, self._turn)
+
+    def _stop_polling(self) -> None:
+        if self._poll is not None:
+            self._poll.stop()
+            self._poll = None
+
+    # Transactions.
+
+    def _turn(self, _now: float) -> Awaitable[object] | None:
+        if self._asking or self.state is not ResourceState.READY:
+            self.missed += 1
+            return None
+        return self._begin()
+
+    def _ask(self) -> None:
+        if (
+            self.sensor.can_be_asked
+            and not self._asking
+            and self._asked is None
+            and self.state is ResourceState.READY
+        ):
+            self._asked = spawn(self._loop, self._transact(), name=f"{self.name} read")
+
+    async def _transact(self) -> None:
+        try:
+            rest = None if self._asking else self._begin()
+            if rest is not None:
+                await rest
+        finally:
+            if self._asked is asyncio.current_task():
+                self._asked = None
+                if self._waiters:
+                    self._ask()
+
+    def _begin(self) -> Awaitable[None] | None:
+        self._asking = True
+        self.transactions += 1
+        number = self.transactions
+        try:
+            value = first_step(self._ask_device())
+        except BaseException as error:
+            self._asking = False
+            if not is_drivers(error):
+                raise
+            self._fail(error, number)
+            return None
+        if type(value) is Suspended:
+            return self._finish(value, number)
+        self._asking = False
+        self.publish(value, number)
+        return None
+
+    async def _finish(self, suspended: Suspended, number: int) -> None:
+        sensor = self.sensor
+        if self._asked is None:
+            self._polled = asyncio.current_task()
+        try:
+            value = await finish(suspended, sensor.deadline)
+        except TimeoutError as error:
+            stuck = DriverStuckError(self.name, "read", sensor.deadline)
+            stuck.__cause__ = error
+            self._ended(sensor, number, error=stuck)
+        except BaseException as error:
+            if not is_drivers(error):
+                raise
+            self._ended(sensor, number, error=error)
+        else:
+            self._ended(sensor, number, value=value)
+
+    def _ended(
+        self,
+        sensor: Sensor[Any],
+        number: int,
+        *,
+        value: Any = None,
+        error: BaseException | None = None,
+    ) -> None:
+        if self.sensor is not sensor or number != self.transactions or not self._asking:
+            return  # it came after the device was closed
+        self._asking = False
+        self._polled = None
+        if error is not None:
+            self._fail(error, number)
+        else:
+            self.publish(value, number)
+        if self._waiters:
+            self._ask()
+
+    async def _listen(self) -> None:
+        sensor = self.sensor
+        while True:
+            try:
+                stream = sensor.stream()
+                if isinstance(stream, AsyncIterator):
+                    async for value in stream:
+                        self.publish(value, math.inf)
+                else:
+                    await self._listen_blocking(iter(stream))
+            except BaseException as error:
+                if not is_drivers(error):
+                    raise
+                self._fail(error, math.inf)
+            else:
+                self._fail(DeviceLostError(self.name, "its stream has ended"), math.inf)
+            if self._pump is not asyncio.current_task():
+                return  # the device is gone; its next opening begins anew
+            await asyncio.sleep(LISTEN_AGAIN)
+
+    async def _listen_blocking(self, values: Iterator[Any]) -> None:
+        # A thread of its own: waiting for the next value must not block the bus.
+        lane = Lane(f"{self.name}_stream")
+        end = object()
+        try:
+            while (
+                value := await lane.call(next, values, end, timeout=math.inf)
+            ) is not end:
+                self.publish(value, math.inf)
+        finally:
+            lane.close()
+
+    def publish(self, value: Any, number: float) -> None:
+        """Give a new value to everybody who waits or follows."""
+        wanted = self._wanted
+        if (
+            wanted is not None
+            and type(value) is not wanted
+            and not self._acceptable(value, wanted)
+        ):
+            self._fail(
+                DeviceFaultError(
+                    self.name, f"expected {type_name(wanted)}, it gave {value!r:.80}"
+                ),
+                number,
+            )
+            return
+        self.sequence += 1
+        reading = Reading(value, self.time(), self.sequence)
+        self.newest = reading
+        self._history.append(reading)
+        if self._waiters:
+            self._resolve(reading, number)
+        for follower in self._followers:
+            follower.feed(reading)
+
+    @staticmethod
+    def _acceptable(value: Any, wanted: type) -> bool:
+        if isinstance(value, bool) and wanted in {int, float}:
+            return False
+        return isinstance(value, wanted) or (wanted is float and isinstance(value, int))
+
+    def _resolve(self, reading: Reading[Any], number: float) -> None:
+        waiters, self._waiters = self._waiters, []
+        for waiter in waiters:
+            need, future = waiter
+            if future.done():
+                continue
+            if need <= number:
+                future.set_result(reading)
+            else:
+                self._waiters.append(waiter)
+
+    def _fail(self, error: BaseException, number: float) -> None:
+        translated = translate(self.name, error)
+        waiters, self._waiters = self._waiters, []
+        for waiter in waiters:
+            need, future = waiter
+            if future.done():
+                continue
+            if need <= number:
+                future.set_exception(translated)
+            else:
+                self._waiters.append(waiter)
+        self._on_error(translated)
+
+    def drop(self, registration: Registration) -> None:
+        """Feed nothing more to the followers with this registration."""
+        error = self.registrations.refusal(registration)
+        for follower in self._followers:
+            if follower.registration is registration:
+                self.unfollow(follower)
+                follower.changed(error)
+
+    def removed(self) -> None:
+        """Tell everybody that the user took the sensor away."""
+        self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))

@@ -1,0 +1,343 @@
+"""What a command must be before it may leave."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import decimal
+import enum
+import math
+from typing import Any, NamedTuple
+
+import attrs
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import esair
+from esair.connections._command_check import CommandCheck, check_declaration
+from esair.testing import FakeActuator
+
+NOT_FINITE = [math.nan, math.inf, -math.inf]
+
+
+@attrs.frozen
+class Twist:
+    linear: float
+    angular: float
+
+
+@attrs.frozen
+class Speed:
+    speed: float
+
+
+@attrs.frozen
+class Plan:
+    speed: float
+    path: Any
+
+
+@attrs.frozen
+class Faster(Twist):
+    boost: float = 0.0
+
+
+@dataclasses.dataclass
+class Pose:
+    x: float
+    inner: Any = None
+
+
+class Pair(NamedTuple):
+    left: float
+    right: float
+
+
+class Plain:
+    def __init__(self, x: Any) -> None:
+        self.x = x
+
+
+class Slotted:
+    __slots__ = ("__hidden", "unset", "x")
+
+    def __init__(self, x: Any) -> None:
+        self.x = 0.0
+        self.__hidden = x
+
+
+class Array:
+    """What numpy's arrays look like."""
+
+    __array__ = None
+
+    def __init__(self, *values: float) -> None:
+        self._values = values
+
+    def ravel(self) -> Array:
+        return self
+
+    def tolist(self) -> list[float]:
+        return list(self._values)
+
+
+def check(safe: Any, **options: Any) -> CommandCheck:
+    return CommandCheck(FakeActuator("wheels", safe=safe, **options))
+
+
+WRAPS = [
+    lambda x: [x],
+    lambda x: (0.0, x),
+    lambda x: {"left": x},
+    lambda x: {x: "left"},
+    lambda x: frozenset({x}),
+    lambda x: collections.deque([x]),
+    lambda x: Plan(0.0, [x]),
+    lambda x: Pose(0.0, x),
+    lambda x: Pair(x, 0.0),
+    lambda x: Plain(x),
+    lambda x: Slotted(x),
+    lambda x: Array(0.0, x),
+    lambda x: enum.Enum("Gear", {"HIGH": x}).HIGH,
+]
+"""Ways to hide a number in a command."""
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.fault("V01")
+@given(
+    number=st.sampled_from([*NOT_FINITE, complex(0, math.nan), decimal.Decimal("NaN")]),
+    wraps=st.lists(st.sampled_from(WRAPS[:1] + WRAPS[1:3] + WRAPS[5:12]), max_size=5),
+)
+def test_a_number_that_is_not_finite_never_passes_however_deep(
+    number: Any, wraps: list[Any]
+) -> None:
+    """NaN and infinity are found in every nesting of every kind of structure."""
+    command = number
+    for wrap in wraps:
+        command = wrap(command)
+
+    with pytest.raises(esair.BadValueError, match="wheels"):
+        check(object(), limits=None).checked(command)
+
+
+@pytest.mark.fault("V01")
+@pytest.mark.parametrize("wrap", WRAPS)
+def test_each_kind_of_structure_is_looked_into(wrap: Any) -> None:
+    """A structure with NaN is refused, the same structure with 1.0 is not."""
+    wanted = check(object())
+
+    wanted.checked(wrap(1.0))
+    with pytest.raises(esair.BadValueError):
+        wanted.checked(wrap(math.nan))
+
+
+@pytest.mark.fault("V01")
+def test_nan_beside_the_number_fields_is_found() -> None:
+    """A field that is no number in the safe command is looked into all the same."""
+    wanted = check(Plan(0.0, None))
+
+    assert wanted.checked(Plan(1.0, [2.0])) == Plan(1.0, [2.0])
+    with pytest.raises(esair.BadValueError, match=r"path\.0"):
+        wanted.checked(Plan(1.0, [math.nan]))
+
+
+@pytest.mark.fault("V01")
+def test_nan_in_a_field_of_a_subclass_is_found() -> None:
+    """A command of a subclass may have more fields than the safe command."""
+    wanted = check(Twist(0.0, 0.0))
+
+    assert wanted.checked(Faster(0.0, 0.0, 1.0)) == Faster(0.0, 0.0, 1.0)
+    with pytest.raises(esair.BadValueError, match="boost"):
+        wanted.checked(Faster(0.0, 0.0, math.nan))
+
+
+@pytest.mark.fault("V01")
+def test_infinite_decimals_are_refused() -> None:
+    """A number whose arithmetic raises cannot be checked, so it may not leave."""
+    with pytest.raises(esair.BadValueError, match="cannot be checked"):
+        check(decimal.Decimal(0)).checked(decimal.Decimal("Infinity"))
+
+
+@pytest.mark.fault("V04")
+def test_a_structure_that_holds_itself_is_refused() -> None:
+    """A command that never ends is refused instead of looked at for ever."""
+    endless: list[Any] = []
+    endless.append(endless)
+
+    with pytest.raises(esair.BadValueError, match="nested too deeply"):
+        check([0.0]).checked(endless)
+
+
+@pytest.mark.fault("V04")
+@pytest.mark.parametrize("command", ["fast", None, b"1", [1.0], True, Twist(0, 0)])
+def test_a_command_of_another_type_is_refused(command: object) -> None:
+    """A float is wanted, and only numbers are floats."""
+    with pytest.raises(esair.BadValueError, match="expected float"):
+        check(0.0).checked(command)
+
+
+@pytest.mark.promise("AC-1")
+def test_a_whole_number_serves_as_a_float() -> None:
+    """People write 1 and mean 1.0."""
+    command = check(0.0).checked(1)
+
+    assert type(command) is float
+    assert command == 1.0
+
+
+def test_true_is_no_whole_number() -> None:
+    """A bool is not accepted where an int is wanted."""
+    with pytest.raises(esair.BadValueError, match="expected int"):
+        check(0).checked(True)
+
+
+@pytest.mark.fault("V04")
+@pytest.mark.parametrize("value", ["1", None, [1.0], Plain(1.0)])
+def test_a_field_that_must_be_a_number_is_one(value: object) -> None:
+    """The field is named when it holds something else."""
+    with pytest.raises(esair.BadValueError, match="linear: expected a number"):
+        check(Twist(0.0, 0.0)).checked(Twist(value, 0.0))  # type: ignore[arg-type]
+
+
+@pytest.mark.fault("V05")
+@pytest.mark.parametrize("command", [10**400, -(10**400)])
+def test_a_number_too_large_for_a_float_is_refused(command: int) -> None:
+    """A huge integer is a bad value, not an OverflowError on its way to the wire."""
+    with pytest.raises(esair.BadValueError, match="cannot be checked"):
+        check(0.0).checked(command)
+    with pytest.raises(esair.BadValueError):
+        check(0.0, limits=(-1.0, 1.0)).checked(command)
+
+
+@pytest.mark.fault("V05")
+def test_a_huge_field_passes_only_where_no_limit_forbids_it() -> None:
+    """An integer has no NaN; a limit is what bounds it."""
+    huge = Twist(10**400, 0.0)
+
+    assert check(Twist(0.0, 0.0)).checked(huge) == huge
+    with pytest.raises(esair.BadValueError):
+        check(Twist(0.0, 0.0), limits={"linear": (-1.0, 1.0)}).checked(huge)
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.fault("V02")
+@given(st.floats(allow_nan=True, allow_infinity=True))
+def test_outside_the_limits_is_refused_by_default(value: float) -> None:
+    """What passes is the command itself, and within the limits."""
+    wanted = check(0.0, limits=(-1.0, 2.0))
+
+    if -1.0 <= value <= 2.0:
+        assert wanted.checked(value) == value
+    else:
+        with pytest.raises(esair.BadValueError):
+            wanted.checked(value)
+
+
+@pytest.mark.fault("V02")
+@given(st.floats(allow_nan=True, allow_infinity=True))
+def test_a_clamp_is_safe_for_nan(value: float) -> None:
+    """A declared clamp moves finite values only; NaN does not become full speed."""
+    wanted = check(0.0, limits=(-1.0, 2.0), clamp=True)
+
+    if math.isfinite(value):
+        assert wanted.checked(value) == min(2.0, max(-1.0, value))
+    else:
+        with pytest.raises(esair.BadValueError, match="finite"):
+            wanted.checked(value)
+
+
+@pytest.mark.fault("V02")
+@pytest.mark.parametrize(
+    ("safe", "fast", "slow"),
+    [
+        (Twist(0.0, 0.0), Twist(9.0, 0.5), Twist(1.0, 0.5)),
+        ({"linear": 0.0}, {"linear": 9.0}, {"linear": 1.0}),
+        (Pose(0.0), None, None),
+    ],
+)
+def test_fields_are_clamped_by_name(safe: Any, fast: Any, slow: Any) -> None:
+    """Limits by field work for attrs classes, dataclasses and mappings."""
+    if fast is None:
+        wanted = check(safe, limits={"x": (-1.0, 1.0)}, clamp=True)
+        assert wanted.checked(Pose(9.0)) == Pose(1.0)
+    else:
+        wanted = check(safe, limits={"linear": (-1.0, 1.0)}, clamp=True)
+        assert wanted.checked(fast) == slow
+
+
+@pytest.mark.fault("V02")
+def test_named_tuples_and_plain_objects_are_clamped_too() -> None:
+    """The original is left as it is; a changed copy is sent."""
+    pair = check(Pair(0.0, 0.0), limits={"left": (-1.0, 1.0)}, clamp=True)
+    assert pair.checked(Pair(3.0, 0.0)) == Pair(1.0, 0.0)
+
+    plain = check(Plain(0.0), limits={"x": (-1.0, 1.0)}, clamp=True)
+    given_ = Plain(3.0)
+    assert plain.checked(given_).x == 1.0
+    assert given_.x == 3.0
+
+
+@pytest.mark.fault("V04")
+def test_a_missing_field_is_a_bad_value() -> None:
+    """A command without the limited field is refused, not a KeyError in a reaction."""
+    with pytest.raises(esair.BadValueError, match="KeyError"):
+        check({"linear": 0.0}, limits={"linear": (-1.0, 1.0)}).checked({})
+
+
+@pytest.mark.fault("V03")
+@given(
+    value=st.floats(-10, 10),
+    before=st.floats(-10, 10),
+    slew=st.floats(0.01, 5),
+    seconds=st.floats(-1, 2),
+)
+def test_a_command_changes_no_faster_than_its_slew(
+    value: float, before: float, slew: float, seconds: float
+) -> None:
+    """The step is bounded, and never beyond what was asked for."""
+    slewed = check(0.0, slew=slew).slewed(value, before, seconds)
+
+    assert abs(slewed - before) <= slew * max(seconds, 0.0) + 1e-9
+    assert min(before, value) - 1e-9 <= slewed <= max(before, value) + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"command_timeout": 0}, "command_timeout"),
+        ({"command_timeout": math.nan}, "command_timeout"),
+        ({"command_timeout": True}, "command_timeout"),
+        ({"safe": ...}, "safe"),
+        ({"safe": math.nan}, "safe"),
+        ({"safe": 5.0, "limits": (0.0, 1.0)}, "safe"),
+        ({"limits": 1.0}, "limits"),
+        ({"limits": {"speed": (0.0, 1.0)}}, "limits.speed"),
+        ({"limits": ("low", "high")}, "limits"),
+        ({"slew": {"speed": 1.0}}, "slew"),
+        ({"slew": "fast"}, "slew"),
+    ],
+)
+@pytest.mark.fault("G08")
+def test_mistakes_of_a_declaration_are_named(
+    options: dict[str, Any], field: str
+) -> None:
+    """An actuator with a declaration that cannot hold is refused, by field."""
+    options = {"safe": 0.0, **options}
+    if options["safe"] is ...:
+        del options["safe"]
+
+    mistakes = check_declaration(FakeActuator("wheels", **options))
+
+    assert [mistake.field for mistake in mistakes] == [field]
+
+
+def test_a_right_declaration_has_no_mistakes() -> None:
+    """Limits, slew and a safe command that fit each other are accepted."""
+    arm = FakeActuator(
+        "arm", safe=Speed(0.0), limits={"speed": (-1, 1)}, slew={"speed": 2}
+    )
+
+    assert check_declaration(arm) == []
+    assert CommandCheck(arm).checked(Speed(0.5)) == Speed(0.5)

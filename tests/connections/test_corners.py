@@ -1,0 +1,335 @@
+"""What happens in the corners: late, twice, or in the middle of something else."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from typing import Any
+
+import pytest
+
+import esair
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class Uses(esair.Behavior):
+    """Reads the sonar and writes the wheels when a test says so."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(float)
+
+
+def parts() -> tuple[FakeSensor[float], FakeActuator[float], Uses]:
+    return FakeSensor("sonar", 1.0), FakeActuator("wheels", safe=0.0), Uses()
+
+
+@pytest.mark.promise("RS-3")
+async def test_a_registration_outlives_its_resource_and_says_why():
+    """After a removal both connections name it, not an unknown registration."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        reading, writing = user.sonar.registration, user.wheels.registration
+        await robot.resources.remove("sonar")
+        await robot.resources.remove("wheels")
+
+        with pytest.raises(esair.ResourceRemovedError):
+            await robot.sensors.read(reading)
+        with pytest.raises(esair.ResourceRemovedError):
+            await robot.actuators.write(writing, 1.0)
+
+
+@pytest.mark.fault("R07")
+async def test_what_is_no_registration_opens_nothing():
+    """The table refuses what it did not issue, whatever it looks like."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        table = robot.sensors.channel("sonar").registrations
+        forged: Any = "sonar"
+
+        with pytest.raises(esair.NotRegisteredError, match="is no registration"):
+            table.check(forged)
+
+
+async def test_a_reader_that_left_is_passed_over():
+    """A loss, a fault and an answer find nobody where a reader was cancelled."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        for end in (sonar.resume, sonar.unplug):
+            sonar.stall()
+            reads = [asyncio.create_task(user.sonar.read(fresh=True)) for _ in range(2)]
+            await asyncio.sleep(0.01)
+            reads[0].cancel()
+            end()
+            result, kept = await asyncio.gather(*reads, return_exceptions=True)
+
+            assert isinstance(result, asyncio.CancelledError)
+            assert kept == 1.0 or isinstance(kept, esair.DeviceLostError)
+        assert robot.sensors.channel("sonar").state is esair.ResourceState.LOST
+
+
+async def test_following_twice_feeds_once():
+    """A follower that follows again still gets each reading once."""
+    sonar, wheels, user = parts()
+
+    class Count:
+        registration: Any = None
+        fed = 0
+
+        def feed(self, reading: object) -> None:
+            self.fed += 1
+
+        def changed(self, error: object) -> None:
+            return None
+
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        channel, count = robot.sensors.channel("sonar"), Count()
+        channel.follow(count)
+        channel.follow(count)
+        sonar.feed(2.0)
+        await asyncio.sleep(0.01)
+        channel.unfollow(count)
+
+        assert count.fed == channel.sequence
+
+
+@pytest.mark.promise("AC-2")
+async def test_a_holder_that_never_wrote_again_is_only_released():
+    """Revoking who holds, but did not write last, sends no safe command."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        await user.wheels.write(1.0, hold=5.0)
+        await asyncio.sleep(1.0)  # the command has timed out, the hold goes on
+        channel = robot.actuators.channel("wheels")
+        told = list(wheels.commands)
+        assert channel.holder is user.wheels.registration
+
+        robot.resources.revoke(user.wheels.registration)
+        await asyncio.sleep(0.1)
+
+        assert channel.holder is None
+        assert wheels.commands == told
+
+
+@pytest.mark.promise("AC-2")
+async def test_a_release_leaves_the_time_out_to_do_its_work():
+    """After a release the safe command comes when the command times out."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        await user.wheels.write(1.0)
+        user.wheels.release()
+        await asyncio.sleep(0.15)
+        assert wheels.commands[-1] == 1.0
+        await asyncio.sleep(0.1)
+
+        assert wheels.commands[-1] == 0.0
+        assert robot.resources.why("wheels").holder is None
+
+
+@pytest.mark.fault("D25")
+async def test_a_driver_that_cancels_is_not_the_callers_cancellation():
+    """A driver's own CancelledError leaves the actuator usable."""
+
+    class Odd(esair.Actuator[float]):
+        safe = 0.0
+        odd = False
+
+        async def write(self, command: float) -> None:
+            if self.odd:
+                self.odd = False
+                raise asyncio.CancelledError
+
+    class Drive(esair.Behavior):
+        odd = esair.writes(float)
+
+    odd, drive = Odd(), Drive()
+    async with esair.Robot(resources=[odd], behaviors=[drive]):
+        odd.odd = True
+        with pytest.raises((asyncio.CancelledError, esair.DeviceFaultError)):
+            await drive.odd.write(1.0)
+
+        assert await drive.odd.write(1.0)
+
+
+@pytest.mark.fault("D21")
+@pytest.mark.real_clock
+async def test_a_blocking_write_that_does_not_return_is_stuck():
+    """The caller learns it at the deadline; the thread is not waited for."""
+    go = threading.Event()
+
+    class Slow(esair.Actuator[float]):
+        safe = 0.0
+        deadline = 0.1
+        fault_limit = 100
+
+        def write(self, command: float) -> None:
+            if command:
+                go.wait(5.0)
+
+    class Drive(esair.Behavior):
+        slow = esair.writes(float)
+
+    drive = Drive()
+    async with esair.Robot(resources=[Slow()], behaviors=[drive]):
+        with pytest.raises(esair.DriverStuckError):
+            await drive.slow.write(1.0)
+        go.set()
+
+
+@pytest.mark.promise("ROB-2")
+async def test_an_actuator_that_will_not_open_does_not_hold_up_the_stop():
+    """The last try for its safe command ends after half a second."""
+
+    class Jammed(FakeActuator[float]):
+        jammed = False
+
+        async def open(self) -> None:
+            if self.jammed:
+                await asyncio.Event().wait()
+            await super().open()
+
+    wheels = Jammed("wheels", safe=0.0)
+    loop = asyncio.get_running_loop()
+    async with esair.Robot(resources=[wheels]) as robot:
+        wheels.jammed = True
+        wheels.unplug()
+        await asyncio.sleep(0.05)
+        begin = loop.time()
+
+    assert loop.time() - begin < 2.0
+    assert not robot.stopped[0].answered
+
+
+@pytest.mark.fault("X01")
+async def test_an_addition_cancelled_while_opening_leaves_nothing():
+    """The name is free again, and the device is closed."""
+
+    class Hanging(FakeSensor[float]):
+        async def open(self) -> None:
+            await asyncio.Event().wait()
+
+    async with esair.Robot() as robot:
+        adding = asyncio.create_task(robot.resources.add(Hanging("sonar", 1.0)))
+        await asyncio.sleep(0.1)
+        adding.cancel()
+        await asyncio.wait({adding})
+
+        assert robot.resources.names() == []
+        await robot.resources.add(FakeSensor("sonar", 1.0))
+
+
+@pytest.mark.fault("T02")
+async def test_a_suspend_leaves_lost_actuators_alone():
+    """What is not there cannot be made safe now; it is when it comes back."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        wheels.unplug()
+        await asyncio.sleep(0.01)
+        robot.resources.resumed(10.0)
+
+        assert robot.sensors.channel("sonar").newest is None
+        assert robot.resources.query("wheels").state is esair.ResourceState.LOST
+
+
+@pytest.mark.fault("L02")
+async def test_a_bad_name_is_one_of_the_mistakes():
+    """A name outside the grammar is reported with everything else."""
+
+    class Ünfit(esair.Sensor[float]):
+        async def read(self) -> float:
+            return 1.0
+
+    with pytest.raises(ExceptionGroup) as caught:
+        async with esair.Robot(resources=[Ünfit()]):
+            pass
+
+    assert caught.group_contains(
+        esair.ConfigError, match="expected a lower-case letter"
+    )
+
+
+@pytest.mark.promise("RS-2")
+async def test_an_exclusive_actuator_may_be_read_about_by_others():
+    """Exclusive use is about writing: who may only configure is not in the way."""
+    access = esair.Access
+    policy = esair.Policy(
+        "wheels",
+        allow={"tuner": access.CONFIGURE, "driver": access.WRITE},
+        exclusive=True,
+    )
+    wheels = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels], policies=[policy]) as robot:
+        await robot.resources.register("tuner", "wheels", access.CONFIGURE)
+
+        assert await robot.resources.register("driver", "wheels", access.WRITE)
+
+
+@pytest.mark.fault("M11")
+async def test_all_requests_together_are_bounded(monkeypatch: pytest.MonkeyPatch):
+    """Over the bound of the whole robot a request is refused at once."""
+    monkeypatch.setattr("esair.supervisors._mediator.REQUESTS", 1)
+
+    class Quiet(esair.Behavior):
+        inbox_size = 1
+
+    one, two = Quiet(name="one"), Quiet(name="two")
+    async with esair.Robot(behaviors=[one, two]):
+        await one.put("two", 1)
+        waiting = asyncio.create_task(one.put("two", 2))
+        await asyncio.sleep(0)
+
+        with pytest.raises(esair.BusyError, match="number of requests"):
+            await two.get("one")
+        assert await two.receive() == 1
+        await waiting
+
+
+@pytest.mark.virtual_clock
+async def test_a_wrong_argument_in_a_thread_is_an_error_there():
+    """A plain behavior that misspells an option gets the error, and does not hang."""
+    sonar, wheels, _ = parts()
+
+    class Plain(esair.Behavior):
+        sonar = esair.reads(float)
+        restart = esair.Restart(max=0)
+
+        def run(self):
+            self.sonar.read(max_ag=1)
+
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Plain()]) as robot:
+        await asyncio.sleep(0.1)
+
+        assert isinstance(robot.behaviors.query("plain").error, TypeError)
+
+
+@pytest.mark.promise("RES-2")
+async def test_a_flapping_device_is_tried_ever_less_often():
+    """A device that is lost as soon as it opened does not keep the robot busy."""
+
+    class Flapping(FakeSensor[float]):
+        async def open(self) -> None:
+            await super().open()
+            asyncio.get_running_loop().call_later(0.01, self.report_lost)
+
+    sonar = Flapping("sonar", 1.0)
+    async with esair.Robot(resources=[sonar]):
+        await asyncio.sleep(60.0)
+
+    assert 5 < sonar.opened < 25
+
+
+@pytest.mark.promise("SUP-5")
+async def test_nobody_registers_for_what_is_being_removed():
+    """Between the first step of a removal and its end no new right is given."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        await user.wheels.write(1.0)
+        wheels.stall()  # its safe command takes until its deadline
+        removing = asyncio.create_task(robot.resources.remove("wheels"))
+        await asyncio.sleep(0.01)
+
+        with pytest.raises(esair.ResourceRemovedError):
+            await robot.resources.register("user", "wheels", esair.Access.WRITE)
+        await removing
+        wheels.resume()

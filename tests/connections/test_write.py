@@ -1,0 +1,326 @@
+"""Writing an actuator: what is sent, what is refused, and when it is made safe."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import pytest
+
+import esair
+
+pytestmark = pytest.mark.virtual_clock
+
+
+def priority(value: int, hold: float | None = None) -> Any:
+    return esair.writes(float, name="wheels", priority=value, hold=hold)
+
+
+@pytest.mark.promise("AC-1")
+async def test_write_returns_what_was_sent(fake_actuator: Any, user_of: Any) -> None:
+    """The answer is true and holds the command that the device got."""
+    wheels = fake_actuator("wheels", safe=0.0, limits=(-1.0, 1.0), clamp=True)
+    user = user_of("user", wheels=esair.writes(float))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        written = await user.wheels.write(3.0)
+
+        assert written
+        assert written.command == 1.0
+        assert wheels.commands == [0.0, 1.0]
+
+
+@pytest.mark.promise("AC-1")
+async def test_write_returns_what_the_driver_says_it_applied(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """A driver that can do less than was asked says so, and the writer learns it."""
+
+    class Weak(esair.Actuator[float]):
+        safe = 0.0
+
+        async def write(self, command: float) -> float:
+            if command > 1.0:
+                await asyncio.sleep(0.01)
+            return command / 2
+
+    user = user_of("user", weak=esair.writes(float))
+    async with esair.Robot(resources=[Weak()], behaviors=[user]):
+        assert (await user.weak.write(1.0)).command == 0.5
+        assert (await user.weak.write(2.0)).command == 1.0
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.fault("V01")
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "fast", None, True])
+async def test_a_bad_value_never_reaches_the_device(
+    fake_actuator: Any, user_of: Any, value: object
+) -> None:
+    """It is refused, and the command before it expires into the safe one."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    user = user_of("user", wheels=esair.writes(float))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        await user.wheels.write(0.5)
+        with pytest.raises(esair.BadValueError):
+            await user.wheels.write(value)
+        await asyncio.sleep(0.2)
+
+        assert wheels.commands == [0.0, 0.5, 0.0]
+
+
+@pytest.mark.promise("AC-1", "RS-6")
+async def test_a_refusal_says_who_holds_the_actuator(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """Holder, priority, rule, since and until come with the refusal and with why."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    high, low = (
+        user_of("high", wheels=priority(5, 0.15)),
+        user_of("low", wheels=priority(1)),
+    )
+
+    async with esair.Robot(resources=[wheels], behaviors=[high, low]) as robot:
+        await asyncio.sleep(1.0)
+        began = asyncio.get_running_loop().time()
+        await high.wheels.write(1.0)
+        refused = await low.wheels.write(-1.0)
+        why = robot.resources.why("wheels")
+
+        assert not refused
+        assert (refused.holder, refused.priority) == ("high", 5)
+        assert (refused.since, refused.until) == (began, began + 0.15)
+        assert "priority 5 of 'high'" in refused.rule
+        assert (why.holder, why.priority, why.rule) == ("high", 5, refused.rule)
+        assert (why.since, why.until, why.last) == (began, began + 0.15, 1.0)
+        assert "release" in why.frees
+        assert "held by high" in str(why)
+        assert wheels.commands == [0.0, 1.0]
+
+
+@pytest.mark.promise("RS-6")
+async def test_why_says_that_nobody_holds_it(fake_actuator: Any, user_of: Any) -> None:
+    """A free actuator has no holder, and why says whether it is safe."""
+    wheels = fake_actuator("wheels", safe=0.0, command_timeout=1.0)
+    user = user_of("user", wheels=priority(0, 0.1))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        safe = robot.resources.why("wheels")
+        await user.wheels.write(1.0)
+        await asyncio.sleep(0.2)
+        free = user.wheels.why()
+
+    assert safe.holder is None
+    assert safe.rule == "it was told its safe command"
+    assert "free" in str(safe)
+    assert free.holder is None
+    assert free.rule == "no hold is in force"
+
+
+@pytest.mark.promise("AC-2")
+@pytest.mark.fault("R13")
+async def test_silence_for_the_command_timeout_makes_it_safe(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """The safe command comes after exactly the time-out, once."""
+    wheels = fake_actuator("wheels", safe=0.0, command_timeout=0.3)
+    user = user_of("user", wheels=esair.writes(float))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        for _ in range(5):
+            await user.wheels.write(1.0)
+            await asyncio.sleep(0.25)
+        await asyncio.sleep(0.04)
+        assert wheels.commands[-1] == 1.0
+        await asyncio.sleep(0.02)
+        assert wheels.commands == [0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]
+        await asyncio.sleep(2.0)
+        assert len(wheels.commands) == 7
+
+
+@pytest.mark.promise("AC-2")
+@pytest.mark.fault("R13")
+async def test_a_long_hold_keeps_others_away_but_does_not_keep_it_moving(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """After the command time-out it is safe, and still held until the hold ends."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    high, low = user_of("high", wheels=priority(5)), user_of("low", wheels=priority(1))
+
+    async with esair.Robot(resources=[wheels], behaviors=[high, low]):
+        await high.wheels.write(1.0, hold=1.0)
+        await asyncio.sleep(0.3)
+        assert wheels.commands == [0.0, 1.0, 0.0]
+        assert not await low.wheels.write(0.5)
+        await asyncio.sleep(0.75)
+        assert await low.wheels.write(0.5)
+
+
+@pytest.mark.promise("AC-2")
+async def test_release_lets_lower_priorities_through_at_once(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """What it was told stays until the time-out; only the hold ends."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    high, low = user_of("high", wheels=priority(5)), user_of("low", wheels=priority(1))
+
+    async with esair.Robot(resources=[wheels], behaviors=[high, low]):
+        await high.wheels.write(1.0)
+        low.wheels.release()  # it holds nothing: nothing happens
+        assert not await low.wheels.write(0.5)
+        high.wheels.release()
+        assert wheels.commands == [0.0, 1.0]
+        assert await low.wheels.write(0.5)
+        assert not await user_of_same_priority(low, high)
+
+
+async def user_of_same_priority(low: Any, high: Any) -> object:
+    """Low holds now, and high has given it back: high takes it again."""
+    await high.wheels.write(1.0)
+    return await low.wheels.write(0.5)
+
+
+@pytest.mark.promise("AC-2")
+async def test_the_same_priority_does_not_get_through(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """First come, first served, until the holder is silent for its hold."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    first, second = (
+        user_of("first", wheels=priority(1)),
+        user_of("second", wheels=priority(1)),
+    )
+
+    async with esair.Robot(resources=[wheels], behaviors=[first, second]):
+        assert await first.wheels.write(1.0)
+        assert not await second.wheels.write(0.5)
+        await asyncio.sleep(0.2)
+        assert await second.wheels.write(0.5)
+
+
+@pytest.mark.promise("AC-2")
+@pytest.mark.fault("R04")
+async def test_the_old_owner_is_finished_before_the_new_one_begins(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """A write in flight ends before that of a higher priority is sent."""
+    log: list[str] = []
+
+    class Slow(esair.Actuator[float]):
+        safe = 0.0
+
+        async def write(self, command: float) -> None:
+            log.append(f"begin {command}")
+            if command:
+                await asyncio.sleep(0.05)
+            log.append(f"end {command}")
+
+    low = user_of("low", slow=esair.writes(float, priority=1))
+    high = user_of("high", slow=esair.writes(float, priority=2))
+    async with esair.Robot(resources=[Slow()], behaviors=[low, high]):
+        first = asyncio.create_task(low.slow.write(1.0))
+        await asyncio.sleep(0.01)
+        assert await high.slow.write(2.0)
+        assert await first
+        assert not await low.slow.write(1.0)
+
+    assert log[2:6] == ["begin 1.0", "end 1.0", "begin 2.0", "end 2.0"]
+    assert log[-1] == "end 0.0"
+
+
+@pytest.mark.fault("V03")
+async def test_after_a_pause_it_ramps_from_the_safe_command(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """A long silence does not turn the slew limit into a jump."""
+    wheels = fake_actuator("wheels", safe=0.0, slew=1.0)
+    user = user_of("user", wheels=esair.writes(float))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        await asyncio.sleep(100.0)
+        assert (await user.wheels.write(5.0)).command == pytest.approx(0.2)
+        await asyncio.sleep(0.1)
+        assert (await user.wheels.write(5.0)).command == pytest.approx(0.3)
+        await asyncio.sleep(100.0)
+        assert (await user.wheels.write(5.0)).command == pytest.approx(0.2)
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.fault("M17")
+@pytest.mark.parametrize("hold", [0, -1.0, math.nan, math.inf, True, "long"])
+async def test_a_hold_is_a_number_of_seconds(
+    fake_actuator: Any, user_of: Any, hold: Any
+) -> None:
+    """A hold that never ends, or never began, is refused on both ways to write."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    user = user_of("user", wheels=esair.writes(float))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        with pytest.raises(esair.BadValueError, match="hold"):
+            await user.wheels.write(1.0, hold=hold)
+        with pytest.raises(esair.BadValueError, match="hold"):
+            await robot.actuators.write(user.wheels.registration, 1.0, hold=hold)
+        assert wheels.commands == [0.0]
+
+
+@pytest.mark.promise("AC-1")
+async def test_the_connection_writes_what_the_port_would(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """`robot.actuators.write` takes a registration, and has the same answers."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    user = user_of("user", wheels=esair.writes(float))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        assert robot.actuators.names() == ["wheels"]
+        assert await robot.actuators.write(user.wheels.registration, 1.0, hold=0.5)
+        wheels.stall()
+        writing = asyncio.create_task(
+            robot.actuators.write(user.wheels.registration, 0.5)
+        )
+        await asyncio.sleep(0.01)
+        wheels.resume()
+        assert await writing
+        with pytest.raises(esair.UnknownNameError, match="whels"):
+            robot.actuators.channel("whels")
+
+
+@pytest.mark.fault("M11")
+async def test_waiting_writes_are_bounded(fake_actuator: Any, user_of: Any) -> None:
+    """Over the bound a write is refused at once, and the others get their outcome."""
+    wheels = fake_actuator("wheels", safe=0.0, command_timeout=5.0)
+    user = user_of("user", wheels=esair.writes(float))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        wheels.stall()
+        writes = [asyncio.create_task(user.wheels.write(1.0)) for _ in range(257)]
+        await asyncio.sleep(0.01)
+        with pytest.raises(esair.BusyError, match="256"):
+            await user.wheels.write(1.0)
+        wheels.resume()
+        assert all(await asyncio.gather(*writes))
+        assert len(wheels.commands) == 258
+
+
+@pytest.mark.fault("X07")
+async def test_a_write_cancelled_while_it_waits_is_never_sent(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """The next one in line is served."""
+    wheels = fake_actuator("wheels", safe=0.0, command_timeout=5.0)
+    user = user_of("user", wheels=esair.writes(float))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        wheels.stall()
+        first, second, third = (
+            asyncio.create_task(user.wheels.write(value)) for value in (1.0, 2.0, 3.0)
+        )
+        await asyncio.sleep(0.01)
+        second.cancel()
+        await asyncio.wait({second})
+        wheels.resume()
+        await asyncio.gather(first, third)
+
+        assert second.cancelled()
+        assert wheels.commands == [0.0, 1.0, 3.0]
