@@ -1,0 +1,31 @@
+"""What the robot does: behaviors deliberate, reactions react."""
+
+from esair.actions._behavior import NOTHING, Behavior, Host
+from esair.actions._needs import Need, Reads, Writes, mistakes_in_needs, reads, writes
+from esair.actions._ports import (
+    ActuatorPort,
+    BlockingActuatorPort,
+    BlockingSensorPort,
+    SensorPort,
+)
+from esair.actions._reaction import Reaction, mistakes_in_reaction
+from esair.actions._reaction_runner import ReactionRunner
+
+__all__ = [
+    "NOTHING",
+    "ActuatorPort",
+    "Behavior",
+    "BlockingActuatorPort",
+    "BlockingSensorPort",
+    "Host",
+    "Need",
+    "Reaction",
+    "ReactionRunner",
+    "Reads",
+    "SensorPort",
+    "Writes",
+    "mistakes_in_needs",
+    "mistakes_in_reaction",
+    "reads",
+    "writes",
+]

@@ -1,0 +1,234 @@
+"""Behaviors: the deliberative actions of a robot."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from esair.actions._needs import ProfiledAction
+from esair.actions._ports import ActuatorPort, SensorPort
+from esair.actions._reaction import Reaction
+from esair.exceptions import NotRegisteredError
+from esair.messages import Access, Restart
+
+NOTHING: Any = object()
+"""What `Host.take` returns when there is nothing to take at once."""
+
+Overflow = Literal["reject", "drop_oldest", "latest"]
+"""What a full box does: refuse, drop its oldest, or keep only the newest."""
+
+
+class Host(Protocol):
+    """What a running behavior asks of its supervisor."""
+
+    def hand(self, receiver: str, data: Any, interval: float) -> bool: ...
+    def put(
+        self, receiver: str, data: Any, interval: float
+    ) -> Coroutine[Any, Any, None]: ...
+    def take(self, sender: str, interval: float) -> Any: ...
+    def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]: ...
+    async def receive(self) -> Any: ...
+    def offer(self, data: Any) -> None: ...
+    async def perform(
+        self,
+        reaction: Reaction,
+        until: Callable[..., bool] | None,
+        timeout: float | None,
+    ) -> bool: ...
+    async def register(
+        self,
+        resource: str,
+        access: Access,
+        priority: int,
+        hold: float | None,
+        max_age: float | None,
+    ) -> SensorPort[Any] | ActuatorPort[Any]: ...
+
+
+class Behavior(ProfiledAction):
+    """A deliberative action: it asks, remembers, plans, and uses reactions.
+
+    Write ``async def run`` for a task in the event loop, or a plain ``def run`` for
+    a thread of its own, where every port and method below waits instead of being
+    awaited. Declare what it uses with `esair.reads` and `esair.writes`.
+
+    Example:
+        >>> class Wander(esair.Behavior):
+        ...     wheels = esair.writes(Twist)
+        ...
+        ...     async def run(self) -> None:
+        ...         async for _ in esair.every(0.05):
+        ...             await self.wheels.write(Twist(0.3, 0.0))
+    """
+
+    inbox_size: int = 16
+    """How much data may wait in `receive`; then senders wait."""
+
+    inbox_policy: Overflow = "reject"
+    """What a full inbox does: ``"reject"`` lets senders wait."""
+
+    outbox_size: int = 16
+    """How much offered data may wait for a `get` of others."""
+
+    outbox_policy: Overflow = "reject"
+    """What a full outbox does: ``"reject"`` raises `BusyError` from `offer`."""
+
+    restart: Restart = Restart()
+    """How often it is started again after a crash."""
+
+    _host: Host | None = None
+
+    if TYPE_CHECKING:
+
+        def setup(self) -> Awaitable[None] | None: ...
+        def run(self) -> Awaitable[None] | None: ...
+        def teardown(self) -> Awaitable[None] | None: ...
+        def provide(self) -> Awaitable[Any] | Any: ...
+
+    else:  # the types above allow behaviors to write either kind of method
+
+        async def setup(self) -> None:
+            """Prepare; its ports are ready. An error here refuses the behavior."""
+
+        async def run(self) -> None:
+            """Do the work. Unless overridden it waits, and answers `get` by `provide`."""
+            await asyncio.get_running_loop().create_future()
+
+        async def teardown(self) -> None:
+            """Clean up, after a normal end, an error, or the removal."""
+
+        async def provide(self) -> Any:
+            """Make the data that another behavior's `get` asks for, on demand."""
+            raise NotImplementedError
+
+    async def put(self, receiver: str, data: Any, interval: float = 1.0) -> None:
+        """Hand data to another behavior, through the behavior supervisor.
+
+        Returns when it lies in the receiver's inbox. A receiver that cannot take
+        it is asked again until it can, or until the interval has passed.
+
+        Args:
+            receiver: The name of the other behavior.
+            data: What it gets, untouched.
+            interval: How long to keep asking, in seconds.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+            BehaviorUnavailableError: It could not receive for the interval; it
+                will never see the data.
+            BehaviorRemovedError: It was removed meanwhile.
+            BehaviorFailedError: It crashed meanwhile.
+            BusyError: Too many requests wait.
+        """
+        host = self._host
+        if host is None:
+            raise self._alone()
+        if not host.hand(receiver, data, interval):
+            await host.put(receiver, data, interval)
+
+    async def get(self, sender: str, interval: float = 1.0) -> Any:
+        """Ask another behavior for data, through the behavior supervisor.
+
+        The other answers with what it has offered, or by its ``provide``.
+
+        Args:
+            sender: The name of the other behavior.
+            interval: How long to keep asking, in seconds.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+            BehaviorUnavailableError: It could not send for the interval.
+            CircularRequestError: It waits for this behavior's answer.
+            BehaviorRemovedError: It was removed meanwhile.
+            BehaviorFailedError: It crashed meanwhile, or its ``provide`` did.
+            BusyError: Too many requests wait.
+        """
+        host = self._host
+        if host is None:
+            raise self._alone()
+        offered = host.take(sender, interval)
+        return await host.get(sender, interval) if offered is NOTHING else offered
+
+    async def receive(self) -> Any:
+        """Wait for data that another behavior has put, and take it."""
+        host = self._host
+        if host is None:
+            raise self._alone()
+        return await host.receive()
+
+    def offer(self, data: Any) -> None:
+        """Lay data out for a `get` of others; each piece goes to one of them.
+
+        Raises:
+            BusyError: The outbox is full, and its policy is ``"reject"``.
+        """
+        host = self._host
+        if host is None:
+            raise self._alone()
+        host.offer(data)
+
+    async def perform(
+        self,
+        reaction: Reaction,
+        *,
+        until: Callable[..., bool] | None = None,
+        timeout: float | None = None,
+    ) -> bool:
+        """Run a reaction as a step of this behavior.
+
+        Args:
+            reaction: What to run. It is registered in this behavior's name.
+            until: Asked after each of its steps; it ends the reaction. Its
+                parameters, if any, are named like readings and get them.
+            timeout: How long it may run, in seconds.
+
+        Returns:
+            True if the condition came true, False if the time was over.
+
+        Raises:
+            AccessDeniedError: This behavior may not do what the reaction does.
+            Exception: What the reaction raised.
+        """
+        host = self._host
+        if host is None:
+            raise self._alone()
+        return await host.perform(reaction, until, timeout)
+
+    async def register(
+        self,
+        resource: str,
+        access: Access,
+        *,
+        priority: int = 0,
+        hold: float | None = None,
+        max_age: float | None = None,
+    ) -> Any:
+        """Register for a resource at run time.
+
+        Args:
+            resource: Its name.
+            access: What this behavior wants to do with it.
+            priority: With which priority it writes; higher wins.
+            hold: For how long a write holds the actuator, in seconds.
+            max_age: The greatest age of a reading, in seconds.
+
+        Returns:
+            A `SensorPort` or an `ActuatorPort`.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+            AccessDeniedError: A rule denies it.
+        """
+        host = self._host
+        if host is None:
+            raise self._alone()
+        return await host.register(resource, access, priority, hold, max_age)
+
+    @property
+    def provides(self) -> bool:
+        """Whether the class has a ``provide``."""
+        return type(self).provide is not Behavior.provide
+
+    def _alone(self) -> NotRegisteredError:
+        return NotRegisteredError(self.name, "robot", "it is not in a running robot")

@@ -1,0 +1,370 @@
+"""Ports: what an action holds in its hand to read a sensor or write an actuator."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import (
+    AsyncGenerator,
+    AsyncIterator,
+    Callable,
+    Coroutine,
+    Iterator,
+    Mapping,
+)
+from typing import Any, Generic, TypeVar
+
+from esair.connections import (
+    READ_TIMEOUT,
+    ActuatorChannel,
+    Registration,
+    SensorChannel,
+    check_duration,
+)
+from esair.exceptions import BehaviorRemovedError, EsairError
+from esair.loop import Bridge
+from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
+
+T = TypeVar("T")
+
+Configure = Callable[..., Coroutine[Any, Any, None]]
+"""``ResourceSupervisor.configure``: the control path of a port."""
+
+_ANY_AGE = float("inf")
+
+
+class SensorPort(Generic[T]):
+    """The way of one action to one sensor.
+
+    Attributes:
+        resource: The name of the sensor.
+        registration: The right to read it.
+        max_age: The greatest age of a reading unless a call says otherwise, in
+            seconds; infinite if there is no limit.
+    """
+
+    __slots__ = ("_channel", "_configure", "max_age", "registration")
+
+    def __init__(
+        self,
+        channel: SensorChannel,
+        registration: Registration,
+        max_age: float | None,
+        configure: Configure,
+    ) -> None:
+        self._channel = channel
+        self.registration = registration
+        self.max_age = _ANY_AGE if max_age is None else max_age
+        self._configure = configure
+
+    @property
+    def resource(self) -> str:
+        """The name of the sensor."""
+        return self.registration.resource
+
+    async def read(
+        self,
+        *,
+        fresh: bool = False,
+        max_age: float | None = None,
+        timeout: float | None = None,
+    ) -> T:
+        """Return a value: the newest one, or one that is newer than now.
+
+        The device is asked when its newest reading is older than its period.
+
+        Args:
+            fresh: Only a value that was measured after this call.
+            max_age: The greatest age, in seconds; the port's unless given.
+            timeout: How long to wait for the device; 1 s unless given.
+
+        Raises:
+            StaleReadingError: There is no reading that is fresh enough.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            ResourceRemovedError: The user took the sensor away.
+            NotRegisteredError: The registration was revoked.
+        """
+        if not fresh and max_age is None:
+            # Most reads end here: the newest reading is good enough.
+            channel = self._channel
+            newest = channel.newest
+            if newest is not None and self.registration.usable:
+                age = channel.time() - newest.time
+                if age <= channel.good_for and age <= self.max_age:
+                    return newest.value  # type: ignore[no-any-return]
+        return (await self.reading(fresh=fresh, max_age=max_age, timeout=timeout)).value
+
+    async def reading(
+        self,
+        *,
+        fresh: bool = False,
+        max_age: float | None = None,
+        timeout: float | None = None,
+    ) -> Reading[T]:
+        """Return what `read` does, with its time and sequence number."""
+        channel = self._channel
+        limit = (
+            self.max_age
+            if max_age is None
+            else check_duration(self.resource, "max_age", max_age)
+        )
+        if not fresh:
+            reading = channel.cached(self.registration, min(limit, channel.good_for))
+            if reading is not None:
+                return reading
+        if timeout is not None:
+            check_duration(self.resource, "timeout", timeout)
+        return await channel.ask(
+            self.registration,
+            fresh=fresh,
+            max_age=limit,
+            timeout=READ_TIMEOUT if timeout is None else timeout,
+        )
+
+    def __aiter__(self) -> AsyncIterator[T]:
+        """Yield each new value; a slow reader misses some and gets the newest.
+
+        It waits while the device is lost, and raises when the sensor is removed.
+        """
+        return self._values()
+
+    async def _values(self) -> AsyncGenerator[T, None]:
+        stream = _Stream(self.registration)
+        self._channel.cached(self.registration, 0.0)  # checks the registration
+        self._channel.follow(stream)
+        try:
+            while True:
+                reading = await stream.next()
+                self._channel.dropped += stream.dropped
+                stream.dropped = 0
+                yield reading.value
+        finally:
+            self._channel.unfollow(stream)
+
+    def history(self, count: int) -> list[Reading[T]]:
+        """Return the last readings, the oldest first; at most `history_size` of them."""
+        return self._channel.history(self.registration, count)
+
+    async def configure(self, **settings: Any) -> None:
+        """Change settings of the sensor: all of them, or none.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``.
+            BadValueError: A setting is unknown, or a value is not allowed.
+        """
+        await self._configure(self.registration, **settings)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The current settings of the sensor."""
+        return self._channel.sensor.settings
+
+    @property
+    def state(self) -> ResourceState:
+        """What the sensor is doing."""
+        return self._channel.state
+
+    def blocking(self, bridge: Bridge) -> BlockingSensorPort[T]:
+        """Return the same port for a plain behavior's thread."""
+        return BlockingSensorPort(self, bridge)
+
+    def __repr__(self) -> str:
+        return f"<port of {self.registration!r}>"
+
+
+class _Stream:
+    """Keeps the newest reading for one loop over a port."""
+
+    def __init__(self, registration: Registration) -> None:
+        self.registration = registration
+        self.dropped = 0
+        self._newest: Reading[Any] | None = None
+        self._error: EsairError | None = None
+        self._waiting: asyncio.Future[None] | None = None
+
+    def feed(self, reading: Reading[Any]) -> None:
+        if self._newest is not None:
+            self.dropped += 1
+        self._newest = reading
+        self._wake()
+
+    def changed(self, error: EsairError | None) -> None:
+        if error is not None and not self.registration.usable:
+            self._error = error
+            self._wake()
+
+    async def next(self) -> Reading[Any]:
+        while self._newest is None:
+            if self._error is not None:
+                raise self._error
+            self._waiting = asyncio.get_running_loop().create_future()
+            await self._waiting
+        newest, self._newest = self._newest, None
+        return newest
+
+    def _wake(self) -> None:
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_result(None)
+
+
+class ActuatorPort(Generic[T]):
+    """The way of one action to one actuator.
+
+    Attributes:
+        registration: The right to write it.
+    """
+
+    __slots__ = ("_channel", "_configure", "registration")
+
+    def __init__(
+        self, channel: ActuatorChannel, registration: Registration, configure: Configure
+    ) -> None:
+        self._channel = channel
+        self.registration = registration
+        self._configure = configure
+
+    @property
+    def resource(self) -> str:
+        """The name of the actuator."""
+        return self.registration.resource
+
+    async def write(
+        self, command: T, *, hold: float | None = None
+    ) -> Written[T] | Refused:
+        """Send a command, and hold the actuator for a while.
+
+        Args:
+            command: A command of the actuator's type, finite and within limits.
+            hold: For how long nobody of the same or a lower priority gets through,
+                in seconds; the actuator's command timeout unless given. Each write
+                renews it.
+
+        Returns:
+            What was really sent; or a refusal, false in a condition, that says who
+            holds the actuator.
+
+        Raises:
+            BadValueError: The command must not be sent; nothing was.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device did not take it.
+            DriverStuckError: The driver did not return in time.
+            ResourceRemovedError: The user took the actuator away.
+            NotRegisteredError: The registration was revoked.
+        """
+        if hold is not None:
+            check_duration(self.resource, "hold", hold)
+        outcome = self._channel.begin(self.registration, command, hold)
+        if isinstance(outcome, Answer):
+            return outcome
+        return await outcome
+
+    def release(self) -> None:
+        """Give the actuator back at once: lower priorities get through."""
+        self._channel.release(self.registration)
+
+    def why(self) -> Why:
+        """Tell who holds the actuator, by which rule, and what would free it."""
+        return self._channel.why()
+
+    async def configure(self, **settings: Any) -> None:
+        """Change settings of the actuator: all of them, or none.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``.
+            BadValueError: A setting is unknown, or a value is not allowed.
+        """
+        await self._configure(self.registration, **settings)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The current settings of the actuator."""
+        return self._channel.actuator.settings
+
+    @property
+    def state(self) -> ResourceState:
+        """What the actuator is doing."""
+        return self._channel.state
+
+    def blocking(self, bridge: Bridge) -> BlockingActuatorPort[T]:
+        """Return the same port for a plain behavior's thread."""
+        return BlockingActuatorPort(self, bridge)
+
+    def __repr__(self) -> str:
+        return f"<port of {self.registration!r}>"
+
+
+class BlockingSensorPort(Generic[T]):
+    """A sensor port for a behavior with a plain ``run``: the thread waits."""
+
+    def __init__(self, port: SensorPort[T], bridge: Bridge) -> None:
+        self._port = port
+        self._bridge = bridge
+
+    def read(self, **options: Any) -> T:
+        """Return what `SensorPort.read` does."""
+        return self._bridge.call(self._port.read, **options)
+
+    def reading(self, **options: Any) -> Reading[T]:
+        """Return what `SensorPort.reading` does."""
+        return self._bridge.call(self._port.reading, **options)
+
+    def __iter__(self) -> Iterator[T]:
+        """Yield each new value; a slow reader misses some and gets the newest."""
+        values = self._port._values()  # noqa: SLF001 - the same port, for a thread
+        try:
+            while True:
+                yield self._bridge.call(_next, values)
+        finally:
+            with contextlib.suppress(BehaviorRemovedError):  # its tasks are gone too
+                self._bridge.call(values.aclose)
+
+    def history(self, count: int) -> list[Reading[T]]:
+        """Return what `SensorPort.history` does."""
+
+        async def history() -> list[Reading[T]]:
+            return self._port.history(count)
+
+        return self._bridge.call(history)
+
+    def configure(self, **settings: Any) -> None:
+        """Do what `SensorPort.configure` does."""
+        self._bridge.call(self._port.configure, **settings)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The current settings of the sensor."""
+        return self._port.settings
+
+
+class BlockingActuatorPort(Generic[T]):
+    """An actuator port for a behavior with a plain ``run``: the thread waits."""
+
+    def __init__(self, port: ActuatorPort[T], bridge: Bridge) -> None:
+        self._port = port
+        self._bridge = bridge
+
+    def write(self, command: T, *, hold: float | None = None) -> Written[T] | Refused:
+        """Do what `ActuatorPort.write` does."""
+        return self._bridge.call(self._port.write, command, hold=hold)
+
+    def release(self) -> None:
+        """Do what `ActuatorPort.release` does."""
+
+        async def release() -> None:
+            self._port.release()
+
+        self._bridge.call(release)
+
+    def configure(self, **settings: Any) -> None:
+        """Do what `ActuatorPort.configure` does."""
+        self._bridge.call(self._port.configure, **settings)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The current settings of the actuator."""
+        return self._port.settings
+
+
+async def _next(values: AsyncIterator[T]) -> T:
+    return await anext(values)

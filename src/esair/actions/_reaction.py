@@ -1,0 +1,89 @@
+"""Reactions: the reactive actions of a robot."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from esair.actions._needs import ProfiledAction, Reads, Writes
+from esair.exceptions import ConfigError
+from esair.messages import Restart
+
+
+class Reaction(ProfiledAction):
+    """A reactive action: one small decision each step, on the newest readings.
+
+    It runs on every new reading of its sensors, or at a fixed ``rate``. While one
+    of its sensors is lost, removed or stale it is parked and its actuators are
+    given back.
+
+    Example:
+        >>> class Avoid(esair.Reaction):
+        ...     sonar = esair.reads(float, max_age=0.5)
+        ...     wheels = esair.writes(Twist, priority=10)
+        ...
+        ...     def react(self, sonar: float) -> Twist | None:
+        ...         return Twist(0.0, 1.2) if sonar < 0.4 else None
+    """
+
+    rate: float | None = None
+    """How often it runs, in Hz; None to run on every new reading."""
+
+    restart: Restart = Restart()
+    """How often it is started again after an error."""
+
+    def react(self, *args: Any, **readings: Any) -> Any:
+        """Decide on the newest readings, which come by the names of their ports.
+
+        Returns:
+            A command; several as ``{"left": ..., "right": ...}``; or None for "no
+            opinion", which gives the actuator back at once.
+        """
+        raise NotImplementedError
+
+    @property
+    def inputs(self) -> dict[str, Reads[Any]]:
+        """What it reads, by the name of its port."""
+        return {
+            key: need for key, need in self.needs.items() if isinstance(need, Reads)
+        }
+
+    @property
+    def outputs(self) -> dict[str, Writes[Any]]:
+        """What it writes, by the name of its port."""
+        return {
+            key: need for key, need in self.needs.items() if isinstance(need, Writes)
+        }
+
+
+def mistakes_in_reaction(reaction: Reaction) -> list[ConfigError]:
+    """Return what is wrong with the class of a reaction, whatever the robot."""
+    found: list[ConfigError] = []
+    name = reaction.name
+    rate = reaction.rate
+    if rate is not None and (type(rate) not in {int, float} or not 0 < rate <= 100_000):
+        found.append(ConfigError(name, "rate", f"expected Hz > 0, not {rate!r:.80}"))
+    if rate is None and not reaction.inputs:
+        found.append(
+            ConfigError(
+                name, "rate", "it reads no sensor, so it needs a rate (Hz) to run at"
+            )
+        )
+    if type(reaction).react is Reaction.react:
+        found.append(ConfigError(name, "react", "a reaction must have a react method"))
+        return found
+    if inspect.iscoroutinefunction(reaction.react):
+        found.append(ConfigError(name, "react", "expected a plain function, not async"))
+        return found
+    try:
+        inspect.signature(reaction.react).bind(**dict.fromkeys(reaction.inputs))
+    except TypeError as error:
+        found.append(
+            ConfigError(
+                name,
+                "react",
+                f"its parameters must be its readings ({', '.join(reaction.inputs) or 'none'}): "
+                f"{error}",
+            )
+        )
+    return found

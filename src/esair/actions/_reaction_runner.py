@@ -1,0 +1,442 @@
+"""How a reaction runs: fed by sensors, stepped by the wheel, writing actuators."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+from esair.actions._reaction import Reaction
+from esair.connections import ActuatorChannel, Registration, SensorChannel
+from esair.exceptions import BadValueError, EsairError, describe
+from esair.loop import Spoke, Wheel, spawn
+from esair.messages import Reading, Refused, Written
+
+_FOR_EVER = float("inf")
+
+_log = logging.getLogger("esair")
+
+
+class Input:
+    """One sensor of a running reaction."""
+
+    __slots__ = (
+        "channel",
+        "max_age",
+        "name",
+        "ready",
+        "registration",
+        "runner",
+        "stale_at",
+    )
+
+    def __init__(
+        self,
+        runner: ReactionRunner,
+        name: str,
+        channel: SensorChannel,
+        registration: Registration,
+        max_age: float | None,
+    ) -> None:
+        self.runner = runner
+        self.name = name
+        self.channel = channel
+        self.registration = registration
+        self.max_age = _FOR_EVER if max_age is None else max_age
+        self.ready = False
+        self.stale_at = _FOR_EVER
+
+    def feed(self, reading: Reading[Any]) -> None:
+        """Take a new reading; the reaction's next step decides on it."""
+        runner = self.runner
+        runner.values[self.name] = reading.value
+        if self.max_age < _FOR_EVER:
+            self.stale_at = reading.time + self.max_age
+            runner.refresh()
+        if not self.ready:
+            self.ready = True
+            runner.arrived()
+        if runner.on_reading and not runner.missing:
+            runner.spoke.soon()
+
+    def changed(self, error: EsairError | None) -> None:
+        """Park the reaction when the sensor is gone; feeding it wakes it up."""
+        if error is not None and self.ready:
+            self.ready = False
+            self.runner.park(f"{self.name}: {error}", missing=1)
+
+
+class Output:
+    """One actuator of a running reaction."""
+
+    __slots__ = ("active", "channel", "later", "name", "pending", "registration")
+
+    def __init__(
+        self, name: str, channel: ActuatorChannel, registration: Registration
+    ) -> None:
+        self.name = name
+        self.channel = channel
+        self.registration = registration
+        self.active = False
+        """It may hold the actuator."""
+        self.pending = False
+        """A write is on its way."""
+        self.later: Any = None
+        """The newest command, while an older one is on its way."""
+
+    def release(self) -> None:
+        """Give the actuator back; what it was told times out unless somebody writes."""
+        self.active = False
+        self.later = None
+        self.channel.release(self.registration)
+
+
+class ReactionRunner:
+    """Runs one reaction until it is stopped.
+
+    Args:
+        reaction: What to run.
+        on_state: Called with True when it runs and False when it is parked, and
+            the reason.
+        on_crash: Called with what the reaction raised; it has been stopped.
+        until: Ends the reaction; asked after each step.
+        on_end: Called when ``until`` came true.
+    """
+
+    # Slots: a thousand of these are touched a hundred times a second.
+    __slots__ = (
+        "_inputs",
+        "_loop",
+        "_on_crash",
+        "_on_end",
+        "_on_state",
+        "_outputs",
+        "_react",
+        "_settling",
+        "_single",
+        "_stopped",
+        "_until",
+        "_watch",
+        "conflated",
+        "missing",
+        "on_reading",
+        "parked",
+        "reaction",
+        "refused",
+        "rejected",
+        "spoke",
+        "stale_at",
+        "steps",
+        "values",
+    )
+
+    def __init__(
+        self,
+        reaction: Reaction,
+        *,
+        on_state: Callable[[bool, str], None],
+        on_crash: Callable[[BaseException], None],
+        until: Callable[..., bool] | None = None,
+        on_end: Callable[[], None] | None = None,
+    ) -> None:
+        self.reaction = reaction
+        self.on_reading = reaction.rate is None
+        self.values: dict[str, Any] = {}
+        self.missing = 0
+        """How many sensors have no reading that may be used."""
+        self.steps = 0
+        self.refused = 0
+        self.rejected = 0
+        """How many commands were no good, or met a device that is not there."""
+        self.conflated = 0
+        """How many commands were replaced by a newer one before they could leave."""
+        self.stale_at = _FOR_EVER
+        self.parked = True
+        self.spoke: Spoke = Wheel.of(asyncio.get_running_loop()).on_demand(self._step)
+        self._loop = asyncio.get_running_loop()
+        self._react = reaction.react
+        self._inputs: list[Input] = []
+        self._outputs: dict[str, Output] = {}
+        self._single: Output | None = None
+        self._on_state = on_state
+        self._on_crash = on_crash
+        self._until = _by_name(until, reaction) if until is not None else None
+        self._on_end = on_end
+        self._watch: asyncio.TimerHandle | None = None
+        self._stopped = False
+        self._settling: set[asyncio.Task[Any]] = set()
+        """The tasks of writes whose drivers wait."""
+
+    @property
+    def late(self) -> int:
+        """How many steps were left out because they came too late."""
+        return self.spoke.skipped
+
+    def start(
+        self,
+        inputs: Mapping[str, tuple[SensorChannel, Registration, float | None]],
+        outputs: Mapping[str, tuple[ActuatorChannel, Registration]],
+    ) -> None:
+        """Begin to follow the sensors and to run.
+
+        Args:
+            inputs: For each reading its channel, registration, and greatest age.
+            outputs: For each command its channel and registration.
+        """
+        self._inputs = [Input(self, name, *terms) for name, terms in inputs.items()]
+        self._outputs = {name: Output(name, *terms) for name, terms in outputs.items()}
+        if len(self._outputs) == 1:
+            (self._single,) = self._outputs.values()
+        self.missing = len(self._inputs)
+        if self.reaction.rate is not None:
+            self.spoke = Wheel.of(self._loop).every(
+                1.0 / self.reaction.rate, self._step
+            )
+        for each in self._inputs:
+            each.channel.follow(each)
+            newest = each.channel.newest
+            if newest is not None and self._loop.time() - newest.time <= each.max_age:
+                each.feed(newest)
+        if self.missing == 0 and self.parked:
+            self._unpark()
+        elif self.parked:
+            waits = ", ".join(each.name for each in self._inputs if not each.ready)
+            self._on_state(False, f"no reading of {waits} yet")
+
+    def stop(self) -> None:
+        """Never step again, and follow nothing. What it wrote is the caller's to undo."""
+        self._stopped = True
+        self.spoke.stop()
+        if self._watch is not None:
+            self._watch.cancel()
+            self._watch = None
+        for each in self._inputs:
+            each.channel.unfollow(each)
+        for output in self._outputs.values():
+            output.later = None
+        for task in tuple(self._settling):
+            task.cancel()
+
+    # Parking.
+
+    def arrived(self) -> None:
+        """A sensor has a reading again."""
+        self.missing -= 1
+        if self.missing == 0:
+            self._unpark()
+
+    def refresh(self) -> None:
+        """Compute anew when the first reading becomes stale."""
+        inputs = self._inputs
+        if len(inputs) == 1:
+            self.stale_at = inputs[0].stale_at
+        else:
+            self.stale_at = min(each.stale_at for each in inputs)
+        if self._watch is None and self.on_reading:
+            self._watch = self._loop.call_at(self.stale_at, self._look)
+
+    def park(self, reason: str, *, missing: int = 0) -> None:
+        """Stop deciding and give the actuators back, until the sensors are back."""
+        self.missing += missing
+        if self.parked or self._stopped:
+            return
+        self.parked = True
+        for output in self._outputs.values():
+            output.later = None
+            output.active = False
+            output.channel.drop(output.registration)
+        self._on_state(False, reason)
+
+    def _unpark(self) -> None:
+        self.parked = False
+        self._on_state(True, "")
+
+    def _look(self) -> None:
+        """Park a reaction that nothing steps because no reading comes any more."""
+        self._watch = None
+        now = self._loop.time()
+        if self.stale_at == _FOR_EVER:
+            return  # it is parked; the next reading begins anew
+        if now < self.stale_at:
+            self._watch = self._loop.call_at(self.stale_at, self._look)
+        else:
+            self._stale(now)
+
+    def _stale(self, now: float) -> None:
+        old = [each for each in self._inputs if each.ready and now >= each.stale_at]
+        for each in old:
+            each.ready = False
+            each.stale_at = _FOR_EVER
+        self.stale_at = min((each.stale_at for each in self._inputs), default=_FOR_EVER)
+        if old:
+            names = ", ".join(
+                f"{each.name} is older than {each.max_age:g} s" for each in old
+            )
+            self.park(names, missing=len(old))
+
+    # Steps.
+
+    def _step(self, now: float) -> Awaitable[object] | None:
+        if self.missing:
+            return None
+        if now >= self.stale_at:
+            self._stale(now)
+            return None
+        self.steps += 1
+        try:
+            result = self._react(**self.values)
+        except BaseException as error:  # contained: one component's failure
+            self._crash(error)
+            return None
+        if self._until is not None and self._is_over():
+            return None
+        output = self._single
+        if output is None or result.__class__ is dict:
+            return self._write_all(result)
+        if result is not None:
+            return self._write(output, result)
+        if output.active:
+            output.release()
+        return None
+
+    def _is_over(self) -> bool:
+        assert self._until is not None
+        assert self._on_end is not None
+        try:
+            over = self._until(self.values)
+        except BaseException as error:  # contained: one component's failure
+            self._crash(error)
+            return True
+        if over:
+            self.stop()
+            self._on_end()
+        return bool(over)
+
+    def _crash(self, error: BaseException) -> None:
+        self.stop()
+        self._on_crash(error)
+
+    def _write_all(self, result: Any) -> Awaitable[object] | None:
+        single = self._single
+        if single is not None and single.name not in result:
+            return self._write(single, result)  # its commands are dictionaries
+        commands = {} if result is None else result
+        if type(commands) is not dict or not commands.keys() <= self._outputs.keys():
+            expected = ", ".join(self._outputs) or "nothing"
+            self._crash(
+                BadValueError(
+                    self.reaction.name,
+                    "react",
+                    f"expected a dictionary with commands for {expected}, not {result!r:.80}",
+                )
+            )
+            return None
+        waits: Awaitable[object] | None = None
+        for name, output in self._outputs.items():
+            command = commands.get(name)
+            if command is None:
+                if output.active:
+                    output.release()
+                continue
+            if waits is None:
+                waits = self._write(output, command)
+            elif output.pending:
+                self._write(output, command)
+            else:  # one driver waits: the other actuators must not wait for it
+                output.pending = True
+                output.later = command
+                spawn(
+                    self._loop, self._write_apart(output), name=f"{output.name} write"
+                )
+        return waits
+
+    async def _write_apart(self, output: Output) -> None:
+        output.pending = False
+        command, output.later = output.later, None
+        if command is not None and not self._stopped:
+            rest = self._write(output, command)
+            if rest is not None:
+                await rest
+
+    def _write(self, output: Output, command: Any) -> Awaitable[object] | None:
+        if output.pending:
+            if output.later is not None:
+                self.conflated += 1
+            output.later = command
+            return None
+        try:
+            outcome = output.channel.begin(output.registration, command, None)
+        except EsairError as error:
+            self._reject(output, error)
+            return None
+        kind = type(outcome)
+        if kind is Written:
+            output.active = True
+        elif kind is Refused:
+            self.refused += 1
+        else:
+            output.active = True
+            output.pending = True
+            return self._settle(output, outcome)  # type: ignore[arg-type]
+        return None
+
+    async def _settle(
+        self, output: Output, rest: Awaitable[Written[Any] | Refused]
+    ) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._settling.add(task)
+        try:
+            while True:
+                if not await rest:
+                    self.refused += 1
+                command, output.later = output.later, None
+                if command is None or self._stopped:
+                    return
+                outcome = output.channel.begin(output.registration, command, None)
+                if isinstance(outcome, Written | Refused):
+                    self.refused += not outcome
+                    return
+                rest = outcome
+        except EsairError as error:
+            self._reject(output, error)
+        finally:
+            self._settling.discard(task)
+            output.pending = False
+            output.later = None
+
+    def _reject(self, output: Output, error: EsairError) -> None:
+        self.rejected += 1
+        if self.rejected == 1 or self.rejected % 1000 == 0:
+            _log.warning(
+                "%s: command %d for %s was rejected: %s",
+                self.reaction.name,
+                self.rejected,
+                output.name,
+                describe(error),
+            )
+
+
+def _by_name(
+    until: Callable[..., bool], reaction: Reaction
+) -> Callable[[Mapping[str, Any]], bool]:
+    """Adapt a condition that names the readings it wants."""
+    parameters = inspect.signature(until).parameters.values()
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return lambda values: until(**values)
+    wanted = [
+        p.name
+        for p in parameters
+        if p.default is p.empty and p.kind is not p.VAR_POSITIONAL
+    ]
+    unknown = [name for name in wanted if name not in reaction.inputs]
+    if unknown:
+        raise BadValueError(
+            reaction.name,
+            "until",
+            f"its parameters must be readings ({', '.join(reaction.inputs)}), "
+            f"not {', '.join(unknown)}",
+        )
+    return lambda values: until(**{name: values[name] for name in wanted})

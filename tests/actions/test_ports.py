@@ -1,0 +1,123 @@
+"""Ports: what an action holds in its hand."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+import esair
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@pytest.mark.promise("RS-1", "SC-1", "AC-1")
+async def test_a_port_knows_its_resource(fake_sensor: Any, fake_actuator: Any) -> None:
+    """Name, state and settings, without a wait."""
+    sonar, wheels = fake_sensor("sonar", 1.0), fake_actuator("wheels", safe=0.0)
+    user = esair.Behavior(
+        name="user",
+        reads={"sonar": esair.reads(float)},
+        writes={"wheels": esair.writes(float)},
+    )
+
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]):
+        for port, name in ((user.sonar, "sonar"), (user.wheels, "wheels")):  # type: ignore[attr-defined]
+            assert port.resource == name
+            assert port.state is esair.ResourceState.READY
+            assert f"user may {port.registration.access} {name}" in repr(port)
+        assert user.sonar.settings["rate"] == 10.0  # type: ignore[attr-defined]
+
+
+@pytest.mark.promise("BEH-2", "SC-1", "AC-1")
+async def test_a_plain_behavior_has_blocking_ports(
+    fake_sensor: Any, fake_actuator: Any
+) -> None:
+    """Read, stream, history, write, release and configure, each waiting in its thread."""
+    result: dict[str, Any] = {}
+
+    class Plain(esair.Behavior):
+        sonar = esair.reads(float, configure=True)
+        wheels = esair.writes(float, configure=True)
+
+        def run(self) -> None:
+            sonar: Any = self.sonar
+            wheels: Any = self.wheels
+            result["read"] = sonar.read()
+            result["number"] = sonar.reading().sequence
+            seen = []
+            for value in sonar:
+                seen.append(value)
+                if len(seen) == 3:
+                    break
+            result["seen"] = seen
+            result["history"] = len(sonar.history(2))
+            sonar.configure(rate=20.0)
+            result["rate"] = sonar.settings["rate"]
+            result["written"] = wheels.write(1.0, hold=0.1)
+            wheels.release()
+            wheels.configure()
+            result["settings"] = dict(wheels.settings)
+
+    sonar, wheels = fake_sensor("sonar", 1.0), fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Plain()]) as robot:
+        await robot.ended()
+        assert robot.sensors.channels["sonar"]._followers == ()
+
+    assert result["written"]
+    del result["written"]
+    assert result == {
+        "read": 1.0, "number": 1, "seen": [1.0] * 3, "history": 2, "rate": 20.0,
+        "settings": {},
+    }  # fmt: skip
+    assert wheels.commands[1] == 1.0
+
+
+@pytest.mark.promise("BEH-2")
+async def test_a_plain_behavior_in_a_stream_can_be_removed(fake_sensor: Any) -> None:
+    """The thread that waits for a value learns that it is over."""
+    ended: list[BaseException] = []
+
+    class Plain(esair.Behavior):
+        radar = esair.reads(float)
+
+        def run(self) -> None:
+            radar: Any = self.radar
+            try:
+                for _ in radar:
+                    pass
+            except BaseException as error:
+                ended.append(error)
+                raise
+
+    async with esair.Robot(
+        resources=[fake_sensor("radar")], behaviors=[Plain()]
+    ) as robot:
+        await asyncio.sleep(0.1)
+        await robot.behaviors.remove("plain")
+        assert robot.sensors.channels["radar"]._followers == ()
+
+    assert [type(error) for error in ended] == [esair.BehaviorRemovedError]
+
+
+@pytest.mark.promise("RS-4")
+async def test_an_actuator_port_configures(fake_actuator: Any) -> None:
+    """Settings of actuators go the same way, with the same checks."""
+
+    class Arm(esair.Actuator[float]):
+        safe = 0.0
+        gain = esair.setting(1, min=0)
+
+        async def write(self, command: float) -> None:
+            return None
+
+    user = esair.Behavior(
+        name="user", writes={"arm": esair.writes(float, configure=True)}
+    )
+    async with esair.Robot(resources=[Arm()], behaviors=[user]):
+        port = user.arm  # type: ignore[attr-defined]
+        await port.configure(gain=4)
+        assert port.settings == {"gain": 4}
+        with pytest.raises(esair.BadValueError, match="at least 0"):
+            await port.configure(gain=-1)
