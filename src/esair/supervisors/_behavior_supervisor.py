@@ -1,0 +1,546 @@
+"""The behavior supervisor (BS): deploys behaviors and mediates between them."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from esair import abc
+from esair.actions import (
+    Behavior,
+    Reaction,
+    Writes,
+    mistakes_in_needs,
+    mistakes_in_reaction,
+)
+from esair.connections import ActuatorConnection, SensorConnection
+from esair.exceptions import (
+    AccessDeniedError,
+    BehaviorFailedError,
+    BusyError,
+    ConfigError,
+    EsairError,
+    NameTakenError,
+    UnknownNameError,
+    describe,
+)
+from esair.loop import current_owner
+from esair.messages import (
+    Access,
+    BehaviorState,
+    BehaviorStatus,
+    Restart,
+    SupervisorPhase,
+)
+from esair.resources import Actuator, Resource, Sensor
+from esair.resources._resource import same_type, type_name
+from esair.supervisors._desk import Desk
+from esair.supervisors._mediator import Mediator
+from esair.supervisors._member import Member
+from esair.supervisors._requests import Record
+from esair.supervisors._resource_supervisor import ResourceSupervisor
+
+START_TIMEOUT = 5.0
+"""How long the start waits for the ``setup`` of behaviors, in seconds."""
+
+ZOMBIE_LIMIT = 256
+"""How many zombies are listed."""
+
+_log = logging.getLogger("esair")
+
+
+class Zombie(NamedTuple):
+    """Something that would not end when its component was removed.
+
+    It is fenced off: it may run, it can move nothing.
+
+    Attributes:
+        behavior: The name of the component it belonged to.
+        task: The name of the task or thread.
+    """
+
+    behavior: str
+    task: str
+
+
+class BehaviorSupervisor(abc.Supervisor):
+    """Deploys behaviors, adds and removes them, and mediates all their data."""
+
+    def __init__(
+        self,
+        resources: ResourceSupervisor,
+        sensors: SensorConnection,
+        actuators: ActuatorConnection,
+        *,
+        grace: float = 1.0,
+    ) -> None:
+        self.resources = resources
+        self.sensors = sensors
+        self.actuators = actuators
+        self.grace = grace
+        self.zombies: list[Zombie] = []
+        """What would not end, the oldest first."""
+        self.zombie_count = 0
+        self._desk = Desk("behaviors")
+        self._members: dict[str, Member] = {}
+        self._adding: Member | None = None
+        self._ending: list[Member] = []
+        self._mediator: Mediator | None = None
+        self._all_ended: asyncio.Future[None] | None = None
+
+    # What everybody may ask.
+
+    @property
+    def phase(self) -> SupervisorPhase:
+        """What the supervisor is doing."""
+        return self._desk.phase
+
+    @property
+    def mediator(self) -> Mediator:
+        """The mediator of all data between behaviors."""
+        if self._mediator is None:
+            self._mediator = Mediator(self._members)
+        return self._mediator
+
+    def names(self) -> list[str]:
+        """Return the names of the behaviors and reactions."""
+        return list(self._members)
+
+    def query(self, name: str) -> BehaviorStatus:
+        """Tell what a behavior is doing. Answers at any time, without a wait.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+        """
+        return self._member(name).status()
+
+    def outcomes(self) -> list[Record]:
+        """Return how the last requests ended, the oldest first."""
+        return self.mediator.outcomes()
+
+    async def put(
+        self, data: Any, *, sender: str, receiver: str, interval: float = 1.0
+    ) -> None:
+        """Hand data from one behavior to another.
+
+        A receiver that cannot take it is asked again until it can, or until the
+        interval has passed.
+
+        Args:
+            data: What the receiver gets, untouched.
+            sender: In whose name.
+            receiver: The name of the behavior that gets it.
+            interval: How long to keep asking, in seconds.
+
+        Raises:
+            UnknownNameError: No behavior is named *receiver*.
+            BehaviorUnavailableError: It could not receive for the interval.
+            BehaviorRemovedError: It was removed meanwhile.
+            BehaviorFailedError: It crashed meanwhile.
+            BusyError: Too many requests wait.
+            StoppingError: The robot is stopping.
+        """
+        await self.mediator.put(data, sender, receiver, interval)
+
+    async def get(self, *, sender: str, receiver: str, interval: float = 1.0) -> Any:
+        """Ask one behavior for data, in the name of another.
+
+        Args:
+            sender: The name of the behavior that gives.
+            receiver: In whose name it is asked.
+            interval: How long to keep asking, in seconds.
+
+        Raises:
+            UnknownNameError: No behavior is named *sender*.
+            BehaviorUnavailableError: It could not send for the interval.
+            CircularRequestError: It waits, itself or through others, for *receiver*.
+            BehaviorRemovedError: It was removed meanwhile.
+            BehaviorFailedError: It crashed meanwhile, or its ``provide`` did.
+            BusyError: Too many requests wait.
+            StoppingError: The robot is stopping.
+        """
+        return await self.mediator.get(sender, receiver, interval)
+
+    # What the user may do.
+
+    async def add(self, component: Behavior | Reaction) -> None:
+        """Deploy a behavior or reaction while everything else keeps running.
+
+        Returns when its ``setup`` is done and it runs.
+
+        Raises:
+            ConfigError: It is declared wrongly.
+            NameTakenError: The name is in use.
+            UnknownNameError: It uses a resource that is not there.
+            AccessDeniedError: It uses a resource that it may not use.
+            BehaviorFailedError: Its ``setup`` failed; nothing of it is left.
+            StoppingError: The robot is not running.
+        """
+
+        async def work() -> None:
+            self.refuse_mistakes(component)
+            if component.name in self._members:
+                raise NameTakenError("behavior", component.name)
+            member = Member(component, self, component.name)
+            self._members[member.name] = member
+            try:
+                await self._begin(member)
+            except BaseException:
+                member.state = BehaviorState.STOPPING
+                self.mediator.peer_removed(member)
+                await self._end(member)
+                del self._members[member.name]
+                raise
+
+        self._check_caller()
+        await self._desk.run(work, name=f"add {_name(component)}", undo=True)
+
+    async def remove(self, name: str) -> list[Any]:
+        """Take a behavior away while everything else keeps running.
+
+        Its rights end at once, what it moved is made safe, then it is cancelled.
+        Returns within the grace period, whatever it does; what would not end is
+        fenced off and listed in ``zombies``.
+
+        Returns:
+            The data that lay in its inbox and was not taken, the oldest first.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+            StoppingError: The robot is not running.
+        """
+
+        async def work() -> list[Any]:
+            member = self._member(name)
+            member.state = BehaviorState.STOPPING
+            self.mediator.peer_removed(member)
+            await self._end(member)
+            del self._members[name]
+            self._check_all_ended()
+            return list(member.inbox)
+
+        self._check_caller()
+        return await self._desk.run(work, name=f"remove {name}", undo=False)
+
+    async def replace(self, name: str, component: Behavior | Reaction) -> list[Any]:
+        """Put another behavior in the place of one, under the same name.
+
+        The new one's ``setup`` is done before the old one ends, so an error there
+        leaves the old one running. The old one's rights end before the new one's
+        ``run`` begins. Requests that wait go on to the new one.
+
+        Returns:
+            The data that lay in the old one's inbox and was not taken.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+            ConfigError: The new one is declared wrongly.
+            BehaviorFailedError: The new one's ``setup`` failed.
+            StoppingError: The robot is not running.
+        """
+
+        async def work() -> list[Any]:
+            old = self._member(name)
+            if old.action is component:
+                raise ConfigError(name, "", "it cannot take its own place")
+            if isinstance(component, abc.Component):
+                component._name = name  # noqa: SLF001 - a supervisor gives names
+            self.refuse_mistakes(component)
+            new = Member(component, self, name)
+            new.gate = asyncio.get_running_loop().create_future()
+            try:
+                await self._begin(new)
+            except BaseException:
+                await self._end(new)
+                raise
+            self._desk.no_return()
+            self._members[name] = new
+            self.mediator.moved(old, new)
+            new.gate.set_result(None)  # its run begins when the old one is fenced off
+            await self._end(old)
+            self._check_all_ended()
+            return list(old.inbox)
+
+        self._check_caller()
+        return await self._desk.run(work, name=f"replace {name}", undo=True)
+
+    async def command(self, text: str) -> str:
+        """Do what an operator types; it has the rights of the user.
+
+        ``help`` lists the commands.
+
+        Returns:
+            The answer, for people.
+
+        Raises:
+            ConfigError: The command is not understood.
+            EsairError: What the command itself raises.
+        """
+        from esair.supervisors import _operator  # only when somebody types
+
+        return await _operator.command(self, text)
+
+    # What the robot does at its start and stop.
+
+    def mistakes(
+        self, behaviors: Iterable[Behavior | Reaction], resources: dict[str, Resource]
+    ) -> list[EsairError]:
+        """Return everything that is wrong with behaviors, before any is started."""
+        found: list[EsairError] = []
+        for behavior in behaviors:
+            found.extend(self._mistakes(behavior, resources))
+        return found
+
+    async def start(self, behaviors: Iterable[Behavior | Reaction]) -> None:
+        """Deploy the configuration list; returns when all run, or have failed."""
+        members = [Member(behavior, self, behavior.name) for behavior in behaviors]
+        for member in members:
+            self._members[member.name] = member
+        self.resources.on_change = self._resource_changed
+        self.resources.on_up = self._resource_up
+        for member in members:
+            try:
+                member.start()
+            except Exception as error:
+                member._crashed(error)  # noqa: SLF001 - its owner
+        waits = [member.ready for member in members if member.ready is not None]
+        if waits:
+            await asyncio.wait(waits, timeout=START_TIMEOUT)
+        self._desk.initialized()
+
+    def halt(self) -> None:
+        """Let no reaction take another step: the robot stops."""
+        for member in self._members.values():
+            if member.runner is not None:
+                member.runner.stop()
+
+    async def stop(self) -> None:
+        """End every behavior, the last one first; all share one grace period."""
+        await self._desk.close()
+        if self._mediator is not None:
+            self._mediator.close()
+        members = list(reversed(self._members.values()))
+        members += [each for each in self._ending if each not in members]
+        await asyncio.gather(*(self._end(member) for member in members))
+        if self._all_ended is not None and not self._all_ended.done():
+            self._all_ended.set_result(None)
+
+    async def all_ended(self) -> None:
+        """Wait until every deliberative behavior has ended, if there is one at all."""
+        if self._all_ended is None or self._all_ended.done():
+            self._all_ended = asyncio.get_running_loop().create_future()
+            self._check_all_ended()
+        await asyncio.shield(self._all_ended)
+
+    def failures(self) -> list[BehaviorFailedError]:
+        """Return an error for each behavior that has failed for good."""
+        failed = []
+        for member in self._members.values():
+            if member.state is BehaviorState.FAILED and member.error is not None:
+                error = BehaviorFailedError(member.name, describe(member.error))
+                error.__cause__ = member.error
+                failed.append(error)
+        return failed
+
+    # Inside.
+
+    def declared(self, behavior: str, resource: str) -> Access:
+        """Return what the class of a behavior declares to do with a resource."""
+        access = Access(0)
+        for member in (self._members.get(behavior), self._adding):
+            if member is None or member.name != behavior:
+                continue
+            performed = (need for each in member.performs for need in each.needs)
+            for need in itertools.chain(member.action.needs.values(), performed):
+                if need.resource == resource:
+                    access |= need.access
+        return access
+
+    def is_adding(self, member: Member) -> bool:
+        """Tell whether somebody waits for the setup of a member."""
+        return self._adding is member
+
+    def ended(self, member: Member) -> None:
+        """A member has finished, or failed for good."""
+        self._check_all_ended()
+
+    def refuse_mistakes(
+        self, action: Behavior | Reaction, *, performer: str | None = None
+    ) -> None:
+        """Raise what is wrong with an action in this robot, if anything is.
+
+        Args:
+            action: A behavior or reaction.
+            performer: The behavior in whose name it will be registered, if not its own.
+        """
+        resources = {name: self.resources.get(name) for name in self.resources.names()}
+        mistakes = self._mistakes(action, resources, performer)
+        if len(mistakes) == 1:
+            raise mistakes[0]
+        if mistakes:
+            raise ExceptionGroup(f"{_name(action)} is described wrongly", mistakes)
+
+    def _check_caller(self) -> None:
+        """Refuse a command of a behavior in its setup: the desk waits for that setup."""
+        adding = self._adding
+        if adding is not None and current_owner() is adding.owner:
+            raise BusyError(
+                "behaviors",
+                f"one command at a time, and one is adding {adding.name!r}",
+                1,
+            )
+
+    def _member(self, name: str) -> Member:
+        member = self._members.get(name)
+        if member is None:
+            raise UnknownNameError("behavior", name, self._members)
+        return member
+
+    async def _begin(self, member: Member) -> None:
+        self._adding = member
+        try:
+            member.start()
+            if member.ready is not None:
+                try:
+                    await member.ready
+                except Exception as error:
+                    raise BehaviorFailedError(member.name, describe(error)) from error
+        finally:
+            self._adding = None
+
+    async def _end(self, member: Member) -> None:
+        uses = {registration.resource for registration in member.uses()}
+        wrote = [c for name, c in self.actuators.channels.items() if name in uses]
+        self._ending.append(member)
+        await member.stop(self.grace)
+        member.state = BehaviorState.REMOVED
+        await asyncio.gather(*(channel.safe_now() for channel in wrote))
+        self._ending.remove(member)
+        for task in member.zombies:
+            self.zombie_count += 1
+            self.zombies.append(Zombie(member.name, task))
+            del self.zombies[:-ZOMBIE_LIMIT]
+            _log.warning("%s: %s would not end; it is fenced off", member.name, task)
+
+    def _resource_changed(self, name: str) -> None:
+        for member in tuple(self._members.values()):
+            member.resource_changed(name)
+
+    def _resource_up(self, name: str) -> None:
+        for member in tuple(self._members.values()):
+            member.resource_up(name)
+
+    def _check_all_ended(self) -> None:
+        if self._all_ended is None or self._all_ended.done():
+            return
+        behaviors = [
+            m for m in self._members.values() if isinstance(m.action, Behavior)
+        ]
+        over = {BehaviorState.FINISHED, BehaviorState.FAILED, BehaviorState.REMOVED}
+        if behaviors and all(member.state in over for member in behaviors):
+            self._all_ended.set_result(None)
+
+    def _mistakes(
+        self,
+        action: object,
+        resources: dict[str, Resource],
+        performer: str | None = None,
+    ) -> list[EsairError]:
+        if not isinstance(action, Behavior | Reaction):
+            return [
+                ConfigError(
+                    repr(action), "", "expected an esair.Behavior or esair.Reaction"
+                )
+            ]
+        found: list[EsairError] = []
+        try:
+            name = action.name
+        except ConfigError as error:
+            return [error]
+        found.extend(mistakes_in_needs(action))
+        if isinstance(action, Reaction):
+            found.extend(mistakes_in_reaction(action))
+        else:
+            found.extend(_mistakes_in_boxes(action))
+        if not isinstance(action.restart, Restart):
+            found.append(ConfigError(name, "restart", "expected an esair.Restart"))
+        if found:
+            return found
+        for attribute, need in action.needs.items():
+            resource = resources.get(need.resource)
+            if resource is None:
+                unknown = UnknownNameError("resource", need.resource, resources)
+                unknown.add_note(f"{name}.{attribute} needs it")
+                found.append(unknown)
+                continue
+            writes = isinstance(need, Writes)
+            if writes is not isinstance(resource, Actuator):
+                kind = "an actuator" if writes else "a sensor"
+                found.append(
+                    ConfigError(name, attribute, f"{need.resource!r} is not {kind}")
+                )
+                continue
+            assert isinstance(resource, Sensor | Actuator)
+            given, wanted = (
+                (need.type, resource.value_type)
+                if writes
+                else (resource.value_type, need.type)
+            )
+            if not same_type(given, wanted):
+                found.append(
+                    ConfigError(
+                        name,
+                        attribute,
+                        f"declared as {type_name(need.type)}, but {need.resource!r} has "
+                        f"{type_name(resource.value_type)}",
+                    )
+                )
+                continue
+            try:
+                self.resources.rules.check(
+                    performer or name,
+                    need.resource,
+                    need.access,
+                    need.priority if isinstance(need, Writes) else 0,
+                    is_actuator=writes,
+                    declares=need.access,
+                    instead_of=performer or name,
+                )
+            except AccessDeniedError as error:
+                found.append(error)
+        return found
+
+
+def _name(component: object) -> str:
+    try:
+        return (
+            component.name if isinstance(component, abc.Component) else repr(component)
+        )
+    except ConfigError:
+        return repr(component)
+
+
+def _mistakes_in_boxes(behavior: Behavior) -> list[ConfigError]:
+    found = []
+    for field in ("inbox_size", "outbox_size"):
+        value = getattr(behavior, field)
+        if type(value) is not int or value < 1:
+            found.append(
+                ConfigError(
+                    behavior.name, field, f"expected a whole number > 0, not {value!r}"
+                )
+            )
+    for field in ("inbox_policy", "outbox_policy"):
+        value = getattr(behavior, field)
+        if value not in {"reject", "drop_oldest", "latest"}:
+            found.append(
+                ConfigError(
+                    behavior.name,
+                    field,
+                    f"expected 'reject', 'drop_oldest' or 'latest', not {value!r}",
+                )
+            )
+    return found

@@ -1,0 +1,389 @@
+"""The mediator: all data between behaviors passes here, and only on request."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import functools
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from esair.actions import NOTHING
+from esair.exceptions import (
+    BadValueError,
+    BehaviorFailedError,
+    BehaviorRemovedError,
+    BehaviorUnavailableError,
+    BusyError,
+    CircularRequestError,
+    EsairError,
+    StoppingError,
+    UnknownNameError,
+    describe,
+)
+from esair.loop import spawn
+from esair.messages import BehaviorState
+from esair.supervisors._requests import (
+    REQUESTS,
+    REQUESTS_PER_SENDER,
+    REQUESTS_PER_TARGET,
+    Outcome,
+    Record,
+    Request,
+)
+
+if TYPE_CHECKING:
+    from esair.supervisors._member import Member
+
+LEDGER_SIZE = 256
+"""How many outcomes the ledger remembers."""
+
+_DELIVERED = Outcome.DELIVERED
+
+_LONGEST = sys.float_info.max
+
+
+class Mediator:
+    """Hands data from one behavior to another, and keeps the ledger of requests.
+
+    When the other side is ready a request is a look-up, a check, an append and a
+    wake-up; a task, a timer or a queue is made only when it has to wait.
+
+    Args:
+        members: The behaviors by name.
+    """
+
+    def __init__(self, members: Mapping[str, Member]) -> None:
+        self._members = members
+        self._loop = asyncio.get_running_loop()
+        self._pending = 0
+        self._of_asker: dict[str, int] = {}
+        self._gets: dict[str, list[Request]] = {}
+        """For each behavior that waits in a get: its requests."""
+        self.closed = False
+        self.ledger: collections.deque[tuple[str, str, str, Outcome]] = (
+            collections.deque(maxlen=LEDGER_SIZE)
+        )
+        self.delivered = 0
+        self.late_answers = 0
+        """How many answers came when nobody waited for them any more."""
+
+    def outcomes(self) -> list[Record]:
+        """Return the last outcomes, the oldest first."""
+        return [Record(*line) for line in self.ledger]
+
+    # Put.
+
+    def hand(self, data: Any, sender: str, receiver: str, interval: float) -> bool:
+        """Deliver data at once if the receiver can take it; tells whether it did."""
+        member = self._members.get(receiver)
+        if (
+            member is None
+            or not member.receives
+            or len(member.inbox) >= member.room
+            or self.closed
+            or interval.__class__ is not float
+            or not 0.0 < interval <= _LONGEST
+        ):
+            return False
+        member.inbox.append(data)
+        if member.takers:
+            member.wake()
+        self.delivered += 1
+        self.ledger.append(("put", sender, receiver, _DELIVERED))
+        return True
+
+    async def put(self, data: Any, sender: str, receiver: str, interval: float) -> None:
+        """Hand data to a behavior; see `BehaviorSupervisor.put`."""
+        if not self.hand(data, sender, receiver, interval):
+            await self._put_slowly(data, sender, receiver, interval)
+
+    async def _put_slowly(
+        self, data: Any, sender: str, receiver: str, interval: float
+    ) -> None:
+        member = self._check(receiver, interval, data)
+        if member.can_receive:
+            member.deliver(data)
+            self._record("put", sender, receiver, _DELIVERED)
+            return
+        request = self._begin("put", sender, receiver, data, member.senders.count)
+        member.senders.push(request)
+        timer = self._loop.call_later(interval, self._expire, request, interval, member)
+        try:
+            await request.future
+        except BaseException as error:
+            self._members.get(receiver, member).senders.discard(request)
+            member.senders.discard(request)
+            self._withdraw(request, error)
+            raise
+        finally:
+            timer.cancel()
+            self._finish(request)
+
+    def admit(self, member: Member) -> None:
+        """Deliver what waits for a behavior that can receive again."""
+        while member.senders.count and member.has_room:
+            request = member.senders.pop()
+            if not request.future.done():
+                member.deliver(request.data)
+                self._end(request, _DELIVERED)
+                request.future.set_result(None)
+
+    # Get.
+
+    def take(self, sender: str, receiver: str, interval: float) -> Any:
+        """Return what the sender has offered; `NOTHING` if that has to be waited for."""
+        member = self._members.get(sender)
+        if (
+            member is None
+            or not member.outbox
+            or sender == receiver
+            or self.closed
+            or interval.__class__ is not float
+            or not 0.0 < interval <= _LONGEST
+        ):
+            return NOTHING
+        self.delivered += 1
+        self.ledger.append(("get", sender, receiver, _DELIVERED))
+        return member.outbox.pop(0)
+
+    async def get(self, sender: str, receiver: str, interval: float) -> Any:
+        """Ask a behavior for data; see `BehaviorSupervisor.get`."""
+        offered = self.take(sender, receiver, interval)
+        if offered is not NOTHING:
+            return offered
+        return await self._get_slowly(sender, receiver, interval)
+
+    async def _get_slowly(self, sender: str, receiver: str, interval: float) -> Any:
+        member = self._check(sender, interval)
+        path = self._circle(receiver, sender)
+        if path:
+            self._record("get", sender, receiver, Outcome.REFUSED)
+            raise CircularRequestError(path)
+        if member.outbox:
+            self._record("get", sender, receiver, _DELIVERED)
+            return member.outbox.pop(0)
+        request = self._begin("get", sender, receiver, None, member.askers.count)
+        member.askers.push(request)
+        self._gets.setdefault(receiver, []).append(request)
+        self.serve(member)
+        timer = self._loop.call_later(interval, self._expire, request, interval, member)
+        try:
+            return await request.future
+        except BaseException as error:
+            self._withdraw(request, error)
+            raise
+        finally:
+            timer.cancel()
+            self._finish(request)
+            waits = self._gets[receiver]
+            waits.remove(request)
+            if not waits:
+                del self._gets[receiver]
+            self._members.get(sender, member).askers.discard(request)
+            member.askers.discard(request)
+            if request.provider is not None:
+                request.provider.cancel()
+
+    def offered(self, member: Member, data: Any) -> bool:
+        """Hand offered data to whoever waits for it; tells whether somebody did."""
+        while member.askers.count:
+            request = member.askers.pop()
+            if request.future.done():
+                continue
+            self._end(request, _DELIVERED)
+            request.future.set_result(data)
+            return True
+        return False
+
+    def serve(self, member: Member) -> None:
+        """Have a behavior make the data that somebody waits for, one at a time."""
+        if not member.can_provide or member.provider is not None or self.closed:
+            return
+        request = member.askers.peek()
+        if request is None:
+            return
+        request.provider = member.provider = spawn(
+            self._loop,
+            _make_data(member),
+            name=f"{member.name} provide",
+            owner=member.owner,
+        )
+        # Not in the task itself: one that is cancelled before its first step does
+        # nothing at all.
+        member.provider.add_done_callback(
+            functools.partial(self._provided, member, request)
+        )
+
+    def _provided(
+        self, member: Member, request: Request, task: asyncio.Task[_Made]
+    ) -> None:
+        data, error = (
+            (None, asyncio.CancelledError()) if task.cancelled() else task.result()
+        )
+        member.provider = None
+        waited = member.askers.discard(request)
+        if not waited or request.future.done():
+            self.late_answers += error is None
+        elif error is None:
+            self._end(request, _DELIVERED)
+            request.future.set_result(data)
+        else:
+            self._fail(request, _failed(member, error), Outcome.PEER_FAILED)
+        self.serve(member)
+
+    # What happens to the other side.
+
+    def peer_failed(self, member: Member, error: BaseException) -> None:
+        """End every request that waits for a behavior that has crashed."""
+        for request in self._drain(member):
+            self._fail(request, _failed(member, error), Outcome.PEER_FAILED)
+
+    def peer_removed(self, member: Member) -> None:
+        """End every request that waits for a behavior that is removed."""
+        for request in self._drain(member):
+            self._fail(
+                request,
+                BehaviorRemovedError(member.name, request.data),
+                Outcome.PEER_REMOVED,
+            )
+
+    def moved(self, old: Member, new: Member) -> None:
+        """Let what waits for a behavior wait for the one in its place."""
+        for queue, other in ((old.senders, new.senders), (old.askers, new.askers)):
+            for request in queue.drain():
+                other.push(request)
+        self.admit(new)
+        while new.outbox and self.offered(new, new.outbox[0]):
+            del new.outbox[0]
+        self.serve(new)
+
+    def close(self) -> None:
+        """End every request: the robot stops."""
+        self.closed = True
+        for member in self._members.values():
+            for request in self._drain(member):
+                self._fail(
+                    request, StoppingError("behaviors", "stopping"), Outcome.STOPPING
+                )
+
+    def _drain(self, member: Member) -> list[Request]:
+        return [*member.senders.drain(), *member.askers.drain()]
+
+    # Requests that wait.
+
+    def _check(self, peer: str, interval: object, data: Any = None) -> Member:
+        if self.closed:
+            raise StoppingError("behaviors", "stopping")
+        member = self._members.get(peer)
+        if member is None:
+            raise UnknownNameError("behavior", peer, self._members)
+        if type(interval) not in {int, float} or not 0 < interval <= _LONGEST:  # type: ignore[operator]
+            raise BadValueError(
+                peer, "interval", f"expected seconds > 0, not {interval!r:.80}"
+            )
+        if member.state is BehaviorState.FAILED:
+            assert member.error is not None
+            raise _failed(member, member.error)
+        if member.state in _LEAVING:
+            raise BehaviorRemovedError(peer, data)
+        return member
+
+    def _begin(
+        self, kind: str, sender: str, receiver: str, data: Any, waiting: int
+    ) -> Request:
+        request = Request(kind, sender, receiver, data, self._loop.create_future())
+        asker = request.asker
+        of_asker = self._of_asker.get(asker, 0)
+        if (
+            waiting >= REQUESTS_PER_TARGET
+            or of_asker >= REQUESTS_PER_SENDER
+            or self._pending >= REQUESTS
+        ):
+            self._record(kind, sender, receiver, Outcome.REFUSED)
+            if waiting >= REQUESTS_PER_TARGET:
+                raise BusyError(
+                    request.peer, "number of requests to it", REQUESTS_PER_TARGET
+                )
+            if of_asker >= REQUESTS_PER_SENDER:
+                raise BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
+            raise BusyError("behaviors", "number of requests", REQUESTS)
+        self._pending += 1
+        self._of_asker[asker] = of_asker + 1
+        return request
+
+    def _finish(self, request: Request) -> None:
+        """Count a request that waits no more."""
+        self._pending -= 1
+        left = self._of_asker[request.asker] - 1
+        if left:
+            self._of_asker[request.asker] = left
+        else:
+            del self._of_asker[request.asker]
+
+    def _withdraw(self, request: Request, error: BaseException) -> None:
+        """Record a request whose asker was cancelled before it had an outcome."""
+        if isinstance(error, asyncio.CancelledError) and request.future.cancelled():
+            self._record(
+                request.kind, request.sender, request.receiver, Outcome.WITHDRAWN
+            )
+
+    def _expire(self, request: Request, interval: float, member: Member) -> None:
+        what = "receive" if request.kind == "put" else "send"
+        self._fail(
+            request,
+            BehaviorUnavailableError(request.peer, what, interval, member.state.value),
+            Outcome.TIMED_OUT,
+        )
+
+    def _fail(self, request: Request, error: EsairError, outcome: Outcome) -> None:
+        if not request.future.done():
+            self._end(request, outcome)
+            request.future.set_exception(error)
+            request.future.exception()  # its asker may be cancelled in this moment
+
+    def _end(self, request: Request, outcome: Outcome) -> None:
+        self._record(request.kind, request.sender, request.receiver, outcome)
+
+    def _record(self, kind: str, sender: str, receiver: str, outcome: Outcome) -> None:
+        if outcome is _DELIVERED:
+            self.delivered += 1
+        self.ledger.append((kind, sender, receiver, outcome))
+
+    def _circle(self, asker: str, giver: str) -> list[str]:
+        """Return the circle that a get would close, or nothing."""
+        if asker == giver:
+            return [asker, asker]
+        trail = [(giver, [asker, giver])]
+        seen = {giver}
+        while trail:
+            name, path = trail.pop()
+            for request in self._gets.get(name, ()):
+                other = request.sender
+                if request.future.done():
+                    continue
+                if other == asker:
+                    return [*path, asker]
+                if other not in seen:
+                    seen.add(other)
+                    trail.append((other, [*path, other]))
+        return []
+
+
+_LEAVING = frozenset({BehaviorState.STOPPING, BehaviorState.REMOVED})
+
+_Made = tuple[Any, BaseException | None]
+
+
+async def _make_data(member: Member) -> _Made:
+    try:
+        return await member.make_data(), None
+    except BaseException as error:  # contained: it is the other's code
+        return None, error
+
+
+def _failed(member: Member, error: BaseException) -> BehaviorFailedError:
+    failed = BehaviorFailedError(member.name, describe(error))
+    failed.__cause__ = error
+    return failed

@@ -1,0 +1,751 @@
+"""A member of the behavior supervisor: one behavior or reaction and its life."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import logging
+import sys
+from collections.abc import Callable, Coroutine
+from typing import TYPE_CHECKING, Any
+
+from esair.actions import (
+    NOTHING,
+    ActuatorPort,
+    Behavior,
+    Need,
+    Reaction,
+    ReactionRunner,
+    Reads,
+    SensorPort,
+    Writes,
+)
+from esair.connections import ActuatorChannel, Registration, SensorChannel
+from esair.exceptions import (
+    BadValueError,
+    BehaviorRemovedError,
+    BusyError,
+    DeviceLostError,
+    EsairError,
+    NotRegisteredError,
+    ResourceRemovedError,
+    UnknownNameError,
+    describe,
+)
+from esair.loop import Bridge, Owner, spawn
+from esair.messages import Access, BehaviorState, BehaviorStatus
+from esair.supervisors._requests import FairQueue
+from esair.supervisors._restart_budget import RestartBudget
+
+if TYPE_CHECKING:
+    from esair.supervisors._behavior_supervisor import BehaviorSupervisor
+
+_log = logging.getLogger("esair")
+
+_BOUND = ("put", "get", "receive", "offer", "perform", "register")
+
+
+class Member:
+    """Owns one behavior or reaction: its registrations, its task, its boxes.
+
+    It is also the `Host` that the behavior talks to.
+    """
+
+    __slots__ = (
+        "_bridge",
+        "_budget",
+        "_mediator",
+        "_state",
+        "_supervisor",
+        "_timer",
+        "action",
+        "alive",
+        "askers",
+        "detail",
+        "dropped",
+        "error",
+        "gate",
+        "inbox",
+        "name",
+        "outbox",
+        "owner",
+        "performs",
+        "provider",
+        "ready",
+        "receives",
+        "registrations",
+        "room",
+        "runner",
+        "senders",
+        "takers",
+        "task",
+        "zombies",
+    )
+
+    def __init__(
+        self, action: Behavior | Reaction, supervisor: BehaviorSupervisor, name: str
+    ) -> None:
+        self.action = action
+        self.name = name
+        self.room = action.inbox_size if isinstance(action, Behavior) else 0
+        self.state = BehaviorState.STARTING
+        self.detail = ""
+        self.error: BaseException | None = None
+        self.inbox: list[Any] = []
+        self.outbox: list[Any] = []
+        self.dropped = 0
+        self.senders = FairQueue()
+        self.askers = FairQueue()
+        self.provider: asyncio.Task[Any] | None = None
+        """Makes data for somebody who asks; one at a time."""
+        self.owner = Owner()
+        self.registrations: list[Registration] = []
+        self.runner: ReactionRunner | None = None
+        self.performs: list[_Perform] = []
+        """The reactions that it performs now."""
+        self.task: asyncio.Task[BaseException | None] | None = None
+        self.ready: asyncio.Future[None] | None = None
+        self.gate: asyncio.Future[None] | None = None
+        """If there is one, ``run`` begins only when it is done."""
+        self.zombies: list[str] = []
+        self._supervisor = supervisor
+        self._mediator = supervisor.mediator
+        self._budget: RestartBudget | None = None
+        self.takers: list[asyncio.Future[None]] | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._bridge: Bridge | None = None
+
+    @property
+    def state(self) -> BehaviorState:
+        """What it is doing."""
+        return self._state
+
+    @state.setter
+    def state(self, state: BehaviorState) -> None:
+        self._state = state
+        self.alive = state in _ALIVE
+        self.receives = state is BehaviorState.RUNNING and self.room > 0
+
+    # What the mediator asks.
+
+    @property
+    def has_room(self) -> bool:
+        """Whether the inbox can take another piece of data."""
+        if not self.receives:
+            return False
+        return len(self.inbox) < self.room or self.action.inbox_policy != "reject"  # type: ignore[union-attr]
+
+    @property
+    def can_receive(self) -> bool:
+        """Whether a put is delivered at once."""
+        return not self.senders.count and self.has_room
+
+    @property
+    def can_provide(self) -> bool:
+        """Whether the behavior makes data on demand, now."""
+        action = self.action
+        return (
+            isinstance(action, Behavior)
+            and action.provides
+            and self.state is BehaviorState.RUNNING
+        )
+
+    @property
+    def can_send(self) -> bool:
+        """Whether a get is answered without waiting for a change of state."""
+        return bool(self.outbox) or self.can_provide
+
+    def deliver(self, data: Any) -> None:
+        """Put data into the inbox; there is room, or a policy that makes some."""
+        inbox = self.inbox
+        if len(inbox) >= self.room:
+            drop = len(inbox) if self.action.inbox_policy == "latest" else 1  # type: ignore[union-attr]
+            del inbox[:drop]
+            self.dropped += drop
+        inbox.append(data)
+        self.wake()
+
+    def wake(self) -> None:
+        """Wake one of those that wait in `receive`."""
+        for taker in self.takers or ():
+            if not taker.done():
+                taker.set_result(None)
+                return
+
+    async def make_data(self) -> Any:
+        """Run the behavior's ``provide``, on a thread if it is a plain function."""
+        provide = self.action.provide  # type: ignore[union-attr]
+        if inspect.iscoroutinefunction(provide):
+            return await provide()
+        result: list[Any] = []
+        bridge = Bridge(f"{self.name}_provide", self.owner)
+        await bridge.run(lambda: result.append(provide()))
+        return result[0]
+
+    # What the behavior asks (`Host`).
+
+    def hand(self, receiver: str, data: Any, interval: float) -> bool:
+        """Hand data over if that takes no wait; tells whether it did."""
+        return self.alive and self._mediator.hand(data, self.name, receiver, interval)
+
+    def take(self, sender: str, interval: float) -> Any:
+        """Take data that another has offered; `NOTHING` if that has to be waited for."""
+        return (
+            self._mediator.take(sender, self.name, interval) if self.alive else NOTHING
+        )
+
+    def put(
+        self, receiver: str, data: Any, interval: float
+    ) -> Coroutine[Any, Any, None]:
+        """Hand data to another behavior."""
+        if not self.alive:
+            raise BehaviorRemovedError(self.name)
+        return self._mediator.put(data, self.name, receiver, interval)
+
+    def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]:
+        """Ask another behavior for data."""
+        if not self.alive:
+            raise BehaviorRemovedError(self.name)
+        return self._mediator.get(sender, self.name, interval)
+
+    async def receive(self) -> Any:
+        """Wait for data in the inbox, and take it."""
+        while True:
+            if not self.alive:  # what lies in its inbox belongs to the remover
+                raise BehaviorRemovedError(self.name)
+            if self.inbox:
+                break
+            taker = asyncio.get_running_loop().create_future()
+            if self.takers is None:
+                self.takers = []
+            self.takers.append(taker)
+            try:
+                await taker
+            except asyncio.CancelledError:
+                if self.inbox and not taker.cancelled():
+                    self.wake()  # it was woken in the same tick: wake the next one
+                raise
+            finally:
+                self.takers.remove(taker)
+                if not self.takers:
+                    self.takers = None
+        data = self.inbox.pop(0)
+        if self.senders.count:
+            self._mediator.admit(self)
+        return data
+
+    def offer(self, data: Any) -> None:
+        """Lay data out for whoever asks for it."""
+        if not self.alive:
+            raise BehaviorRemovedError(self.name)
+        if self._mediator.offered(self, data):
+            return
+        action = self.action
+        assert isinstance(action, Behavior)
+        if len(self.outbox) >= action.outbox_size:
+            if action.outbox_policy == "reject":
+                raise BusyError(self.name, "outbox_size", action.outbox_size)
+            drop = len(self.outbox) if action.outbox_policy == "latest" else 1
+            del self.outbox[:drop]
+            self.dropped += drop
+        self.outbox.append(data)
+
+    async def register(
+        self,
+        resource: str,
+        access: Access,
+        priority: int,
+        hold: float | None,
+        max_age: float | None,
+    ) -> SensorPort[Any] | ActuatorPort[Any]:
+        """Register for a resource at run time."""
+        if not self.alive:
+            raise BehaviorRemovedError(self.name)
+        if max_age is not None:
+            _check_seconds(self.name, f"{resource}.max_age", max_age)
+        registration = self._grant(resource, access, priority, hold)
+        return self._port(registration, max_age)
+
+    async def perform(
+        self,
+        reaction: Reaction,
+        until: Callable[..., bool] | None,
+        timeout: float | None,
+    ) -> bool:
+        """Run a reaction until its condition comes true or its time is over."""
+        if not self.alive:
+            raise BehaviorRemovedError(self.name)
+        if timeout is not None:
+            _check_seconds(self.name, "timeout", timeout)
+        self._supervisor.refuse_mistakes(reaction, performer=self.name)
+        loop = asyncio.get_running_loop()
+        perform = _Perform(reaction, loop)
+        runner = ReactionRunner(
+            reaction,
+            on_state=lambda _running, _why: None,
+            on_crash=perform.crash,
+            until=until,
+            on_end=lambda: perform.end(True),
+        )
+        self.performs.append(perform)
+        timer = None
+        try:
+            self._start_runner(runner, reaction, perform)
+            if timeout is not None:
+                timer = loop.call_later(timeout, perform.end, False)
+            return await perform.ended
+        finally:
+            if timer is not None:
+                timer.cancel()
+            runner.stop()
+            self.performs.remove(perform)
+            for registration in perform.own:
+                self._supervisor.resources.revoke(registration)
+
+    # Life.
+
+    def start(self) -> None:
+        """Register what it declares, and begin.
+
+        Raises:
+            EsairError: It may not, or a resource is not there.
+        """
+        self.state = BehaviorState.STARTING
+        loop = asyncio.get_running_loop()
+        if isinstance(self.action, Reaction):
+            self.runner = ReactionRunner(
+                self.action, on_state=self._runs, on_crash=self._crashed
+            )
+            self._start_runner(self.runner, self.action)
+            return
+        survivors = self.owner.living()
+        self.owner = Owner()
+        for task in survivors:  # they would not end with the run before
+            self.owner.adopt(task)
+        self.action._host = self  # noqa: SLF001 - the behavior's own supervisor
+        if not inspect.iscoroutinefunction(self.action.run):
+            self._bridge = Bridge(self.name, self.owner)
+            self._bind_methods(self._bridge)
+        try:
+            for attribute, need in self.action.needs.items():
+                port: Any = self._port(self._grant_need(need), _max_age(need))
+                if self._bridge is not None:
+                    port = port.blocking(self._bridge)
+                self.action.__dict__[attribute] = port
+        except BaseException:
+            self.fence()
+            raise
+        self.ready = loop.create_future()
+        self.task = spawn(
+            loop, self._live(self.action), name=self.name, owner=self.owner
+        )
+        self.task.add_done_callback(self._ended)
+
+    async def _live(self, behavior: Behavior) -> BaseException | None:
+        """Run one incarnation; returns its error, so that nothing escapes a task."""
+        error: BaseException | None = None
+        try:
+            await self._run(behavior.setup)
+            if self.gate is not None:
+                self._is_ready()
+                await self.gate
+            self._runs(True, "")
+            await self._run(behavior.run)
+        except BaseException as raised:  # contained: one component's failure
+            error = raised
+        try:
+            await self._run(behavior.teardown)
+        except BaseException as raised:  # contained: one component's failure
+            if error is None:
+                error = raised
+            else:
+                _log.warning("%s: teardown failed too: %s", self.name, describe(raised))
+        return error
+
+    async def _run(self, method: Callable[[], Any]) -> None:
+        if inspect.iscoroutinefunction(method):
+            await method()
+        elif self._bridge is not None:
+            await self._bridge.run(method)
+        else:
+            await Bridge(self.name, self.owner).run(method)
+
+    def _runs(self, running: bool, why: str) -> None:
+        self.detail = why
+        if self.state in {BehaviorState.STOPPING, BehaviorState.REMOVED}:
+            return
+        before, self.state = (
+            self.state,
+            BehaviorState.RUNNING if running else BehaviorState.PARKED,
+        )
+        self._is_ready()
+        if running:
+            self._mediator.admit(self)
+            self._mediator.serve(self)
+        if before is BehaviorState.RUNNING and not running:
+            _log.info("%s: parked: %s", self.name, why)
+        elif before is BehaviorState.PARKED and running:
+            _log.info("%s: goes on", self.name)
+
+    def _is_ready(self) -> None:
+        if self.ready is not None and not self.ready.done():
+            self.ready.set_result(None)
+
+    def _ended(self, task: asyncio.Task[BaseException | None]) -> None:
+        if task is not self.task or self.state in {
+            BehaviorState.STOPPING,
+            BehaviorState.REMOVED,
+        }:
+            return
+        error = asyncio.CancelledError() if task.cancelled() else task.result()
+        if error is None:
+            self.state = BehaviorState.FINISHED
+            self.fence()
+            self._cancel_tasks()
+            self._supervisor.ended(self)
+        else:
+            self._crashed(error)
+
+    def _crashed(self, error: BaseException) -> None:
+        """Make safe what it held, and start it again unless its budget is spent."""
+        self.error = error
+        self.fence()
+        self._cancel_tasks()
+        ready = self.ready
+        if ready is not None and not ready.done() and self._supervisor.is_adding(self):
+            self.state = BehaviorState.FAILED
+            ready.set_exception(_as_exception(error))
+            ready.exception()  # whoever adds it may be cancelled in this moment
+            return
+        self._is_ready()
+        absent = self._absent() if isinstance(error, _ABSENCE) else []
+        if absent:
+            # Not its own fault: it begins anew when everything it uses is there.
+            self.state = BehaviorState.PARKED
+            self.detail = f"{', '.join(absent)} is not there"
+            _log.info("%s: parked: %s", self.name, self.detail)
+            self._mediator.peer_failed(self, error)
+            return
+        if self._budget is None:
+            self._budget = RestartBudget(self.action.restart)
+        loop = asyncio.get_running_loop()
+        pause = self._budget.spend(loop.time())
+        if pause is None:
+            self.state = BehaviorState.FAILED
+            _log.error(
+                "%s: failed for good: %s",
+                self.name,
+                describe(error),
+                exc_info=_as_exception(error),
+            )
+        else:
+            self.state = BehaviorState.RESTARTING
+            _log.warning(
+                "%s: failed: %s; restart %d in %g s",
+                self.name,
+                describe(error),
+                self._budget.restarts,
+                pause,
+                exc_info=_as_exception(error),
+            )
+            self._timer = loop.call_later(pause, self._restart)
+        self._mediator.peer_failed(self, error)
+        if pause is None:
+            self._supervisor.ended(self)
+
+    def _absent(self) -> list[str]:
+        """Return what it declares to use, and is not there or not ready."""
+        if not isinstance(self.action, Behavior):
+            return []
+        return [
+            need.resource
+            for need in self.action.needs.values()
+            if not self._supervisor.resources.is_ready(need.resource)
+        ]
+
+    def resource_up(self, resource: str) -> None:
+        """Begin anew if this was the last resource that was not there."""
+        if (
+            isinstance(self.action, Behavior)
+            and self.state is BehaviorState.PARKED
+            and not self._absent()
+        ):
+            _log.info("%s: goes on: %s is back", self.name, resource)
+            self._restart()
+
+    def _restart(self) -> None:
+        self._timer = None
+        try:
+            self.start()
+        except Exception as error:
+            self._crashed(error)
+
+    def uses(self) -> list[Registration]:
+        """Return every registration that it has now."""
+        performed = (r for perform in self.performs for r in perform.own)
+        return [*self.registrations, *performed]
+
+    def fence(self, reason: Callable[[], EsairError] | None = None) -> None:
+        """Revoke all its registrations in one step; what it moved is made safe."""
+        if self.runner is not None:
+            self.runner.stop()
+        if reason is None:
+            name = self.name
+
+            def reason() -> EsairError:
+                return NotRegisteredError(name, "resource", "this run of it has ended")
+
+        for registration in self.uses():
+            self._supervisor.resources.revoke(registration, reason)
+        self.registrations.clear()
+        if self._bridge is not None:
+            self._bridge.close()
+
+    async def stop(self, grace: float) -> None:
+        """End it, whatever it does; what would not die is in ``zombies``."""
+        self.state = BehaviorState.STOPPING
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self.fence(lambda: BehaviorRemovedError(self.name))
+        for taker in self.takers or ():
+            if not taker.done():
+                taker.set_result(None)
+        living = self._living()
+        for _ in range(2):
+            if not living:
+                break
+            for task in living:
+                task.cancel()
+            await asyncio.wait(living, timeout=grace if grace > 0 else 0.001)
+            living = self._living()
+            grace = 0.05
+        self.zombies = [
+            *(task.get_name() for task in living),
+            *(thread.name for thread in self.owner.threads),
+        ]
+        for task in living:
+            task.add_done_callback(_look_at)
+        self.task = None
+        if isinstance(self.action, Behavior) and self.action._host is self:  # noqa: SLF001
+            self._unbind(self.action)
+
+    def _living(self) -> list[asyncio.Task[Any]]:
+        me = asyncio.current_task()
+        return [task for task in self.owner.living() if task is not me]
+
+    def _cancel_tasks(self) -> None:
+        for task in self.owner.living():
+            task.cancel()
+
+    def _unbind(self, behavior: Behavior) -> None:
+        behavior._host = None  # noqa: SLF001 - the behavior's own supervisor
+        if self._bridge is not None:
+            for method in _BOUND:
+                behavior.__dict__.pop(method, None)
+
+    def _bind_methods(self, bridge: Bridge) -> None:
+        """Let a plain behavior call, in its thread, what others await."""
+        behavior = self.action
+        assert isinstance(behavior, Behavior)
+        cls = type(behavior)
+
+        def blocking(name: str) -> Callable[..., Any]:
+            method = getattr(cls, name)
+            if inspect.iscoroutinefunction(method):
+                return lambda *args, **options: bridge.call(
+                    method, behavior, *args, **options
+                )
+
+            async def call(*args: Any, **options: Any) -> Any:
+                return method(behavior, *args, **options)
+
+            return lambda *args, **options: bridge.call(call, *args, **options)
+
+        for name in _BOUND:
+            behavior.__dict__[name] = blocking(name)
+        register = behavior.__dict__["register"]
+        behavior.__dict__["register"] = lambda *args, **options: register(
+            *args, **options
+        ).blocking(bridge)
+
+    # Registrations.
+
+    def _grant(
+        self,
+        resource: str,
+        access: Access,
+        priority: int,
+        hold: float | None,
+        owned: list[Registration] | None = None,
+    ) -> Registration:
+        """Return a registration of its own: one that it has on these terms, or a new one.
+
+        Never one of another member with the same name, which is about to give its
+        place to this one and takes its registrations along.
+        """
+        terms = (resource, access, priority, hold)
+        for known in tuple(self.registrations):
+            if terms == (known.resource, known.access, known.priority, known.hold):
+                if known.usable:
+                    return known
+                self.registrations.remove(known)  # void: its resource was removed
+        registration = self._supervisor.resources.grant(
+            self.name,
+            resource,
+            access,
+            priority=priority,
+            hold=hold,
+            instead_of=self.name,
+        )
+        (self.registrations if owned is None else owned).append(registration)
+        return registration
+
+    def _grant_need(
+        self, need: Need, owned: list[Registration] | None = None
+    ) -> Registration:
+        return self._grant(
+            need.resource,
+            need.access,
+            need.priority if isinstance(need, Writes) else 0,
+            need.hold if isinstance(need, Writes) else None,
+            owned,
+        )
+
+    def _channel(self, resource: str) -> SensorChannel | ActuatorChannel:
+        supervisor = self._supervisor
+        channel = supervisor.sensors.channels.get(
+            resource
+        ) or supervisor.actuators.channels.get(resource)
+        if channel is None:
+            raise UnknownNameError("resource", resource, supervisor.resources.names())
+        return channel
+
+    def _port(
+        self, registration: Registration, max_age: float | None
+    ) -> SensorPort[Any] | ActuatorPort[Any]:
+        channel = self._channel(registration.resource)
+        configure = self._supervisor.resources.configure
+        if isinstance(channel, SensorChannel):
+            return SensorPort(channel, registration, max_age, configure)
+        return ActuatorPort(channel, registration, configure)
+
+    def _start_runner(
+        self,
+        runner: ReactionRunner,
+        reaction: Reaction,
+        perform: _Perform | None = None,
+    ) -> None:
+        inputs: dict[str, tuple[SensorChannel, Registration, float | None]] = {}
+        outputs: dict[str, tuple[ActuatorChannel, Registration]] = {}
+        missing = [
+            need.resource
+            for need in reaction.needs.values()
+            if need.resource not in self._supervisor.resources.names()
+        ]
+        if missing and runner is self.runner:
+            self._runs(False, f"{', '.join(missing)} was removed")
+            return
+        for attribute, need in reaction.needs.items():
+            registration = self._grant_need(need, perform.own if perform else None)
+            if perform is not None:
+                perform.uses.append(registration)
+            channel = self._channel(need.resource)
+            if isinstance(channel, SensorChannel):
+                inputs[attribute] = (channel, registration, _max_age(need))
+            else:
+                outputs[attribute] = (channel, registration)
+        runner.start(inputs, outputs)
+
+    def resource_changed(self, resource: str) -> None:
+        """Bind a reaction anew when one of its resources was added or removed."""
+        for perform in self.performs:
+            for registration in perform.uses:
+                if registration.reason is not None:
+                    perform.crash(registration.reason())
+        if not isinstance(self.action, Reaction) or not self.alive:
+            return
+        if self.state is BehaviorState.RESTARTING:
+            return  # it will be bound anew in any case
+        if all(need.resource != resource for need in self.action.needs.values()):
+            return
+        self.fence()
+        try:
+            self.start()
+        except Exception as error:
+            self._crashed(error)
+
+    def status(self) -> BehaviorStatus:
+        """Tell what it is doing."""
+        runner = self.runner
+        return BehaviorStatus(
+            self.name,
+            self.state,
+            self.can_receive,
+            self.can_send,
+            self._budget.restarts if self._budget is not None else 0,
+            self.error,
+            self.detail,
+            runner.steps if runner is not None else 0,
+            runner.late if runner is not None else 0,
+            self.senders.count,
+        )
+
+
+class _Perform:
+    """A reaction that a behavior performs as a step of its own."""
+
+    def __init__(self, reaction: Reaction, loop: asyncio.AbstractEventLoop) -> None:
+        self.needs = tuple(reaction.needs.values())
+        self.own: list[Registration] = []
+        """The registrations that end with it."""
+        self.uses: list[Registration] = []
+        self.ended: asyncio.Future[bool] = loop.create_future()
+
+    def end(self, result: bool) -> None:
+        if not self.ended.done():
+            self.ended.set_result(result)
+
+    def crash(self, error: BaseException) -> None:
+        if not self.ended.done():
+            self.ended.set_exception(_as_exception(error))
+            self.ended.exception()  # the behavior may be cancelled in this moment
+
+
+_ALIVE = frozenset(
+    {
+        BehaviorState.STARTING,
+        BehaviorState.RUNNING,
+        BehaviorState.PARKED,
+        BehaviorState.FINISHED,
+        BehaviorState.RESTARTING,
+    }
+)
+
+
+_ABSENCE = (DeviceLostError, ResourceRemovedError, UnknownNameError)
+
+
+def _check_seconds(component: str, field: str, value: object) -> None:
+    if type(value) not in {int, float} or not 0 < value <= sys.float_info.max:  # type: ignore[operator]
+        raise BadValueError(
+            component, field, f"expected seconds > 0, not {value!r:.80}"
+        )
+
+
+def _max_age(need: Need) -> float | None:
+    return need.max_age if isinstance(need, Reads) else None
+
+
+def _as_exception(error: BaseException) -> Exception:
+    """Make an error that is safe to raise in a task of somebody else."""
+    if isinstance(error, Exception):
+        return error
+    wrapped = RuntimeError(f"it raised {describe(error)}")
+    wrapped.__cause__ = error
+    return wrapped
+
+
+def _look_at(task: asyncio.Task[Any]) -> None:
+    if not task.cancelled():
+        task.exception()

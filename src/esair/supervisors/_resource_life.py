@@ -1,0 +1,290 @@
+"""The life of one resource: opened, lost, opened again, closed."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from esair.connections import (
+    ActuatorChannel,
+    SensorChannel,
+    is_drivers,
+    is_loss,
+    translate,
+)
+from esair.exceptions import (
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    describe,
+)
+from esair.loop import spawn
+from esair.messages import ResourceState, Restart
+from esair.resources import Resource
+from esair.resources._setting import settings_of
+from esair.supervisors._restart_budget import RestartBudget
+
+FIRST_DELAY = 0.1
+"""The pause before a lost device is tried again, in seconds; it doubles each time."""
+
+LAST_TRY = 0.5
+"""How long a stop tries to reach an actuator that is not there, in seconds."""
+
+MAX_DELAY = 5.0
+"""The longest pause between two tries, in seconds."""
+
+_log = logging.getLogger("esair")
+
+
+class ResourceLife:
+    """Owns one resource: its task opens it, waits for its loss, and opens it again."""
+
+    def __init__(
+        self,
+        resource: Resource,
+        channel: SensorChannel | ActuatorChannel,
+        restart: Restart,
+    ) -> None:
+        self.resource = resource
+        self.channel = channel
+        self.on_up: Callable[[str], None] = _ignore
+        """Called each time the device has become ready."""
+        self.losses = 0
+        self.faults = 0
+        self.tried: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        """Done when the device was tried for the first time."""
+        self.configuring = asyncio.Lock()
+        self._budget = RestartBudget(restart)
+        self._loop = asyncio.get_running_loop()
+        self._thread = threading.current_thread()
+        self._news: asyncio.Future[BaseException | None] | None = None
+        self._lost: BaseException | None = None
+        """A loss that was reported while the device was being opened."""
+        self._arrived = False
+        """Somebody said meanwhile that the device is there."""
+        self._faults_in_row = 0
+        self._successes = 0
+        self._is_open = False
+        self._over = False
+        self._task: asyncio.Task[None]
+        self._forget_bus: Callable[[], None] = _nothing
+
+    def start(self) -> None:
+        """Begin to open the device."""
+        self.resource._listener = self._told  # noqa: SLF001 - the resource's own supervisor
+        if self.resource.bus is not None:
+            self._forget_bus = self.resource.bus.on_lost(self._told)
+        self._task = spawn(self._loop, self._live(), name=f"{self.resource.name} life")
+
+    def on_error(self, error: Exception) -> None:
+        """Take note of an error that the connection met."""
+        if isinstance(error, DeviceLostError):
+            self._hear(error)
+            return
+        self.faults += 1
+        successes = self.channel.successes
+        if successes != self._successes:  # a call went well since the last fault
+            self._successes = successes
+            self._faults_in_row = 0
+        self._faults_in_row += 1
+        if self._faults_in_row >= self.resource.fault_limit:
+            self._hear(error)
+
+    async def last_try(self) -> None:
+        """Open a device that is not there once more, for its safe command alone."""
+        channel = self.channel
+        assert isinstance(channel, ActuatorChannel)
+        self._task.cancel()
+        await asyncio.wait({self._task}, timeout=LAST_TRY)
+        trying = spawn(
+            self._loop, self._try_to_open(), name=f"{self.resource.name} last try"
+        )
+        await asyncio.wait({trying}, timeout=LAST_TRY)
+        if not trying.done():
+            trying.cancel()
+            channel.not_told(DriverStuckError(self.resource.name, "open", LAST_TRY))
+        elif not trying.cancelled() and (error := trying.result()) is not None:
+            channel.not_told(error)
+
+    async def stop(self, timeout: float) -> None:
+        """Close the device, whatever it is doing."""
+        self._over = True
+        self._forget_bus()
+        self.resource._listener = None  # noqa: SLF001 - the resource's own supervisor
+        self._task.cancel()
+        await asyncio.wait({self._task}, timeout=timeout)
+        if not self.tried.done():
+            self.tried.cancel()
+        if self._is_open:
+            closing = spawn(
+                self._loop, self._close(), name=f"{self.resource.name} close"
+            )
+            stuck = self.channel.driver.is_stuck
+            await asyncio.wait({closing}, timeout=0.1 if stuck else timeout)
+            closing.cancel()
+        if not await self.channel.driver.end_lane(timeout=0.1):
+            _log.warning(
+                "%s: a driver call is stuck; its thread is left", self.resource.name
+            )
+
+    def _told(self, error: BaseException | None) -> None:
+        """Hear from a driver or a bus, on any thread."""
+        if threading.current_thread() is self._thread:
+            self._hear(error)
+        else:
+            self._loop.call_soon_threadsafe(self._hear, error)
+
+    def _hear(self, error: BaseException | None) -> None:
+        if self._news is None or self._news.done():
+            if error is None:
+                self._arrived = True
+            elif self.channel.state is not ResourceState.LOST:
+                self._lost = error
+            return
+        if (error is None) == (self.channel.state is ResourceState.READY):
+            return  # an arrival of what is there, or a loss of what is not
+        self._news.set_result(error)
+        if error is not None:
+            self._down(error)
+
+    async def _live(self) -> None:
+        delay = FIRST_DELAY
+        while True:
+            self.channel.state = ResourceState.OPENING
+            self._lost, self._arrived = None, False
+            error = await self._try_to_open() or self._lost
+            if self._over:  # its opening has ignored that it was cancelled
+                await self._close()
+                return
+            if error is None:
+                up_since = self._loop.time()
+                self._up()
+                self._first_try()
+                error = self._lost or await self._wait_for_news(None)
+                assert error is not None
+                if self._loop.time() - up_since >= MAX_DELAY:
+                    delay = FIRST_DELAY  # a flapping device is tried ever less often
+            self._down(error)
+            self._first_try(error)
+            await self._close()
+            if is_loss(error) or isinstance(error, TimeoutError):
+                pause: float | None = delay
+                delay = min(delay * 2, MAX_DELAY)
+            else:
+                pause = self._budget.spend(self._loop.time())
+            if pause is None:
+                self.channel.state = ResourceState.FAILED
+                _log.error(
+                    "%s: failed for good, %d restarts did not help: %s",
+                    self.resource.name,
+                    self._budget.policy.max,
+                    describe(error),
+                )
+                return
+            await self._wait_for_news(
+                min(pause, FIRST_DELAY) if self._arrived else pause
+            )
+
+    def _first_try(self, error: BaseException | None = None) -> None:
+        if not self.tried.done():
+            if error is None or not self.resource.required:
+                self.tried.set_result(None)
+            else:
+                self.tried.set_exception(translate(self.resource.name, error))
+
+    async def _wait_for_news(self, timeout: float | None) -> BaseException | None:
+        news: asyncio.Future[BaseException | None] = self._loop.create_future()
+        self._news = news
+        timer = None
+        if timeout is not None:
+            timer = self._loop.call_later(timeout, _arrive, news)
+        try:
+            return await news
+        finally:
+            self._news = None
+            if timer is not None:
+                timer.cancel()
+
+    async def _try_to_open(self) -> BaseException | None:
+        resource = self.resource
+        try:
+            if isinstance(self.channel, ActuatorChannel):
+                await self.channel.quiet()
+            if resource.bus is not None:
+                await self._in_time("open the bus", resource.bus.open())
+            self._is_open = True
+            await self._in_time("open", self.channel.driver.call("open")())
+            changes = {
+                name: value
+                for name, value in resource.settings.items()
+                if value != settings_of(type(resource))[name].default
+            }
+            if changes:
+                await self._in_time(
+                    "apply", self.channel.driver.call("apply")(**changes)
+                )
+            if isinstance(self.channel, ActuatorChannel):
+                await self.channel.open_safe()
+        except BaseException as error:
+            if not is_drivers(error):
+                raise
+            return error
+        return None
+
+    async def _in_time(self, call: str, work: Any) -> None:
+        limit = max(self.resource.deadline, 1.0)
+        try:
+            async with asyncio.timeout(limit):
+                await work
+        except DriverStuckError:
+            raise
+        except TimeoutError as error:
+            raise DriverStuckError(self.resource.name, call, limit) from error
+
+    def _up(self) -> None:
+        self._faults_in_row = 0
+        self.channel.up()
+        self.on_up(self.resource.name)
+        if self.losses:
+            _log.info("%s: back", self.resource.name)
+
+    def _down(self, error: BaseException) -> None:
+        if self.channel.state is ResourceState.LOST:
+            return
+        first = self.channel.error is None
+        cause = translate(self.resource.name, error)
+        if not isinstance(error, EsairError) and not isinstance(cause, DeviceLostError):
+            # Whatever it was: the device is closed now, and nobody can use it.
+            cause = DeviceLostError(self.resource.name, describe(error))
+            cause.__cause__ = error
+        self.channel.down(ResourceState.LOST, cause)
+        if first:
+            self.losses += 1
+            _log.warning("%s: lost: %s", self.resource.name, describe(error))
+
+    async def _close(self) -> None:
+        if not self._is_open:
+            return
+        try:
+            await self._in_time("close", self.channel.driver.call("close")())
+        except BaseException as error:
+            if not is_drivers(error):
+                raise  # the stop closes it again
+            _log.debug("%s: close: %s", self.resource.name, describe(error))
+        self._is_open = False
+
+
+def _ignore(_name: str) -> None:
+    """Tell nobody: the supervisor has not said whom."""
+
+
+def _nothing() -> None:
+    """Forget nothing: the resource is on no bus."""
+
+
+def _arrive(news: asyncio.Future[BaseException | None]) -> None:
+    if not news.done():
+        news.set_result(None)

@@ -1,0 +1,589 @@
+"""The resource supervisor (RS): deploys resources, registers who may use them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+from esair import abc
+from esair.connections import (
+    ActuatorChannel,
+    ActuatorConnection,
+    Registration,
+    Registrations,
+    SensorChannel,
+    SensorConnection,
+    Told,
+    is_drivers,
+    translate,
+)
+from esair.connections._command_check import check_declaration
+from esair.exceptions import (
+    AccessDeniedError,
+    ConfigError,
+    DeviceLostError,
+    EsairError,
+    NameTakenError,
+    ResourceRemovedError,
+    StoppingError,
+    UnknownNameError,
+    describe,
+)
+from esair.loop import spawn
+from esair.messages import (
+    Access,
+    Policy,
+    ResourceState,
+    ResourceStatus,
+    Restart,
+    SupervisorPhase,
+    Why,
+    check_name,
+)
+from esair.resources import Actuator, Resource, Sensor
+from esair.resources._resource import same_type
+from esair.resources._setting import check_settings
+from esair.supervisors._desk import Desk
+from esair.supervisors._resource_life import ResourceLife
+from esair.supervisors._rules import Declared, Rules
+
+if TYPE_CHECKING:
+    from esair.buses import Bus
+
+_log = logging.getLogger("esair")
+
+
+class ResourceSupervisor(abc.Supervisor):
+    """Deploys resources, adds and removes them at run time, and grants their use.
+
+    It is the only way to *configure* a resource (the control path). Data never
+    passes through it: that is what the connections are for.
+    """
+
+    def __init__(
+        self,
+        sensors: SensorConnection,
+        actuators: ActuatorConnection,
+        registrations: Registrations,
+        *,
+        policies: Iterable[Policy] = (),
+        declared: Declared = lambda _behavior, _resource: Access(0),
+        grace: float = 1.0,
+    ) -> None:
+        self._sensors = sensors
+        self._actuators = actuators
+        self._registrations = registrations
+        self.rules = Rules(policies, registrations, declared)
+        self._grace = grace
+        self._desk = Desk("resources")
+        self._lives: dict[str, ResourceLife] = {}
+        self._leaving: set[str] = set()
+        self.buses: list[Bus] = []
+        """Every bus that a resource of this robot is or was on."""
+        self.on_up: Callable[[str], None] = lambda _name: None
+        """Called when a device has become ready; the other supervisor sets it."""
+        self.on_change: Callable[[str], None] = lambda _name: None
+        """Called when a resource was added or removed; the other supervisor sets it."""
+
+    # What everybody may ask.
+
+    @property
+    def phase(self) -> SupervisorPhase:
+        """What the supervisor is doing."""
+        return self._desk.phase
+
+    def names(self) -> list[str]:
+        """Return the names of the resources."""
+        return list(self._lives)
+
+    def get(self, name: str) -> Resource:
+        """Return a resource by its name.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+        """
+        return self._life(name).resource
+
+    def query(self, name: str) -> ResourceStatus:
+        """Tell what a resource is doing. Answers at any time, without a wait.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+        """
+        life = self._life(name)
+        return ResourceStatus(
+            name,
+            life.channel.state,
+            life.channel.error,
+            life.losses,
+            life.faults,
+            tuple(
+                dict.fromkeys(r.behavior for r in self._registrations.of_resource(name))
+            ),
+            dict(life.resource.settings),
+        )
+
+    def why(self, name: str) -> Why:
+        """Tell who holds an actuator, by which rule, since when, what would free it.
+
+        Raises:
+            UnknownNameError: No actuator has the name.
+        """
+        return self._actuators.channel(name).why()
+
+    def is_ready(self, name: str) -> bool:
+        """Tell whether a resource is there, and its device is ready."""
+        life = self._lives.get(name)
+        return (
+            life is not None
+            and life.channel.state is ResourceState.READY
+            and name not in self._leaving
+        )
+
+    # What the user may do.
+
+    async def add(self, component: Resource) -> None:
+        """Deploy a resource while everything else keeps running.
+
+        Returns when the device was tried once. A device that is not there does not
+        matter: it is LOST, and comes when it comes, unless it is ``required``.
+
+        Raises:
+            ConfigError: It is declared wrongly.
+            NameTakenError: The name is in use.
+            DeviceLostError: It is required, and not there.
+            StoppingError: The robot is not running.
+        """
+
+        async def work() -> None:
+            self._refuse(self.mistakes([component]))
+            self._check_free(component.name)
+            self._deploy(component)
+            try:
+                await self._lives[component.name].tried
+            except BaseException:
+                await self._undeploy(component.name, ResourceState.REMOVED)
+                raise
+            self.on_change(component.name)
+
+        await self._desk.run(work, name=f"add {component.name}", undo=True)
+
+    async def remove(self, name: str) -> None:
+        """Take a resource away; nobody needs to agree.
+
+        An actuator is made safe first. Every registration for it becomes void in
+        one step, and whoever reads or waits gets `ResourceRemovedError` at once.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+            StoppingError: The robot is not running.
+        """
+
+        async def work() -> None:
+            self._life(name)
+            self._leaving.add(name)
+            for registration in self._registrations.of_resource(name):
+                self._registrations.revoke(
+                    registration, lambda: ResourceRemovedError(name)
+                )
+            await self._make_safe(name)
+            await self._undeploy(name, ResourceState.REMOVED)
+            self._leaving.discard(name)
+            self.on_change(name)
+
+        await self._desk.run(work, name=f"remove {name}", undo=False)
+
+    async def replace(self, name: str, component: Resource) -> None:
+        """Put another resource in the place of one, under the same name.
+
+        Registrations go on if the new one is of the same kind and type; the others
+        become void.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+            ConfigError: The new one is declared wrongly.
+            StoppingError: The robot is not running.
+        """
+
+        async def work() -> None:
+            old = self._life(name).resource
+            if isinstance(component, Resource):
+                component._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
+            self._refuse(self.mistakes([component]))
+            keep = _kind(old) is _kind(component) and same_type(
+                component.value_type, old.value_type
+            )
+            if not keep:
+                for registration in self._registrations.of_resource(name):
+                    self._registrations.revoke(
+                        registration, lambda: ResourceRemovedError(name)
+                    )
+            await self._make_safe(name)
+            life = self._lives[name]
+            channel = life.channel
+            if keep:
+                error = DeviceLostError(name, "it is being replaced")
+                channel.down(ResourceState.LOST, error)
+            else:
+                channel.removed()
+            await life.stop(self._grace)
+            if keep:
+                channel.attach(component)  # type: ignore[arg-type]
+                self._deploy(component, channel)
+            else:
+                self._forget(name, ResourceState.REMOVED)
+                self._deploy(component)
+            await self._lives[name].tried
+            self.on_change(name)
+
+        await self._desk.run(work, name=f"replace {name}", undo=False)
+
+    # What behaviors may ask for.
+
+    async def register(
+        self,
+        behavior: str | abc.Action,
+        resource: str,
+        access: Access,
+        *,
+        priority: int = 0,
+        hold: float | None = None,
+    ) -> Registration:
+        """Register a behavior to use a resource.
+
+        Asking again on the same terms gives the same registration.
+
+        Args:
+            behavior: Who asks.
+            resource: What for.
+            access: What it wants to do.
+            priority: With which priority it writes; higher wins.
+            hold: For how long its writes hold an actuator, in seconds.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+            AccessDeniedError: A rule denies it.
+            StoppingError: The robot is not running.
+        """
+        name = behavior if isinstance(behavior, str) else behavior.name
+        return self.grant(name, resource, access, priority=priority, hold=hold)
+
+    def grant(
+        self,
+        behavior: str,
+        resource: str,
+        access: Access,
+        *,
+        priority: int = 0,
+        hold: float | None = None,
+        instead_of: str | None = None,
+    ) -> Registration:
+        """Do what `register` does, in one step without an await."""
+        if self._desk.phase is SupervisorPhase.STOPPED:
+            raise StoppingError("resources", self._desk.phase.value)
+        check_name("behavior", behavior)
+        if resource not in self._lives:
+            raise UnknownNameError("resource", resource, self._lives)
+        if resource in self._leaving:
+            raise ResourceRemovedError(resource)
+        _check_terms(behavior, resource, access, priority, hold)
+        self.rules.check(
+            behavior,
+            resource,
+            access,
+            priority,
+            is_actuator=resource in self._actuators.channels,
+            instead_of=instead_of,
+        )
+        known = None
+        if instead_of is None:
+            known = self._registrations.find(behavior, resource, access, priority, hold)
+        return known or self._registrations.issue(
+            behavior, resource, access, priority=priority, hold=hold
+        )
+
+    def revoke(
+        self, registration: Registration, reason: Callable[[], EsairError] | None = None
+    ) -> None:
+        """Make a registration void in one step; its actuator is made safe."""
+        if self._registrations.revoke(registration, reason):
+            life = self._lives.get(registration.resource)
+            if life is not None:
+                life.channel.drop(registration)
+
+    async def configure(self, registration: Registration, /, **settings: Any) -> None:
+        """Change settings of a resource: all of them, or none.
+
+        Args:
+            registration: A registration with the CONFIGURE right.
+            **settings: New values by name.
+
+        Raises:
+            NotRegisteredError: The registration is not valid.
+            AccessDeniedError: It does not include CONFIGURE.
+            BadValueError: A setting is unknown or a value is not allowed; every
+                mistake is named, nothing was changed.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device did not take it; it was put back.
+        """
+        life = self._configurable(registration)
+        check_settings(life.resource, settings)
+        task = spawn(
+            asyncio.get_running_loop(),
+            self._configure(registration, settings),
+            name=f"configure {registration.resource}",
+        )
+        task.add_done_callback(lambda done: done.cancelled() or done.exception())
+        await asyncio.shield(task)
+
+    def _configurable(self, registration: Registration) -> ResourceLife:
+        if self._registrations.live.get(registration.number) is not registration:
+            raise self._registrations.refusal(registration)
+        if Access.CONFIGURE not in registration.access:
+            raise AccessDeniedError(
+                registration.behavior,
+                registration.resource,
+                str(Access.CONFIGURE),
+                f"it is registered to {registration.access} only",
+            )
+        life = self._life(registration.resource)
+        if life.channel.state is not ResourceState.READY:
+            raise life.channel.error or DeviceLostError(registration.resource)
+        return life
+
+    async def _configure(
+        self, registration: Registration, settings: dict[str, Any]
+    ) -> None:
+        life = self._life(registration.resource)
+        async with life.configuring:
+            life = self._configurable(registration)
+            resource = life.resource
+            changes = check_settings(resource, settings)
+            before = {name: resource.settings[name] for name in changes}
+            apply = life.channel.driver.call("apply")
+            try:
+                async with asyncio.timeout(max(resource.deadline, 1.0)):
+                    await apply(**changes)
+            except BaseException as error:
+                if not is_drivers(error):
+                    raise
+                try:
+                    async with asyncio.timeout(max(resource.deadline, 1.0)):
+                        await apply(**before)
+                except BaseException as second:
+                    if not is_drivers(second):
+                        raise
+                    # Nobody knows its settings now: close it and begin anew.
+                    life.on_error(
+                        DeviceLostError(
+                            resource.name,
+                            f"its settings are unknown: {describe(second)}",
+                        )
+                    )
+                raise translate(resource.name, error) from error
+            for name, value in changes.items():
+                setattr(resource, name, value)
+            life.channel.configured()
+
+    # What the robot does at its start and stop.
+
+    def mistakes(self, resources: Iterable[Resource]) -> list[EsairError]:
+        """Return everything that is wrong with resources, before any is opened."""
+        found: list[EsairError] = []
+        for resource in resources:
+            if not isinstance(resource, Sensor | Actuator):
+                found.append(
+                    ConfigError(
+                        repr(resource), "", "expected an esair.Sensor or esair.Actuator"
+                    )
+                )
+                continue
+            try:
+                name = resource.name
+                for field in ("deadline",):
+                    value = getattr(resource, field)
+                    if type(value) not in {int, float} or not 0 < value < float("inf"):
+                        found.append(
+                            ConfigError(
+                                name, field, f"expected seconds > 0, not {value!r}"
+                            )
+                        )
+            except EsairError as error:
+                found.append(error)
+                continue
+            if isinstance(resource, Actuator):
+                found.extend(check_declaration(resource))
+                if type(resource).write is Actuator.write:
+                    found.append(
+                        ConfigError(
+                            name, "write", "an actuator must have a write method"
+                        )
+                    )
+            elif not (resource.can_be_asked or resource.pushes):
+                found.append(
+                    ConfigError(
+                        name, "read", "a sensor must have a read or stream method"
+                    )
+                )
+        return found
+
+    async def start(self, resources: Iterable[Resource]) -> None:
+        """Deploy the configuration list; returns when each device was tried once.
+
+        Raises:
+            ExceptionGroup: Devices that are required are not there.
+        """
+        for resource in resources:
+            self._deploy(resource)
+        errors: list[Exception] = []
+        for life in tuple(self._lives.values()):
+            try:
+                await life.tried
+            except Exception as error:
+                errors.append(error)
+        if errors:
+            raise ExceptionGroup("required devices are not there", errors)
+        self._desk.initialized()
+
+    def latch(self) -> None:
+        """Let nothing but safe commands leave from now on, and revoke all rights."""
+        for registration in self._registrations:
+            self._registrations.revoke(
+                registration, lambda: StoppingError("robot", "stopping")
+            )
+        for channel in self._actuators.channels.values():
+            channel.latch()
+
+    def resumed(self, slept: float) -> None:
+        """The computer slept: no reading is current, and nothing moves as before.
+
+        Args:
+            slept: For how long, in seconds.
+        """
+        for sensor in self._sensors.channels.values():
+            sensor.forget_age()
+        for actuator in self._actuators.channels.values():
+            if actuator.state is ResourceState.READY:
+                actuator.make_safe()
+
+    async def make_safe(self) -> list[Told]:
+        """Make every actuator safe, all at the same time.
+
+        Returns:
+            What each actuator was told, and whether it answered.
+        """
+        await asyncio.gather(
+            *(self._make_safe(name) for name in self._actuators.channels)
+        )
+        return [channel.told() for channel in self._actuators.channels.values()]
+
+    async def stop(self) -> None:
+        """Close every device, all at the same time; each has a deadline."""
+        await self._desk.close()
+        await asyncio.gather(
+            *(self._undeploy(name, ResourceState.CLOSED) for name in tuple(self._lives))
+        )
+
+    # Inside.
+
+    def _life(self, name: str) -> ResourceLife:
+        life = self._lives.get(name)
+        if life is None:
+            raise UnknownNameError("resource", name, self._lives)
+        return life
+
+    def _check_free(self, name: str) -> None:
+        if name in self._lives:
+            raise NameTakenError("resource", name)
+
+    @staticmethod
+    def _refuse(mistakes: list[EsairError]) -> None:
+        if len(mistakes) == 1:
+            raise mistakes[0]
+        if mistakes:
+            raise ExceptionGroup("the resource is described wrongly", mistakes)
+
+    def _deploy(
+        self, resource: Resource, channel: SensorChannel | ActuatorChannel | None = None
+    ) -> None:
+        loop = asyncio.get_running_loop()
+        restart = getattr(resource, "restart", None)
+
+        def on_error(error: Exception) -> None:
+            current = self._lives.get(resource.name)
+            if current is not None:
+                current.on_error(error)
+
+        if resource.bus is not None and resource.bus not in self.buses:
+            self.buses.append(resource.bus)
+        if channel is None:
+            if isinstance(resource, Actuator):
+                channel = ActuatorChannel(resource, self._registrations, loop, on_error)
+                self._actuators.channels[resource.name] = channel
+            else:
+                assert isinstance(resource, Sensor)
+                channel = SensorChannel(resource, self._registrations, loop, on_error)
+                self._sensors.channels[resource.name] = channel
+        life = ResourceLife(
+            resource, channel, restart if isinstance(restart, Restart) else Restart()
+        )
+        life.on_up = lambda name: self.on_up(name)
+        self._lives[resource.name] = life
+        life.start()
+
+    async def _make_safe(self, name: str) -> None:
+        channel = self._actuators.channels.get(name)
+        if channel is None:
+            return
+        if channel.state is not ResourceState.READY:
+            await self._lives[name].last_try()
+            return
+        if channel.is_safe and channel.holder is None:
+            return
+        channel.make_safe()
+        await channel.safe_now()
+
+    async def _undeploy(self, name: str, state: ResourceState) -> None:
+        life = self._lives[name]
+        if state is ResourceState.REMOVED:
+            life.channel.removed()
+        else:
+            life.channel.down(state, StoppingError(name, "closed"))
+        await life.stop(self._grace)
+        if isinstance(life.channel, ActuatorChannel):
+            life.channel.closed()
+        self._forget(name, state)
+
+    def _forget(self, name: str, state: ResourceState) -> None:
+        life = self._lives.pop(name)
+        life.channel.state = state
+        if state is ResourceState.REMOVED:
+            self._sensors.channels.pop(name, None)
+            self._actuators.channels.pop(name, None)
+
+
+def _kind(resource: Resource) -> type:
+    return Actuator if isinstance(resource, Actuator) else Sensor
+
+
+def _check_terms(
+    behavior: str, resource: str, access: Access, priority: int, hold: float | None
+) -> None:
+    if not isinstance(access, Access):
+        raise ConfigError(
+            behavior, resource, f"expected an esair.Access, not {access!r:.80}"
+        )
+    if type(priority) is not int:
+        raise ConfigError(
+            behavior,
+            f"{resource}.priority",
+            f"expected a whole number, not {priority!r:.80}",
+        )
+    if hold is not None and (
+        type(hold) not in {int, float} or not 0 < hold < float("inf")
+    ):
+        raise ConfigError(
+            behavior, f"{resource}.hold", f"expected seconds > 0, not {hold!r:.80}"
+        )

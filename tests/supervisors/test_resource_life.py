@@ -1,0 +1,339 @@
+"""The life of a resource: opened, lost, opened again, closed."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+import threading
+from typing import Any
+
+import pytest
+
+import esair
+from esair import ResourceState
+
+pytestmark = pytest.mark.virtual_clock
+
+
+def reader() -> Any:
+    return esair.Behavior(name="user", reads={"sonar": esair.reads(float)})
+
+
+@pytest.mark.promise("RES-2")
+@pytest.mark.fault("D01", "D03")
+async def test_a_lost_device_is_told_at_once_and_comes_back(
+    fake_sensor: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One log line down, one line up; its registrations go on."""
+    caplog.set_level(logging.INFO, "esair")
+    sonar, user = fake_sensor("sonar", 1.0), reader()
+
+    async with esair.Robot(resources=[sonar], behaviors=[user]) as robot:
+        assert await user.sonar.read() == 1.0
+        right = user.sonar.registration
+        sonar.unplug()
+        assert robot.resources.query("sonar").state is ResourceState.LOST
+        with pytest.raises(esair.DeviceLostError):
+            await user.sonar.read()
+        await asyncio.sleep(20.0)
+        sonar.plug()
+        await asyncio.sleep(0.2)
+        assert await user.sonar.read() == 1.0
+        assert user.sonar.registration is right
+        status = robot.resources.query("sonar")
+        assert (status.state, status.losses, status.error) == (
+            ResourceState.READY,
+            1,
+            None,
+        )
+
+    lines = [
+        r.getMessage() for r in caplog.records if r.getMessage().startswith("sonar")
+    ]
+    assert len(lines) == 2
+    assert "lost" in lines[0]
+    assert "back" in lines[1]
+
+
+@pytest.mark.promise("RES-2")
+async def test_a_device_that_is_not_there_at_the_start_comes_when_it_comes(
+    fake_sensor: Any,
+) -> None:
+    """The robot starts; the device is LOST, and opened when it is plugged in."""
+    sonar = fake_sensor("sonar", 1.0)
+    sonar.unplug()
+
+    async with esair.Robot(resources=[sonar]) as robot:
+        assert robot.resources.query("sonar").state is ResourceState.LOST
+        await asyncio.sleep(5.0)
+        sonar.plug()
+        await asyncio.sleep(0.15)
+        assert robot.resources.query("sonar").state is ResourceState.READY
+
+
+@pytest.mark.promise("RES-2")
+@pytest.mark.fault("G06")
+async def test_a_required_device_that_is_not_there_refuses_the_start(
+    fake_sensor: Any, fake_actuator: Any
+) -> None:
+    """The error names it, and everything that was opened is closed, and safe."""
+    sonar = fake_sensor("sonar", 1.0, required=True)
+    wheels = fake_actuator("wheels", safe=0.0)
+    sonar.unplug()
+
+    with pytest.raises(ExceptionGroup) as caught:
+        async with esair.Robot(resources=[wheels, sonar]):
+            pytest.fail("it started")
+
+    assert [type(e) for e in caught.value.exceptions] == [esair.DeviceLostError]
+    assert not wheels.is_open
+    assert wheels.commands == [0.0]
+
+
+@pytest.mark.promise("RES-2")
+async def test_lost_devices_are_tried_with_growing_delay() -> None:
+    """0.1, 0.2, 0.4, ... 5 s between the tries."""
+    tries: list[float] = []
+
+    class Sonar(esair.Sensor[float]):
+        async def open(self) -> None:
+            tries.append(asyncio.get_running_loop().time())
+            raise ConnectionError("nobody there")
+
+        async def read(self) -> float:
+            return 1.0
+
+    async with esair.Robot(resources=[Sonar()]):
+        await asyncio.sleep(20.0)
+
+    pauses = [round(b - a, 3) for a, b in itertools.pairwise(tries)]
+    assert pauses == [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0]
+
+
+@pytest.mark.promise("RES-2")
+@pytest.mark.fault("D04", "R13")
+async def test_it_comes_back_disarmed_with_its_last_settings() -> None:
+    """Settings first, then the safe command; the old set-point is not sent."""
+    log: list[object] = []
+
+    class Arm(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = 10.0
+        gain = esair.setting(1, min=0)
+
+        async def open(self) -> None:
+            log.append("open")
+
+        async def close(self) -> None:
+            log.append("close")
+
+        async def apply(self, **changes: Any) -> None:
+            log.append(changes)
+
+        async def write(self, command: float) -> None:
+            log.append(command)
+
+    arm = Arm(gain=2)
+    user = esair.Behavior(
+        name="user", writes={"arm": esair.writes(float, configure=True)}
+    )
+    async with esair.Robot(resources=[arm], behaviors=[user]) as robot:
+        await user.arm.configure(gain=3)  # type: ignore[attr-defined]
+        await user.arm.write(1.0)  # type: ignore[attr-defined]
+        arm.report_lost(ConnectionError("cable"))
+        await asyncio.sleep(1.0)
+        assert robot.resources.why("arm").holder is None
+        assert log == [
+            "open", {"gain": 2}, 0.0, {"gain": 3}, 1.0,
+            "close", "open", {"gain": 3}, 0.0,
+        ]  # fmt: skip
+
+
+@pytest.mark.fault("D03")
+async def test_a_loss_reported_while_it_is_opened_is_not_forgotten() -> None:
+    """A device that goes away during its opening is not READY for ever."""
+
+    class Sonar(esair.Sensor[float]):
+        opened = 0
+
+        async def open(self) -> None:
+            self.opened += 1
+            if self.opened == 1:
+                self.report_lost()
+
+        async def read(self) -> float:
+            return 1.0
+
+    sonar = Sonar()
+    async with esair.Robot(resources=[sonar]) as robot:
+        assert robot.resources.query("sonar").state is ResourceState.LOST
+        await asyncio.sleep(0.2)
+        assert sonar.opened == 2
+        assert robot.resources.query("sonar").state is ResourceState.READY
+
+
+@pytest.mark.promise("RES-2")
+@pytest.mark.fault("D19")
+async def test_an_arrival_reported_while_it_is_closed_is_not_forgotten() -> None:
+    """It is opened again soon after, though the delay would be long; never before."""
+    log: list[tuple[str, float]] = []
+
+    class Sonar(esair.Sensor[float]):
+        gone = True
+
+        def note(self, what: str) -> None:
+            log.append((what, asyncio.get_running_loop().time()))
+
+        async def open(self) -> None:
+            self.note("open")
+            if self.gone:
+                raise ConnectionError("not there")
+
+        async def close(self) -> None:
+            await asyncio.sleep(0.5)
+            self.note("closed")
+
+        async def read(self) -> float:
+            return 1.0
+
+    sonar = Sonar()
+    async with esair.Robot(resources=[sonar]) as robot:
+        await asyncio.sleep(16.0)  # the delay is 5 s by now
+        last = [time for what, time in log if what == "open"][-1]
+        await asyncio.sleep(last + 5.7 - asyncio.get_running_loop().time() - 0.5)
+        sonar.gone = False
+        sonar.report_arrived()
+        await asyncio.sleep(0.8)
+        assert robot.resources.query("sonar").state is ResourceState.READY
+    whats = [what for what, _ in log]
+    assert all(a != b for a, b in itertools.pairwise(whats))
+
+
+@pytest.mark.promise("RES-2")
+async def test_out_and_in_within_one_moment(fake_sensor: Any) -> None:
+    """A wiggle of the cable closes and opens it once."""
+    sonar = fake_sensor("sonar", 1.0)
+
+    async with esair.Robot(resources=[sonar]) as robot:
+        sonar.unplug()
+        sonar.plug()
+        sonar.plug()
+        await asyncio.sleep(0.2)
+        assert robot.resources.query("sonar").state is ResourceState.READY
+        assert sonar.opened == 2
+        sonar.plug()  # an arrival of what is there is no news
+        await asyncio.sleep(0.2)
+        assert sonar.opened == 2
+
+
+@pytest.mark.fault("D21", "D18")
+async def test_an_opening_that_hangs_is_given_up(fake_sensor: Any) -> None:
+    """The device counts as lost with a DriverStuckError, and is tried again."""
+
+    class Sonar(esair.Sensor[float]):
+        opened = 0
+
+        async def open(self) -> None:
+            self.opened += 1
+            if self.opened == 1:
+                await asyncio.sleep(1000)
+
+        async def read(self) -> float:
+            return 1.0
+
+    async with esair.Robot(resources=[Sonar()]) as robot:
+        status = robot.resources.query("sonar")
+        assert status.state is ResourceState.LOST
+        assert isinstance(status.error, esair.DriverStuckError)
+        await asyncio.sleep(0.2)
+        assert robot.resources.query("sonar").state is ResourceState.READY
+
+
+@pytest.mark.fault("D18")
+async def test_a_close_that_hangs_does_not_hold_the_stop_up() -> None:
+    """The robot stops in time."""
+
+    class Sonar(esair.Sensor[float]):
+        async def close(self) -> None:
+            await asyncio.sleep(1000)
+
+        async def read(self) -> float:
+            return 1.0
+
+    loop = asyncio.get_running_loop()
+    async with esair.Robot(resources=[Sonar()]):
+        began = loop.time()
+    assert loop.time() - began <= 1.2
+
+
+@pytest.mark.fault("B10")
+async def test_an_opening_that_ignores_its_cancellation_is_left_behind() -> None:
+    """The removal returns, and what opens late never becomes READY."""
+    go = asyncio.Event()
+
+    class Sonar(esair.Sensor[float]):
+        async def open(self) -> None:
+            while not go.is_set():
+                try:
+                    await go.wait()
+                except asyncio.CancelledError:
+                    continue
+
+        async def read(self) -> float:
+            return 1.0
+
+    loop = asyncio.get_running_loop()
+    robot = esair.Robot(resources=[])
+    async with robot:
+        adding = asyncio.create_task(robot.resources.add(Sonar()))
+        await asyncio.sleep(0.01)
+        channel = robot.sensors.channels["sonar"]
+        began = loop.time()
+        adding.cancel()
+        await asyncio.wait({adding})
+        assert loop.time() - began <= 3.5
+        assert robot.resources.names() == []
+        go.set()
+        await asyncio.sleep(1.0)
+        assert channel.state is ResourceState.REMOVED
+
+
+@pytest.mark.promise("ROB-3")
+@pytest.mark.real_clock
+@pytest.mark.fault("D21", "D22", "O16")
+async def test_a_stuck_thread_does_not_delay_the_stop(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """It is left behind; when its call returns the safe command comes after it."""
+    go, log = threading.Event(), []
+
+    class Arm(esair.Actuator[float]):
+        safe = 0.0
+
+        def write(self, command: float) -> None:
+            if command:
+                go.wait(10.0)
+            log.append(command)
+
+    user = esair.Behavior(name="user", writes={"arm": esair.writes(float)})
+    loop = asyncio.get_running_loop()
+    robot = esair.Robot(resources=[Arm()], behaviors=[user])
+    async with robot:
+        writing = asyncio.create_task(user.arm.write(1.0))  # type: ignore[attr-defined]
+        await asyncio.sleep(0.05)
+        began = loop.time()
+    took = loop.time() - began
+    go.set()
+    writing.cancel()
+    await asyncio.wait({writing})
+    for _ in range(200):
+        if len(log) >= 3:
+            break
+        await asyncio.sleep(0.005)
+
+    assert took < 2.0
+    assert not robot.stopped[0].answered
+    assert log[:3] == [0.0, 1.0, 0.0]
+    assert log[-1] == 0.0
+    assert any("stuck" in record.getMessage() for record in caplog.records)
