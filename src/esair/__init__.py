@@ -1,0 +1,110 @@
+"""esair: robot software that must not hurt anyone, lose data or stop by itself.
+
+A robot is made of sensors and actuators (its *resources*) and of behaviors and
+reactions (its *actions*). Subclass those, hand them to a `Robot`, and `run` it::
+
+    class Avoid(esair.Reaction):
+        sonar = esair.reads(float, max_age=0.5)
+        wheels = esair.writes(Twist, priority=10)
+
+        def react(self, sonar: float) -> Twist | None:
+            return Twist(0.0, 1.2) if sonar < 0.4 else None
+
+    esair.run(esair.Robot(resources=[Sonar(), Wheels()], behaviors=[Avoid()]))
+"""
+
+from esair.abc import Action, Connection, Supervisor
+from esair.actions import Behavior, Reaction, reads, writes
+from esair.connections import ActuatorConnection, Registration, SensorConnection
+from esair.exceptions import (
+    AccessDeniedError,
+    BadValueError,
+    BehaviorFailedError,
+    BehaviorRemovedError,
+    BehaviorUnavailableError,
+    BusyError,
+    CircularRequestError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    NameTakenError,
+    NotRegisteredError,
+    ResourceRemovedError,
+    StaleReadingError,
+    StoppingError,
+    UnknownNameError,
+)
+from esair.loop import every
+from esair.messages import (
+    Access,
+    BehaviorState,
+    BehaviorStatus,
+    Policy,
+    Reading,
+    Refused,
+    ResourceState,
+    ResourceStatus,
+    Restart,
+    SupervisorPhase,
+    Why,
+    Written,
+)
+from esair.resources import Actuator, Resource, Sensor, setting
+from esair.standard import Robot, run
+from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Access",
+    "AccessDeniedError",
+    "Action",
+    "Actuator",
+    "ActuatorConnection",
+    "BadValueError",
+    "Behavior",
+    "BehaviorFailedError",
+    "BehaviorRemovedError",
+    "BehaviorState",
+    "BehaviorStatus",
+    "BehaviorSupervisor",
+    "BehaviorUnavailableError",
+    "BusyError",
+    "CircularRequestError",
+    "ConfigError",
+    "Connection",
+    "DeviceFaultError",
+    "DeviceLostError",
+    "DriverStuckError",
+    "EsairError",
+    "NameTakenError",
+    "NotRegisteredError",
+    "Policy",
+    "Reaction",
+    "Reading",
+    "Refused",
+    "Registration",
+    "Resource",
+    "ResourceRemovedError",
+    "ResourceState",
+    "ResourceStatus",
+    "ResourceSupervisor",
+    "Restart",
+    "Robot",
+    "Sensor",
+    "SensorConnection",
+    "StaleReadingError",
+    "StoppingError",
+    "Supervisor",
+    "SupervisorPhase",
+    "UnknownNameError",
+    "Why",
+    "Written",
+    "every",
+    "reads",
+    "run",
+    "setting",
+    "writes",
+]
