@@ -1,0 +1,127 @@
+"""The virtual clock: an event loop whose time jumps instead of passing."""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import math
+import random
+from collections.abc import Callable
+from typing import Any
+
+STEP_BUDGET = 200_000
+"""How many turns of the loop may pass without any time passing."""
+
+
+class DeadlockError(RuntimeError):
+    """Every task waits, and nothing can ever wake one."""
+
+
+class LivelockError(RuntimeError):
+    """Tasks keep each other busy and time never passes."""
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """An event loop that jumps to the next timer when there is nothing to do.
+
+    An hour of a robot's life takes seconds, and the same seed gives the same order
+    of tasks. It waits in real time while a worker thread of esair computes, because
+    time must not jump ahead of a thread.
+
+    Args:
+        seed: Shuffles the order of tasks that are ready at the same time; None or 0
+            keeps the order in which they became ready.
+        start: What the clock shows at first, in seconds.
+
+    Raises:
+        DeadlockError: Every task waits and nothing can wake one.
+        LivelockError: Time does not pass for very many turns.
+    """
+
+    virtual = True
+
+    def __init__(self, *, seed: int | None = None, start: float = 0.0) -> None:
+        self.threads_in_flight = 0
+        self.suspended = 0.0
+        self._now = start
+        self._random = random.Random(seed) if seed else None
+        self._turns = 0
+        super().__init__()
+
+    def time(self) -> float:
+        """Return the virtual time, in seconds."""
+        return self._now
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass at once, as if the computer had been busy for so long."""
+        self._now += seconds
+
+    def suspend(self, seconds: float) -> None:
+        """Sleep as a computer does whose lid is closed: the clock stands still."""
+        self.suspended += seconds
+
+    def run_in_executor(  # type: ignore[override]
+        self, executor: Any, func: Callable[..., Any], *args: Any
+    ) -> asyncio.Future[Any]:
+        """Run a function in a thread; time stands still meanwhile."""
+        future = super().run_in_executor(executor, func, *args)
+        self.threads_in_flight += 1
+        future.add_done_callback(self._landed)
+        return future
+
+    async def shutdown_default_executor(self, *args: Any, **options: Any) -> None:
+        """End the threads of `run_in_executor`."""
+        self.threads_in_flight += 1
+        try:
+            await super().shutdown_default_executor(*args, **options)
+        finally:
+            self.threads_in_flight -= 1
+
+    def _landed(self, _future: object) -> None:
+        self.threads_in_flight -= 1
+
+    def _run_once(self) -> None:
+        ready, scheduled = self._ready, self._scheduled  # type: ignore[attr-defined]
+        self._turns += 1
+        if ready:
+            if self._random is not None and len(ready) > 1:
+                self._shuffle(ready)
+        elif not self.threads_in_flight and not self._stopping:  # type: ignore[attr-defined]
+            while scheduled and scheduled[0]._cancelled:
+                heapq.heappop(scheduled)._scheduled = False
+                self._timer_cancelled_count = max(0, self._timer_cancelled_count - 1)  # type: ignore[has-type]
+            if scheduled:
+                if scheduled[0]._when > self._now:
+                    self._now = scheduled[0]._when
+                    # Late in a long life the clock is coarser than what asyncio adds.
+                    self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
+                    self._turns = 0
+            elif self._watches_nothing():
+                raise DeadlockError(f"every task waits:\n{self._tasks()}")
+        if self._turns > STEP_BUDGET:
+            self._turns = 0
+            raise LivelockError(f"time does not pass:\n{self._tasks()}")
+        super()._run_once()  # type: ignore[misc]
+
+    def _watches_nothing(self) -> bool:
+        own = self._ssock.fileno()  # type: ignore[attr-defined]
+        return all(key.fd == own for key in self._selector.get_map().values())  # type: ignore[attr-defined]
+
+    def _shuffle(self, ready: Any) -> None:
+        """Shuffle the steps of tasks among their places; callbacks keep theirs."""
+        assert self._random is not None
+        places = [
+            place
+            for place, handle in enumerate(ready)
+            if isinstance(getattr(handle._callback, "__self__", None), asyncio.Task)
+        ]
+        if len(places) < 2:
+            return
+        handles = [ready[place] for place in places]
+        self._random.shuffle(handles)
+        for place, handle in zip(places, handles, strict=True):
+            ready[place] = handle
+
+    def _tasks(self) -> str:
+        tasks = sorted(asyncio.all_tasks(self), key=lambda task: task.get_name())
+        return "\n".join(f"  {task!r}" for task in tasks) or "  (no tasks)"

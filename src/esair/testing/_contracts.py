@@ -1,0 +1,225 @@
+"""Contract suites: what every driver must do, to be run on yours.
+
+Subclass a suite in a test module, and say how the device is made::
+
+    class TestSonar(SensorContract):
+        def make(self):
+            return Sonar(bus=FakeSerial(...))
+
+The tests run on the virtual clock; mark the class ``real_clock`` for a device that
+is real.
+"""
+
+from __future__ import annotations
+
+import abc
+import asyncio
+import inspect
+from typing import Any, ClassVar
+
+import pytest
+
+from esair.connections import translate
+from esair.connections._command_check import CommandCheck, check_declaration
+from esair.connections._driver import Driver
+from esair.exceptions import DeviceLostError
+from esair.resources import Actuator, Resource, Sensor
+from esair.resources._resource import checked_class
+from esair.resources._setting import settings_of
+
+PATIENCE = 5.0
+"""How long a suite waits for a device that has to give a value, in seconds."""
+
+
+class ResourceContract(abc.ABC):
+    """What sensors and actuators have in common."""
+
+    pytestmark: ClassVar[list[Any]] = [
+        pytest.mark.asyncio,
+        pytest.mark.virtual_clock,
+    ]
+
+    @abc.abstractmethod
+    def make(self) -> Resource:
+        """Make a device that is there, closed; a new one for each test."""
+
+    async def unplug(self, device: Any) -> None:
+        """Take the device away, as a cable that is pulled; skips unless overridden."""
+        unplug = getattr(device, "unplug", None)
+        if unplug is None:
+            pytest.skip("override unplug() to test the loss of the device")
+        result = unplug()
+        if inspect.isawaitable(result):
+            await result
+
+    async def use(self, driver: Driver) -> Any:
+        """Use the open device once."""
+        raise NotImplementedError
+
+    async def test_it_opens_and_closes_again_and_again(self) -> None:
+        """A device is opened after each loss, by the same object."""
+        async with _Session(self.make()) as session:
+            for _ in range(3):
+                await session.open()
+                await self.use(session.driver)
+                await session.close()
+
+    async def test_it_can_be_closed_twice(self) -> None:
+        """A close that follows another one, or no opening at all, does no harm."""
+        async with _Session(self.make()) as session:
+            await session.close()
+            await session.open()
+            await session.close()
+            await session.close()
+
+    async def test_its_settings_go_there_and_back(self) -> None:
+        """Each setting is accepted with its default, and with its limits."""
+        device = self.make()
+        async with _Session(device) as session:
+            await session.open()
+            before = dict(device.settings)
+            for name, described in settings_of(type(device)).items():
+                values = [described.min, described.max, *(described.choices or ())]
+                for value in [*values, described.default]:
+                    if value is not None:
+                        checked = described.check(device.name, described.type(value))
+                        await session.call("apply", **{name: checked})
+                        now = dict(device.settings)
+                        assert now == before, "apply must not set attributes"
+            await session.call("apply", **before)
+            await self.use(session.driver)
+
+    async def test_it_says_when_it_is_gone(self) -> None:
+        """Using a device that was unplugged raises a kind of ConnectionError."""
+        device = self.make()
+        async with _Session(device) as session:
+            await session.open()
+            await self.unplug(device)
+            with pytest.raises(Exception) as caught:  # noqa: PT011 - looked at below
+                await self.use(session.driver)
+            error = translate(device.name, caught.value)
+            assert isinstance(error, DeviceLostError), (
+                f"expected a ConnectionError, it raised {caught.value!r}"
+            )
+
+    async def test_its_calls_end_within_its_deadline(self) -> None:
+        """A use of the device takes no longer than the device itself says."""
+        device = self.make()
+        async with _Session(device) as session:
+            await session.open()
+            async with asyncio.timeout(device.deadline):
+                await self.use(session.driver)
+
+
+class SensorContract(ResourceContract):
+    """What every sensor must do."""
+
+    @abc.abstractmethod
+    def make(self) -> Sensor[Any]:
+        """Make a sensor that is there, closed; a new one for each test."""
+
+    async def use(self, driver: Driver) -> Any:
+        """Take one value from the open sensor."""
+        sensor = driver.resource
+        assert isinstance(sensor, Sensor)
+        if sensor.can_be_asked:
+            return await driver.call("read")()
+        stream: Any = sensor.stream()
+        async with asyncio.timeout(PATIENCE):
+            if hasattr(stream, "__anext__"):
+                try:
+                    return await anext(stream)
+                finally:
+                    await stream.aclose()
+            return await driver.lane.call(next, iter(stream), timeout=PATIENCE)
+
+    async def test_it_gives_values_of_its_type(self) -> None:
+        """Three values in a row are what the class says that they are."""
+        sensor = self.make()
+        async with _Session(sensor) as session:
+            await session.open()
+            wanted = checked_class(sensor.value_type)
+            for _ in range(3):
+                value = await self.use(session.driver)
+                if wanted is float:
+                    assert type(value) in {float, int}
+                elif wanted is not None:
+                    assert isinstance(value, wanted)
+
+    async def test_it_can_be_read_or_pushes(self) -> None:
+        """A sensor has a ``read``, a ``stream``, or both."""
+        sensor = self.make()
+        assert sensor.can_be_asked or sensor.pushes
+
+
+class ActuatorContract(ResourceContract):
+    """What every actuator must do."""
+
+    @abc.abstractmethod
+    def make(self) -> Actuator[Any]:
+        """Make an actuator that is there, closed; a new one for each test."""
+
+    def commands(self) -> list[Any]:
+        """Return commands that the device must take; its safe one unless overridden."""
+        return []
+
+    async def use(self, driver: Driver) -> Any:
+        """Tell the open actuator its safe command."""
+        actuator = driver.resource
+        assert isinstance(actuator, Actuator)
+        return await driver.call("write")(actuator.safe)
+
+    async def test_it_declares_what_is_safe(self) -> None:
+        """It has a safe command, within its limits, and a command time-out above 0."""
+        assert check_declaration(self.make()) == []
+
+    async def test_it_takes_its_safe_command_at_any_time(self) -> None:
+        """Right after the opening, twice in a row, and after each other command."""
+        actuator = self.make()
+        async with _Session(actuator) as session:
+            await session.open()
+            await session.call("write", actuator.safe)
+            await session.call("write", actuator.safe)
+            for command in self.commands():
+                await session.call("write", command)
+                await session.call("write", actuator.safe)
+
+    async def test_write_answers_nothing_or_what_was_applied(self) -> None:
+        """What it returns is None or a command of its own type, within its limits."""
+        actuator = self.make()
+        check = CommandCheck(actuator)
+        async with _Session(actuator) as session:
+            await session.open()
+            for command in [actuator.safe, *self.commands()]:
+                applied = await session.call("write", check.checked(command))
+                if applied is not None:
+                    check.checked(applied)
+            await session.call("write", actuator.safe)
+
+
+class _Session:
+    """One device in a test: whatever happens it is closed, and its thread ended."""
+
+    def __init__(self, device: Resource) -> None:
+        self.device = device
+        self.driver = Driver(device)
+
+    async def __aenter__(self) -> _Session:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+        assert await self.driver.end_lane(timeout=1.0), "a driver call is stuck"
+        if self.device.bus is not None:
+            await self.device.bus.close()
+
+    async def open(self) -> None:
+        if self.device.bus is not None:
+            await self.device.bus.open()
+        await self.call("open")
+
+    async def close(self) -> None:
+        await self.call("close")
+
+    async def call(self, method: str, *args: Any, **options: Any) -> Any:
+        return await self.driver.call(method)(*args, **options)

@@ -1,0 +1,248 @@
+"""Fakes: devices that answer in tests as their test tells them to."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+from collections.abc import AsyncIterator, Callable
+from typing import Any, Generic, TypeVar
+
+from esair.exceptions import DeviceLostError
+from esair.resources import Actuator, Resource, Sensor
+
+T = TypeVar("T")
+
+_NOTHING: Any = object()
+
+
+class _Faults:
+    """What a fake is told to do wrong."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.plugged = True
+        self._go = asyncio.Event()
+        self._go.set()
+        self._error: BaseException | None = None
+        self._after = 0
+        self._times: int | None = 0
+
+    def fail(self, error: BaseException, after: int, times: int | None) -> None:
+        self._error, self._after, self._times = error, after, times
+
+    def stall(self) -> None:
+        self._go.clear()
+
+    def resume(self) -> None:
+        self._go.set()
+
+    async def call(self) -> None:
+        """One call of the device: wait, be gone, or fail, as told."""
+        if not self._go.is_set():
+            await self._go.wait()
+        self.check()
+        if self._error is None:
+            return
+        if self._after > 0:
+            self._after -= 1
+            return
+        error = self._error
+        if self._times is not None:
+            self._times -= 1
+            if self._times <= 0:
+                self._error = None
+        raise error
+
+    def check(self) -> None:
+        if not self.plugged:
+            raise DeviceLostError(self.name, "it is unplugged")
+
+
+class _Fake(Resource):
+    """What every fake can be told."""
+
+    _faults: _Faults
+
+    opened = 0
+    """How often it was opened."""
+
+    is_open = False
+    """Whether it is open now."""
+
+    async def open(self) -> None:
+        """Be opened, unless it is unplugged."""
+        self._faults.check()
+        self.opened += 1
+        self.is_open = True
+
+    async def close(self) -> None:
+        """Be closed."""
+        self.is_open = False
+
+    def unplug(self) -> None:
+        """Be gone, from this moment on."""
+        self._faults.plugged = False
+        self.report_lost(DeviceLostError(self.name, "it was unplugged"))
+
+    def plug(self) -> None:
+        """Be there again."""
+        self._faults.plugged = True
+        self.report_arrived()
+
+    def fail(
+        self, error: BaseException, *, after: int = 0, times: int | None = 1
+    ) -> None:
+        """Raise an error from a call of the device.
+
+        Args:
+            error: What to raise.
+            after: How many calls go well before.
+            times: How many calls fail; None for all from then on.
+        """
+        self._faults.fail(error, after, times)
+
+    def stall(self) -> None:
+        """Answer no call until `resume`."""
+        self._faults.stall()
+
+    def resume(self) -> None:
+        """Answer again, also the calls that waited."""
+        self._faults.resume()
+
+
+class FakeSensor(_Fake, Sensor[T], Generic[T]):
+    """A sensor that gives what a test feeds it.
+
+    Args:
+        name: Its name.
+        value: What it answers when it is asked. Without a value it cannot be asked:
+            it only pushes what it is fed.
+        type: The type of its values; any unless given.
+        **options: Settings and options of `Sensor`, such as ``rate=20.0``.
+    """
+
+    reads = 0
+    """How often it was asked."""
+
+    def __init__(
+        self,
+        name: str,
+        value: T = _NOTHING,
+        *,
+        type: Any = Any,  # noqa: A002 - the word of the contract
+        **options: Any,
+    ) -> None:
+        super().__init__(name=name, **options)
+        self._faults = _Faults(name)
+        self._type = type
+        self._value = value
+        self._asked = value is not _NOTHING
+        self._fed: collections.deque[T] = collections.deque(maxlen=1024)
+        self._news = asyncio.Event()
+
+    @property
+    def value_type(self) -> Any:
+        """The type of its values."""
+        return self._type
+
+    @property
+    def can_be_asked(self) -> bool:
+        """Whether it was made with a value."""
+        return self._asked
+
+    def feed(self, value: T) -> None:
+        """Push a value now, and answer with it from now on."""
+        self._value = value
+        self._fed.append(value)
+        self._news.set()
+
+    async def read(self) -> T:
+        """Answer with the newest value."""
+        self.reads += 1
+        await self._faults.call()
+        return self._value
+
+    async def stream(self) -> AsyncIterator[T]:
+        """Push what is fed."""
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            await self._faults.call()
+            while self._fed:
+                yield self._fed.popleft()
+
+
+class FakeActuator(_Fake, Actuator[T], Generic[T]):
+    """An actuator that remembers what it was told.
+
+    Args:
+        name: Its name.
+        safe: Its safe command.
+        command_timeout: After how long it gets its safe command, in seconds.
+        **options: ``limits``, ``clamp``, ``slew``, and what `Resource` takes.
+
+    Attributes:
+        commands: Every command that reached the device, in order.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        safe: T = _NOTHING,
+        *,
+        command_timeout: float = 0.2,
+        limits: Any = None,
+        clamp: bool = False,
+        slew: Any = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(name=name, **options)
+        self._faults = _Faults(name)
+        if safe is not _NOTHING:
+            self.safe = safe
+        self.command_timeout = command_timeout
+        self.limits = limits
+        self.clamp = clamp
+        self.slew = slew
+        self.commands: list[T] = []
+        self._waiting: list[tuple[Callable[[T], bool], asyncio.Future[T]]] = []
+
+    async def write(self, command: T) -> None:
+        """Take a command."""
+        await self._faults.call()
+        self.commands.append(command)
+        for matches, future in self._waiting:
+            if not future.done() and matches(command):
+                future.set_result(command)
+
+    async def until(
+        self, wanted: T | Callable[[T], bool], *, timeout: float = 1.0
+    ) -> T:
+        """Wait until the newest command is the wanted one, and return it.
+
+        Args:
+            wanted: A command, or a condition on a command.
+            timeout: How long to wait, in seconds.
+
+        Raises:
+            TimeoutError: It did not come; the last commands are in the message.
+        """
+        matches: Callable[[T], bool]
+        matches = (
+            wanted if callable(wanted) else lambda command: bool(command == wanted)
+        )
+        if self.commands and matches(self.commands[-1]):
+            return self.commands[-1]
+        future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
+        waiter = (matches, future)
+        self._waiting.append(waiter)
+        try:
+            async with asyncio.timeout(timeout):
+                return await future
+        except TimeoutError:
+            raise TimeoutError(
+                f"{self.name}: {wanted!r} did not come in {timeout:g} s; "
+                f"the last commands are {self.commands[-5:]!r}"
+            ) from None
+        finally:
+            self._waiting.remove(waiter)

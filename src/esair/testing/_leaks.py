@@ -1,0 +1,65 @@
+"""Leak checks: what a test started must be gone when it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+from collections.abc import Iterable
+
+
+class Leaks:
+    """Compares tasks, threads and descriptors with those from before."""
+
+    def __init__(self) -> None:
+        self._tasks = asyncio.all_tasks()
+        self._threads = set(threading.enumerate())
+        self._descriptors = _descriptors()
+
+    async def check(self, patience: float = 1.0) -> list[str]:
+        """Return what is left, after what is ending has ended.
+
+        Args:
+            patience: How long to wait for threads to end, in real seconds.
+        """
+        for _ in range(20):
+            if not self._new_tasks():
+                break
+            await asyncio.sleep(0)
+        for thread in self._new_threads():
+            thread.join(patience)
+            await asyncio.sleep(0)
+        found = [f"task {task!r}" for task in self._new_tasks()]
+        found += [f"thread {thread.name!r}" for thread in self._new_threads()]
+        found += [
+            f"descriptor {number} -> {target}"
+            for number, target in _descriptors().items()
+            if self._descriptors.get(number) != target
+        ]
+        return found
+
+    def _new_tasks(self) -> Iterable[asyncio.Task[object]]:
+        mine = asyncio.current_task()
+        tasks = asyncio.all_tasks() - self._tasks
+        return sorted((t for t in tasks if t is not mine), key=lambda t: t.get_name())
+
+    def _new_threads(self) -> list[threading.Thread]:
+        return [
+            thread
+            for thread in threading.enumerate()
+            if thread not in self._threads and not thread.name.startswith("asyncio_")
+        ]
+
+
+def _descriptors() -> dict[int, str]:
+    found: dict[int, str] = {}
+    try:
+        numbers = os.listdir("/proc/self/fd")
+    except OSError:
+        return found  # not Linux
+    for number in numbers:
+        try:
+            found[int(number)] = os.readlink(f"/proc/self/fd/{number}")
+        except OSError:
+            continue  # the descriptor of the listing itself
+    return found

@@ -1,0 +1,103 @@
+"""The pytest plugin: fixtures that hand out fakes, a virtual clock, leak checks.
+
+Tests that use one of the fixtures, or the marker ``virtual_clock``, run on a virtual
+clock unless they are marked ``real_clock``; a task, thread or descriptor that they
+leave behind fails them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any
+
+import pytest
+import pytest_asyncio
+
+from esair.testing._clock import VirtualLoop
+from esair.testing._fakes import FakeActuator, FakeSensor
+from esair.testing._leaks import Leaks
+
+_FIXTURES = frozenset({"fake_sensor", "fake_actuator"})
+
+LoopFactory = Callable[[], asyncio.AbstractEventLoop]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option for the order of tasks."""
+    parser.getgroup("esair").addoption(
+        "--esair-seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="order of tasks on the virtual clock; 0 keeps the order they are ready in",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Describe the markers."""
+    for line in (
+        "virtual_clock(seed=N): run on a virtual clock, with this order of tasks",
+        "real_clock: run in real time, with real threads and descriptors",
+    ):
+        config.addinivalue_line("markers", line)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_asyncio_loop_factories(
+    config: pytest.Config, item: pytest.Item
+) -> Mapping[str, LoopFactory]:
+    """Choose the event loop of a test."""
+    if not _on_virtual_clock(item):
+        return {"real": asyncio.new_event_loop}
+    marker = item.get_closest_marker("virtual_clock")
+    seed = marker.kwargs.get("seed") if marker is not None else None
+    if seed is None:
+        seed = config.getoption("--esair-seed")
+    return {"virtual": functools.partial(VirtualLoop, seed=seed)}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Have each test that uses the kit checked for leaks."""
+    for item in items:
+        if _uses_kit(item) and isinstance(
+            item, pytest_asyncio.plugin.PytestAsyncioFunction
+        ):
+            item.fixturenames.insert(0, "esair_no_leaks")
+
+
+def _uses_kit(item: pytest.Item) -> bool:
+    names = getattr(item, "fixturenames", ())
+    return bool(_FIXTURES.intersection(names)) or any(
+        item.get_closest_marker(marker) for marker in ("virtual_clock", "real_clock")
+    )
+
+
+def _on_virtual_clock(item: pytest.Item) -> bool:
+    return _uses_kit(item) and item.get_closest_marker("real_clock") is None
+
+
+@pytest_asyncio.fixture
+async def esair_no_leaks() -> AsyncIterator[None]:
+    """Fail a test that leaves a task, thread or descriptor behind."""
+    leaks = Leaks()
+    yield
+    found = await leaks.check()
+    if found:
+        pytest.fail(
+            "left behind:\n" + "\n".join(f"  {each}" for each in found), pytrace=False
+        )
+
+
+@pytest.fixture
+def fake_sensor() -> Callable[..., FakeSensor[Any]]:
+    """Hand out the class `FakeSensor`, to be called like a function."""
+    return FakeSensor
+
+
+@pytest.fixture
+def fake_actuator() -> Callable[..., FakeActuator[Any]]:
+    """Hand out the class `FakeActuator`, to be called like a function."""
+    return FakeActuator

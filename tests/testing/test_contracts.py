@@ -1,0 +1,153 @@
+"""The contract suites hold for the fakes and for drivers that block, and find mistakes."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+import esair
+from esair.testing import ActuatorContract, FakeActuator, FakeSensor, SensorContract
+
+
+class TestFakeSensor(SensorContract):
+    def make(self) -> FakeSensor[float]:
+        return FakeSensor("sonar", 1.0, type=float)
+
+
+class TestFakeActuator(ActuatorContract):
+    def make(self) -> FakeActuator[float]:
+        return FakeActuator("wheels", safe=0.0, limits=(-1.0, 1.0))
+
+    def commands(self) -> list[float]:
+        return [-1.0, 0.5, 1.0]
+
+
+class Blocking(esair.Sensor[float]):
+    """A driver with plain methods."""
+
+    gain = esair.setting(1, min=1, max=3)
+    is_open = plugged = True
+
+    def open(self) -> None:
+        if not self.plugged:
+            raise ConnectionError("gone")
+        self.is_open = True
+
+    def close(self) -> None:
+        self.is_open = False
+
+    def apply(self, **changes: Any) -> None:
+        assert self.is_open
+
+    def read(self) -> float:
+        if not self.plugged:
+            raise ConnectionError("gone")
+        return 1.5
+
+    def unplug(self) -> None:
+        self.plugged = False
+
+
+@pytest.mark.real_clock
+class TestBlockingSensor(SensorContract):
+    def make(self) -> Blocking:
+        return Blocking()
+
+
+class BlockingArm(esair.Actuator[float]):
+    safe = 0.0
+    plugged = True
+
+    def write(self, command: float) -> float:
+        if not self.plugged:
+            raise ConnectionError("gone")
+        return command / 2
+
+    async def unplug(self) -> None:
+        self.plugged = False
+
+
+@pytest.mark.real_clock
+class TestBlockingActuator(ActuatorContract):
+    def make(self) -> BlockingArm:
+        return BlockingArm(name="arm")
+
+
+class Pushing(esair.Sensor[int]):
+    async def stream(self) -> AsyncIterator[int]:
+        for value in range(3):
+            yield value
+
+
+class TestPushingSensor(SensorContract):
+    def make(self) -> Pushing:
+        return Pushing()
+
+    async def test_it_says_when_it_is_gone(self) -> None:
+        pytest.skip("it has no device that could go")
+
+
+class Deaf(FakeSensor[Any]):
+    """A driver with a mistake in each of its methods."""
+
+    async def close(self) -> None:
+        assert self.is_open, "closed twice"
+        await super().close()
+
+    async def apply(self, **changes: Any) -> None:
+        for name, value in changes.items():
+            setattr(self, name, value)
+
+    async def read(self) -> Any:
+        if not self._faults.plugged:
+            raise ValueError("no answer")
+        return "far"
+
+
+class Unsafe(FakeActuator[float]):
+    async def write(self, command: float) -> Any:
+        if self.commands and command == 0.0:
+            raise ValueError("twice")
+        await super().write(command)
+        return "done"
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize(
+    ("suite", "device", "test"),
+    [
+        (SensorContract, Deaf, "test_it_can_be_closed_twice"),
+        (SensorContract, Deaf, "test_its_settings_go_there_and_back"),
+        (SensorContract, Deaf, "test_it_says_when_it_is_gone"),
+        (SensorContract, Deaf, "test_it_gives_values_of_its_type"),
+        (ActuatorContract, Unsafe, "test_it_takes_its_safe_command_at_any_time"),
+        (ActuatorContract, Unsafe, "test_write_answers_nothing_or_what_was_applied"),
+    ],
+)
+async def test_a_driver_with_a_mistake_does_not_pass(
+    suite: Any, device: Any, test: str
+) -> None:
+    """Each suite finds what it is there for."""
+
+    class Suite(suite):  # type: ignore[misc]
+        def make(self) -> Any:
+            if device is Deaf:
+                return Deaf("deaf", 1.0, type=float)
+            return device("unsafe", 0.0)
+
+    with pytest.raises((AssertionError, ValueError)):
+        await getattr(Suite(), test)()
+
+
+@pytest.mark.virtual_clock
+async def test_a_device_that_cannot_be_unplugged_skips_that_test() -> None:
+    """Nobody is forced to pull a real cable."""
+
+    class Suite(SensorContract):
+        def make(self) -> Pushing:
+            return Pushing()
+
+    with pytest.raises(pytest.skip.Exception, match="override unplug"):
+        await Suite().test_it_says_when_it_is_gone()
