@@ -1,0 +1,271 @@
+"""Robots in processes of their own: every exit ends with the safe command."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.real_clock
+
+ROBOT = """
+import asyncio, os, signal, sys, threading, time
+import esair
+
+class Wheels(esair.Actuator[float]):
+    safe = 0.0
+    command_timeout = 5.0
+    def note(self, text):
+        with open(sys.argv[1], "a") as log:
+            log.write(text + "\\n")
+    {async_}def open(self):
+        self.note("open")
+    {async_}def close(self):
+        self.note("close")
+    {async_}def write(self, command):
+        self.note(str(command))
+
+class Drive(esair.Behavior):
+    wheels = esair.writes(float)
+    async def run(self):
+        async for _ in esair.every(0.02):
+            await self.wheels.write(1.0)
+            {step}
+
+robot = esair.Robot(resources=[Wheels()], behaviors=[Drive()])
+{main}
+"""
+
+
+async def live(
+    log: Path,
+    *signals: signal.Signals,
+    step: str = "pass",
+    main: str = "esair.run(robot)",
+    blocking: bool = False,
+    timeout: float = 15.0,
+) -> tuple[int, list[str], str, float]:
+    """Run a robot, send it signals once it drives; return code, log, errors, seconds."""
+    code = ROBOT.format(
+        async_="" if blocking else "async ", step=step, main=textwrap.dedent(main)
+    )
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", code, str(log), stderr=asyncio.subprocess.PIPE
+    )
+    assert process.stderr is not None
+    began = time.monotonic()
+    try:
+        async with asyncio.timeout(timeout):
+            if signals:
+                await driving(log)
+            began = time.monotonic()
+            for number in signals:
+                process.send_signal(number)
+                await asyncio.sleep(0.05)
+            errors = await process.stderr.read()
+            await process.wait()
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+        process._transport.close()  # type: ignore[attr-defined]
+    return (
+        process.returncode or 0,
+        words(log),
+        errors.decode(),
+        time.monotonic() - began,
+    )
+
+
+def words(log: Path) -> list[str]:
+    """What the device was told so far."""
+    return log.read_text().split() if log.exists() else []
+
+
+async def driving(log: Path) -> None:
+    """Wait until the device was told to move."""
+    while "1.0" not in words(log):  # noqa: ASYNC110 - another process writes it
+        await asyncio.sleep(0.01)
+
+
+def is_safe(lines: list[str]) -> bool:
+    """The last command was the safe one, and the device was closed after it."""
+    return lines[0] == "open" and "1.0" in lines and lines[-2:] == ["0.0", "close"]
+
+
+@pytest.mark.promise("ROB-2", "ROB-1")
+@pytest.mark.fault("O01", "O02")
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
+)
+@pytest.mark.parametrize("blocking", [False, True], ids=["async", "blocking"])
+async def test_a_signal_stops_in_order(
+    tmp_path: Path, number: signal.Signals, code: int, blocking: bool
+) -> None:
+    """Safe, closed, and the exit code of the signal, within two seconds."""
+    returned, lines, errors, seconds = await live(
+        tmp_path / "log", number, blocking=blocking
+    )
+
+    assert returned == code, errors
+    assert is_safe(lines)
+    assert seconds < 2.0
+    assert "Traceback" not in errors
+
+
+@pytest.mark.promise("ROB-2")
+@pytest.mark.fault("O03")
+async def test_a_second_signal_keeps_the_safe_command(tmp_path: Path) -> None:
+    """Somebody is impatient: the stop is shorter, and safe all the same."""
+    main = """
+    async def teardown(self): await asyncio.sleep(0.7)
+    Drive.teardown = teardown
+    esair.run(robot)
+    """
+    returned, lines, errors, _ = await live(
+        tmp_path / "log", signal.SIGINT, signal.SIGTERM, main=main
+    )
+
+    assert returned in {130, 143}, errors
+    assert is_safe(lines)
+
+
+@pytest.mark.promise("ROB-2")
+@pytest.mark.fault("O03")
+async def test_a_third_signal_ends_a_stop_that_hangs(tmp_path: Path) -> None:
+    """What was safe at once stays so; nobody waits for the rest."""
+    main = """
+    async def teardown(self):
+        while True:
+            try: await asyncio.sleep(100)
+            except asyncio.CancelledError: pass
+    Drive.teardown = teardown
+    robot = esair.Robot(resources=[Wheels()], behaviors=[Drive()], grace=60.0)
+    esair.run(robot)
+    """
+    returned, lines, errors, seconds = await live(
+        tmp_path / "log", signal.SIGINT, signal.SIGINT, signal.SIGINT, main=main
+    )
+
+    assert returned == 130, errors
+    assert seconds < 2.0
+    assert [line for line in lines if line[0].isdigit()][-1] == "0.0"
+
+
+@pytest.mark.promise("ROB-2")
+async def test_an_exception_in_the_program_ends_safe(tmp_path: Path) -> None:
+    """The traceback is shown, after the safe command."""
+    main = """
+    async def main():
+        async with robot:
+            await asyncio.sleep(0.2)
+            raise ValueError("bug in the script")
+    asyncio.run(main())
+    """
+    returned, lines, errors, _ = await live(tmp_path / "log", main=main)
+
+    assert returned == 1
+    assert "bug in the script" in errors
+    assert is_safe(lines)
+
+
+@pytest.mark.promise("ROB-2")
+@pytest.mark.fault("O02")
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, -2), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
+)
+async def test_signals_are_heard_without_run_too(
+    tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    """`async with` under plain `asyncio.run` ends safe on the same signals."""
+    main = """
+    async def main():
+        async with robot:
+            await asyncio.sleep(100)
+    asyncio.run(main())
+    """
+    returned, lines, errors, _ = await live(tmp_path / "log", number, main=main)
+
+    assert returned == code, errors
+    assert is_safe(lines)
+
+
+@pytest.mark.promise("ROB-2", "ROB-3")
+@pytest.mark.fault("B05")
+async def test_sys_exit_in_a_behavior_is_its_own_failure(tmp_path: Path) -> None:
+    """The robot is not torn down; the behavior fails for good, and that is the end."""
+    returned, lines, errors, _ = await live(
+        tmp_path / "log", step="Drive.restart = esair.Restart(max=1); sys.exit(7)"
+    )
+
+    assert returned == 1
+    assert "BehaviorFailedError" in errors
+    assert is_safe(lines)
+    assert lines.count("1.0") == 2
+
+
+@pytest.mark.promise("ROB-1")
+async def test_run_ends_after_its_duration(tmp_path: Path) -> None:
+    """A normal end: exit code 0, safe."""
+    returned, lines, errors, _ = await live(
+        tmp_path / "log", main="esair.run(robot, duration=0.2)"
+    )
+
+    assert returned == 0, errors
+    assert is_safe(lines)
+
+
+@pytest.mark.promise("ROB-2", "AC-4")
+@pytest.mark.fault("O16", "D21")
+async def test_a_stuck_driver_does_not_delay_the_exit(tmp_path: Path) -> None:
+    """A blocking call that never returns is left behind; the program ends in two seconds."""
+    main = """
+    class Stuck(Wheels):
+        def write(self, command):
+            self.note(str(command))
+            if command:
+                time.sleep(100)
+    robot = esair.Robot(resources=[Stuck(name="wheels")], behaviors=[Drive()])
+    esair.run(robot)
+    """
+    returned, _, errors, seconds = await live(
+        tmp_path / "log", signal.SIGTERM, main=main, blocking=True
+    )
+
+    assert returned == 143, errors
+    assert seconds < 2.0
+
+
+@pytest.mark.fault("T02")
+async def test_a_real_loop_can_tell_whether_the_computer_slept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The clock that counts sleep is compared with the one that does not."""
+    from esair.loop import SuspendWatch
+
+    heard: list[float] = []
+    watch = SuspendWatch(asyncio.get_running_loop())
+    watch.listen(heard.append)
+    watch.look()
+    assert heard == []
+    real = time.clock_gettime
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: real(clock) + 30.0)
+    watch.look()
+    assert heard == [pytest.approx(30.0, abs=0.05)]
+    monkeypatch.setattr(time, "clock_gettime", real)
+    watch.look()
+    watch.look()
+    watch.forget(heard.append)
+    assert len(heard) == 1
+    monkeypatch.delattr(time, "CLOCK_BOOTTIME")
+    silent = SuspendWatch(asyncio.get_running_loop())
+    silent.listen(heard.append)
+    silent.look()
+    assert len(heard) == 1

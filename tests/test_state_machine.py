@@ -1,0 +1,508 @@
+"""Both supervisors against a model of plain dictionaries, under random schedules.
+
+The rules are synchronous: each one starts or finishes work in an event loop with a
+virtual clock whose order of tasks is drawn too, so that schedules shrink as well.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import hypothesis.strategies as st
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+import esair
+from esair.connections import Registration
+from esair.messages import Answer, Written
+from esair.supervisors._requests import Outcome
+from esair.testing import FakeActuator, FakeSensor, VirtualLoop
+
+NAMES = st.sampled_from(["a", "b", "c"])
+EXAMPLES, STEPS = 300, 40
+SOAK_EXAMPLES, SOAK_STEPS = 5_000, 60
+SAFE = 0.0
+PENDING = 24
+"""How many operations may be in flight."""
+
+ALLOWED: dict[str, tuple[type[Exception], ...]] = {
+    "put": (
+        esair.BehaviorUnavailableError,
+        esair.BehaviorRemovedError,
+        esair.BehaviorFailedError,
+        esair.BusyError,
+        esair.NotRegisteredError,
+    ),
+    "get": (
+        esair.BehaviorUnavailableError,
+        esair.BehaviorRemovedError,
+        esair.BehaviorFailedError,
+        esair.CircularRequestError,
+        esair.BusyError,
+        esair.NotRegisteredError,
+    ),
+    "write": (
+        esair.DeviceLostError,
+        esair.DeviceFaultError,
+        esair.DriverStuckError,
+        esair.ResourceRemovedError,
+        esair.NotRegisteredError,
+        esair.BehaviorRemovedError,
+        esair.BusyError,
+    ),
+    "configure": (
+        esair.DeviceLostError,
+        esair.DeviceFaultError,
+        esair.ResourceRemovedError,
+        esair.NotRegisteredError,
+        esair.BehaviorRemovedError,
+    ),
+}
+
+
+class Worker(esair.Behavior):
+    """Acts as the rules tell it; its commands carry its number."""
+
+    wheels = esair.writes(float)
+    inbox_size = 2
+    outbox_size = 2
+    restart = esair.Restart(max=2, within=5.0)
+
+    def __init__(self, name: str, number: int) -> None:
+        super().__init__(name=name)
+        self.number = number
+        self.crash = asyncio.Event()
+
+    async def run(self) -> None:
+        await self.crash.wait()
+        self.crash.clear()
+        raise RuntimeError("told to crash")
+
+
+class Request:
+    """A put in the model: what it carries, and what became of it."""
+
+    def __init__(self, number: int, sender: str, receiver: str) -> None:
+        self.number = number
+        self.sender = sender
+        self.receiver = receiver
+        self.task: asyncio.Task[Any]
+
+
+class SupervisorMachine(RuleBasedStateMachine):
+    """What a user, behaviors and devices may do to a robot, in any order."""
+
+    @initialize(seed=st.integers(0, 2**16))
+    def start(self, seed: int) -> None:
+        self.loop = VirtualLoop(seed=seed)
+        self.problems: list[Any] = []
+        self.loop.set_exception_handler(
+            lambda _loop, context: self.problems.append(context)
+        )
+        self.numbers = 0
+        self.workers: dict[str, Worker] = {}
+        self.gone: set[int] = set()
+        self.resources: dict[str, Any] = {}
+        self.removed_devices: list[FakeActuator[float]] = []
+        self.extra: dict[str, list[Registration]] = {}
+        self.puts: list[Request] = []
+        self.seen: dict[str, list[int]] = {}
+        self.handed_back: list[int] = []
+        self.flying: list[tuple[str, asyncio.Task[Any]]] = []
+        self.robot = esair.Robot(grace=0.3)
+        self.run(self.robot.__aenter__())
+        self.add_resource("wheels")
+        self.add_resource("sonar")
+        self.add("a")
+
+    # Helpers.
+
+    def run(self, work: Any) -> Any:
+        return self.loop.run_until_complete(work)
+
+    def next(self) -> int:
+        self.numbers += 1
+        return self.numbers
+
+    def fly(self, kind: str, work: Any) -> asyncio.Task[Any]:
+        """Start work and leave it in flight."""
+        task = self.loop.create_task(work)
+        self.flying.append((kind, task))
+        self.settle()
+        return task
+
+    def settle(self) -> None:
+        async def turns() -> None:
+            for _ in range(6):
+                await asyncio.sleep(0)
+
+        self.run(turns())
+
+    def refused(self, error: type[Exception], work: Any) -> None:
+        with pytest.raises(error):
+            self.run(work)
+
+    def is_busy(self) -> bool:
+        return len(self.flying) >= PENDING
+
+    # The user.
+
+    @rule(name=NAMES)
+    def add(self, name: str) -> None:
+        worker = Worker(name, self.next())
+        work = self.robot.behaviors.add(worker)
+        if "wheels" not in self.resources:
+            self.refused(esair.UnknownNameError, work)
+        elif name in self.workers:
+            self.refused(esair.NameTakenError, work)
+        else:
+            self.run(work)
+            self.workers[name] = worker
+
+    @rule(name=NAMES)
+    def remove(self, name: str) -> None:
+        work = self.robot.behaviors.remove(name)
+        if name not in self.workers:
+            self.refused(esair.UnknownNameError, work)
+            return
+        self.handed_back += self.run(work)
+        self.gone.add(self.workers.pop(name).number)
+        self.seen[name] = []
+        self.extra.pop(name, None)
+
+    @rule(name=NAMES)
+    def replace(self, name: str) -> None:
+        worker = Worker(name, self.next())
+        work = self.robot.behaviors.replace(name, worker)
+        if name not in self.workers or "wheels" not in self.resources:
+            self.refused(esair.UnknownNameError, work)
+            return
+        self.handed_back += self.run(work)
+        self.gone.add(self.workers[name].number)
+        self.workers[name] = worker
+        self.extra.pop(name, None)
+
+    @rule(name=st.sampled_from(["wheels", "sonar"]))
+    def add_resource(self, name: str) -> None:
+        resource: Any = (
+            FakeActuator("wheels", safe=SAFE)
+            if name == "wheels"
+            else FakeSensor("sonar", 1.0)
+        )
+        work = self.robot.resources.add(resource)
+        if name in self.resources:
+            self.refused(esair.NameTakenError, work)
+        else:
+            self.run(work)
+            self.resources[name] = resource
+
+    @rule(name=st.sampled_from(["wheels", "sonar"]))
+    def remove_resource(self, name: str) -> None:
+        work = self.robot.resources.remove(name)
+        if name not in self.resources:
+            self.refused(esair.UnknownNameError, work)
+            return
+        reachable = name == "wheels" and self.works(self.resources[name])
+        self.run(work)
+        resource = self.resources.pop(name)
+        if name == "wheels":
+            if reachable:
+                assert resource.commands[-1] == SAFE
+            self.removed_devices.append(resource)
+            self.counts = [len(each.commands) for each in self.removed_devices]
+
+    @rule(name=st.sampled_from(["wheels", "sonar"]))
+    def replace_resource(self, name: str) -> None:
+        resource: Any = (
+            FakeActuator("wheels", safe=SAFE)
+            if name == "wheels"
+            else FakeSensor("sonar", 1.0)
+        )
+        work = self.robot.resources.replace(name, resource)
+        if name not in self.resources:
+            self.refused(esair.UnknownNameError, work)
+        else:
+            self.run(work)
+            self.resources[name] = resource
+
+    # Behaviors.
+
+    @rule(name=NAMES, resource=st.sampled_from(["wheels", "sonar"]))
+    def register(self, name: str, resource: str) -> None:
+        access = esair.Access.WRITE if resource == "wheels" else esair.Access.READ
+        worker = self.workers.get(name)
+        if worker is None:
+            return
+        if resource not in self.resources:
+            self.refused(esair.UnknownNameError, worker.register(resource, access))
+            return
+        if self.state(name) is esair.BehaviorState.FAILED:
+            self.refused(esair.BehaviorRemovedError, worker.register(resource, access))
+            return
+        port = self.run(worker.register(resource, access))
+        self.extra.setdefault(name, []).append(port.registration)
+
+    @precondition(lambda self: not self.is_busy())
+    @rule(
+        sender=NAMES,
+        receiver=NAMES,
+        interval=st.sampled_from([0.05, 0.5, 5.0]),
+    )
+    def put(self, sender: str, receiver: str, interval: float) -> None:
+        if sender not in self.workers:
+            return
+        request = Request(self.next(), sender, receiver)
+        work = self.workers[sender].put(receiver, request.number, interval=interval)
+        if receiver not in self.workers:
+            self.refused(esair.UnknownNameError, work)
+            return
+        self.puts.append(request)
+        request.task = self.fly("put", work)
+
+    @precondition(lambda self: not self.is_busy())
+    @rule(sender=NAMES, receiver=NAMES, interval=st.sampled_from([0.05, 0.5, 5.0]))
+    def get(self, sender: str, receiver: str, interval: float) -> None:
+        if receiver not in self.workers:
+            return
+        work = self.workers[receiver].get(sender, interval=interval)
+        if sender not in self.workers:
+            self.refused(esair.UnknownNameError, work)
+        elif sender == receiver:
+            worker = self.robot.behaviors._members[sender]
+            if worker.state is esair.BehaviorState.FAILED:
+                self.refused(esair.BehaviorFailedError, work)
+            else:
+                self.refused(esair.CircularRequestError, work)
+        else:
+            self.fly("get", work)
+
+    @rule(name=NAMES)
+    def offer(self, name: str) -> None:
+        worker = self.workers.get(name)
+        if worker is None:
+            return
+        try:
+            worker.offer(self.next())
+        except esair.BusyError:
+            assert not self.robot.behaviors._members[name].askers.count
+        except esair.BehaviorRemovedError:
+            assert self.state(name) is esair.BehaviorState.FAILED
+        self.settle()
+
+    @rule(name=NAMES)
+    def receive(self, name: str) -> None:
+        worker = self.workers.get(name)
+        member = self.robot.behaviors._members.get(name)
+        if worker is None or member is None or not (member.inbox and member.alive):
+            return
+        self.seen.setdefault(name, []).append(self.run(worker.receive()))
+        self.settle()
+
+    @precondition(lambda self: not self.is_busy())
+    @rule(name=NAMES)
+    def write(self, name: str) -> None:
+        worker = self.workers.get(name)
+        if worker is not None:
+            self.fly("write", worker.wheels.write(float(worker.number)))
+
+    @precondition(lambda self: not self.is_busy())
+    @rule(name=NAMES, timeout=st.sampled_from([0.1, 0.2, 0.4]))
+    def configure(self, name: str, timeout: float) -> None:
+        if "wheels" not in self.resources or name not in self.workers:
+            return
+        registration = self.workers[name].wheels.registration
+        with pytest.raises((esair.AccessDeniedError, *ALLOWED["configure"])):
+            self.run(
+                self.robot.resources.configure(registration, command_timeout=timeout)
+            )
+
+    @rule(name=NAMES)
+    def crash(self, name: str) -> None:
+        if name in self.workers:
+            self.workers[name].crash.set()
+            self.settle()
+
+    @precondition(lambda self: self.flying)
+    @rule(data=st.data())
+    def cancel(self, data: st.DataObject) -> None:
+        index = data.draw(st.integers(0, len(self.flying) - 1))
+        _, task = self.flying[index]
+        task.cancel()
+        self.settle()
+        assert task.done()
+
+    # Devices and time.
+
+    @rule(
+        name=st.sampled_from(["wheels", "sonar"]),
+        what=st.sampled_from(["unplug", "plug", "stall", "resume"]),
+    )
+    def disturb(self, name: str, what: str) -> None:
+        if name in self.resources:
+            getattr(self.resources[name], what)()
+            self.settle()
+
+    @rule(seconds=st.sampled_from([0.01, 0.1, 0.3, 1.0, 6.0]))
+    def wait(self, seconds: float) -> None:
+        self.run(asyncio.sleep(seconds))
+        wheels = self.resources.get("wheels")
+        if wheels is not None and seconds >= 6.0 and self.works(wheels):
+            assert wheels.commands[-1] == SAFE, "nobody writes, and it is not safe"
+
+    def works(self, device: Any) -> bool:
+        """Whether a device can be told anything, and esair knows it."""
+        return bool(device._faults.plugged and device._faults._go.is_set()) and (
+            device is not self.resources.get("wheels")
+            or self.robot.resources.is_ready("wheels")
+        )
+
+    def state(self, name: str) -> esair.BehaviorState:
+        return self.robot.behaviors.query(name).state
+
+    # What always holds.
+
+    @invariant()
+    def what_is_over_ended_as_allowed(self) -> None:
+        """INV1: one outcome for each request."""
+        still = []
+        for kind, task in self.flying:
+            if not task.done():
+                still.append((kind, task))
+                continue
+            if task.cancelled():
+                continue
+            error = task.exception()
+            if error is not None:
+                assert isinstance(error, ALLOWED[kind]), (kind, error)
+            elif kind == "write":
+                assert isinstance(task.result(), Answer)
+                assert not task.result() or isinstance(task.result(), Written)
+        self.flying = still
+
+    @invariant()
+    def what_was_put_is_where_its_outcome_says(self) -> None:
+        """INV1: delivered once, or not at all; in the order of its sender."""
+        members = self.robot.behaviors._members
+        inboxes = {name: list(member.inbox) for name, member in members.items()}
+        everywhere = [
+            *self.handed_back,
+            *(n for seen in self.seen_ever() for n in seen),
+            *(n for inbox in inboxes.values() for n in inbox),
+        ]
+        assert len(everywhere) == len(set(everywhere)), "delivered twice"
+        arrived = set(everywhere)
+        for request in self.puts:
+            if not request.task.done() or request.task.cancelled():
+                continue
+            delivered = request.task.exception() is None
+            assert delivered == (request.number in arrived), request.number
+        by_number = {request.number: request for request in self.puts}
+        for name, inbox in inboxes.items():
+            order = [*self.seen.get(name, []), *inbox]
+            for sender in "abc":
+                numbers = [n for n in order if by_number[n].sender == sender]
+                assert numbers == sorted(numbers), "the order was lost"
+
+    def seen_ever(self) -> list[list[int]]:
+        self.archive = getattr(self, "archive", [])
+        for seen in self.seen.values():
+            if seen and not any(seen is each for each in self.archive):
+                self.archive.append(seen)
+        return self.archive
+
+    @invariant()
+    def the_registry_equals_the_model(self) -> None:
+        """INV2: no lost, ghost or doubled component or registration."""
+        robot = self.robot
+        assert sorted(robot.behaviors.names()) == sorted(self.workers)
+        assert sorted(robot.resources.names()) == sorted(self.resources)
+        waits = esair.SupervisorPhase.WAIT_REQUEST
+        assert (robot.behaviors.phase, robot.resources.phase) == (waits, waits)
+        live = robot.resources._registrations.live
+        used: list[int] = []
+        for name, member in robot.behaviors._members.items():
+            used += [r.number for r in member.uses()]
+            assert all(r.behavior == name for r in member.uses())
+        assert len(used) == len(set(used)), "two behaviors share a registration"
+        assert set(live) <= set(used), "a ghost: nobody has this registration"
+        for registration in live.values():
+            assert registration.resource in self.resources
+        for name, worker in self.workers.items():
+            if self.state(name) is esair.BehaviorState.RUNNING:
+                own = worker.wheels.registration
+                assert own.number in live or own.reason is not None
+
+    @invariant()
+    def requests_are_counted_exactly(self) -> None:
+        """INV1: the bounds are not eaten up by what has ended."""
+        pending = sum(
+            kind in {"put", "get"} and not task.done() for kind, task in self.flying
+        )
+        mediator = self.robot.behaviors.mediator
+        assert mediator._pending == pending
+        assert sum(mediator._of_asker.values()) == pending
+        assert all(isinstance(each.outcome, Outcome) for each in mediator.outcomes())
+
+    @invariant()
+    def nobody_moves_what_was_taken_away(self) -> None:
+        """INV3: who is gone writes nothing; a removed device hears nothing."""
+        wheels = self.resources.get("wheels")
+        if wheels is not None and wheels.commands:
+            last = wheels.commands[-1]
+            assert last == SAFE or int(last) not in self.gone or not self.works(wheels)
+        for device, count in zip(
+            self.removed_devices, getattr(self, "counts", []), strict=False
+        ):
+            new = device.commands[count:]
+            assert all(command == SAFE for command in new)
+
+    @invariant()
+    def nothing_was_reported_to_the_loop(self) -> None:
+        assert self.problems == []
+
+    def teardown(self) -> None:
+        if not hasattr(self, "loop"):
+            return
+        try:
+            for _, task in self.flying:
+                task.cancel()
+            wheels: Any = self.resources.get("wheels")
+            reachable = wheels is not None and self.works(wheels)
+            self.run(self.robot.__aexit__(None, None, None))
+            if reachable:
+                assert wheels.commands[-1] == SAFE
+
+            async def left() -> set[asyncio.Task[Any]]:
+                await asyncio.sleep(5.0)
+                return asyncio.all_tasks() - {asyncio.current_task()}
+
+            assert self.run(left()) == set()
+            assert self.problems == []
+        finally:
+            self.loop.close()
+
+
+@pytest.mark.promise("BS-4", "SUP-1", "SUP-2", "SUP-3", "SUP-4", "RS-3")
+@pytest.mark.fault("L01", "L03", "L05", "B19", "M04", "M13", "M14", "M15")
+def test_the_supervisors_follow_their_model(request: pytest.FixtureRequest) -> None:
+    """Whatever is done in whatever order, the invariants hold after every step."""
+    soak = request.config.getoption("--esair-soak")
+    run_state_machine_as_test(
+        SupervisorMachine,
+        settings=settings(
+            max_examples=SOAK_EXAMPLES if soak else EXAMPLES,
+            stateful_step_count=SOAK_STEPS if soak else STEPS,
+            deadline=None,
+            suppress_health_check=list(HealthCheck),
+            database=None,
+        ),
+    )
