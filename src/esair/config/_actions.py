@@ -1,0 +1,46 @@
+"""From the tables of behaviors and reactions to their objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from esair.actions import Behavior, Reaction, mistakes_in_needs, mistakes_in_reaction
+from esair.actions._needs import ProfiledAction
+from esair.config._construct import construct
+from esair.config._draft import Draft
+from esair.config._mistakes import below
+from esair.config._profiles import FLOWS, set_profile
+from esair.config._tables import Variant, class_of
+
+
+def make_behavior(
+    draft: Draft, name: str, table: Mapping[str, Any]
+) -> Behavior | Reaction | None:
+    key = f"behavior.{name}"
+    keys = {field: below(key, field) for field in table}
+    variant = Variant(dict(table), keys)
+    cls = class_of(draft, key, variant, "driver", ProfiledAction, "esair.drivers")
+    if cls is None:
+        return None
+    source = draft.source
+    made: Behavior | Reaction | None = construct(
+        cls,
+        name,
+        variant.table,
+        keys,
+        key,
+        source.mistakes,
+        source.folder,
+        later=frozenset({"driver", *FLOWS}),
+    )
+    if made is None:
+        return None
+    if not table.keys().isdisjoint(FLOWS):
+        set_profile(made, table, keys, source)
+    errors = mistakes_in_needs(made)
+    if isinstance(made, Reaction):
+        errors += mistakes_in_reaction(made)
+    for error in errors:
+        source.mistakes.caught(key, error, "its declaration")
+    return None if errors else made

@@ -1,0 +1,216 @@
+"""``esair check``: everything that can be known about a robot before it moves."""
+
+from __future__ import annotations
+
+import os
+
+import attrs
+
+from esair.actions import Reaction, Writes
+from esair.config._draft import Draft
+from esair.config._findings import Severity, examine
+from esair.config._parts import make_draft, refused_by_robot
+from esair.config._source import read_source
+from esair.resources import Actuator
+
+
+@attrs.frozen
+class FoundInFile:
+    """A finding, and where it is in the file.
+
+    Attributes:
+        severity: ``"error"`` or ``"warning"``.
+        rule: Which check found it: ``configuration`` (a key is wrong), ``need``
+            (nobody provides what a behavior reads or writes), ``denied`` (a policy
+            denies what a behavior needs), ``starve`` (behaviors keep each other
+            from an actuator), ``rights`` (a right that nobody has), ``time`` (times
+            that can never be met), ``unused``, ``port``.
+        key: The key, as a dotted path; empty for the whole file.
+        line: The line, counted from 1; None if it is not known.
+        message: What is wrong, and what to do.
+        only_simulated: Whether it holds for ``esair sim`` only.
+    """
+
+    severity: str
+    rule: str
+    key: str
+    line: int | None
+    message: str
+    only_simulated: bool = False
+
+
+@attrs.frozen
+class Writer:
+    """Who writes an actuator.
+
+    Attributes:
+        behavior: The name of the behavior or reaction.
+        kind: ``"behavior"`` or ``"reaction"``.
+        priority: With which priority it writes.
+    """
+
+    behavior: str
+    kind: str
+    priority: int
+
+
+@attrs.frozen
+class ActuatorSafety:
+    """How one actuator is made safe.
+
+    Attributes:
+        name: The actuator.
+        driver: Its class, as ``module:Class``.
+        safe: Its safe command, in Python's words; None if it has none.
+        command_timeout: After how many seconds without a command it is sent.
+        writers: Who moves it, highest priority first.
+        sent_by: Who sends the safe command, and when.
+        own_timeout: After how many seconds the device stops by itself when it
+            hears nothing more; None if it does not.
+        when_the_host_dies: What that means.
+    """
+
+    name: str
+    driver: str
+    safe: str | None
+    command_timeout: float
+    writers: tuple[Writer, ...]
+    sent_by: str
+    own_timeout: float | None
+    when_the_host_dies: str
+
+
+@attrs.frozen
+class Report:
+    """What was found in one file.
+
+    Attributes:
+        file: The file, as it was named.
+        digest: SHA-256 of the file as it was read, in hexadecimal.
+        findings: What was found, in the order of the file, errors first.
+        actuators: How each actuator is made safe.
+        with_simulation: Whether the ``sim`` tables were checked too.
+    """
+
+    file: str
+    digest: str
+    findings: tuple[FoundInFile, ...]
+    actuators: tuple[ActuatorSafety, ...]
+    with_simulation: bool
+
+    @property
+    def errors(self) -> int:
+        """How many errors there are."""
+        return sum(finding.severity == "error" for finding in self.findings)
+
+    @property
+    def warnings(self) -> int:
+        """How many warnings there are."""
+        return len(self.findings) - self.errors
+
+
+def check(path: str | os.PathLike[str], *, robot_class: type | None = None) -> Report:
+    """Find every mistake of a configuration at once, without opening a device.
+
+    The file is checked as it is, and, if it has any ``sim`` table, as a simulation.
+
+    Raises:
+        ConfigFileError: The file cannot be read, or is no TOML.
+    """
+    if robot_class is None:
+        from esair.standard import Robot
+
+        robot_class = Robot
+    source = read_source(path)
+    real = make_draft(source, simulated=False, robot_class=robot_class)
+    found = _found(real, robot_class)
+    with_simulation = any(
+        isinstance(table, dict) and "sim" in table
+        for kind in ("bus", "sensor", "actuator")
+        for table in _tables(source.data.get(kind))
+    )
+    if with_simulation:
+        simulated = make_draft(
+            read_source(path), simulated=True, robot_class=robot_class
+        )
+        known = {(each.key, each.message) for each in found}
+        found += [
+            attrs.evolve(each, only_simulated=True)
+            for each in _found(simulated, robot_class)
+            if (each.key, each.message) not in known
+        ]
+    found.sort(key=lambda each: (each.severity, each.line or 0))
+    return Report(
+        file=source.mistakes.file,
+        digest=source.digest,
+        findings=tuple(found),
+        actuators=tuple(_actuators(real)),
+        with_simulation=with_simulation,
+    )
+
+
+def _tables(holder: object) -> list[object]:
+    return list(holder.values()) if isinstance(holder, dict) else []
+
+
+def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
+    mistakes = draft.source.mistakes
+    findings = examine(draft)
+    if not mistakes.errors and all(
+        each.severity is not Severity.ERROR for each in findings
+    ):
+        refused_by_robot(draft, robot_class)
+    found = [
+        FoundInFile("error", "configuration", error.key, error.line, error.reason)
+        for error in mistakes.errors
+    ]
+    found += [
+        FoundInFile(
+            finding.severity.value,
+            finding.rule,
+            finding.key,
+            mistakes.lines.of(finding.key),
+            finding.message,
+        )
+        for finding in findings
+    ]
+    return found
+
+
+def _actuators(draft: Draft) -> list[ActuatorSafety]:
+    rows = []
+    for name, resource in draft.resources.items():
+        if not isinstance(resource, Actuator):
+            continue
+        writers = [
+            Writer(
+                behavior,
+                "reaction" if isinstance(action, Reaction) else "behavior",
+                need.priority,
+            )
+            for behavior, action in draft.behaviors.items()
+            if action is not None
+            for need in action.needs.values()
+            if isinstance(need, Writes) and need.resource == name
+        ]
+        own = resource.own_timeout
+        rows.append(
+            ActuatorSafety(
+                name=name,
+                driver=f"{type(resource).__module__}:{type(resource).__qualname__}",
+                safe=repr(resource.safe) if hasattr(resource, "safe") else None,
+                command_timeout=float(resource.command_timeout),
+                writers=tuple(sorted(writers, key=lambda writer: -writer.priority)),
+                sent_by=(
+                    f"esair: {resource.command_timeout:g} s after the last command, "
+                    "and at every exit"
+                ),
+                own_timeout=own,
+                when_the_host_dies=(
+                    "it keeps its last command"
+                    if own is None
+                    else f"it stops itself after {own:g} s"
+                ),
+            )
+        )
+    return rows

@@ -1,0 +1,191 @@
+"""From the names in a file to classes: ``module:Class``, or an installed name."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.metadata
+import re
+import sys
+import traceback
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+from esair.config._mistakes import Mistakes
+from esair.exceptions import describe, did_you_mean
+
+BUSES: Final[Mapping[str, str]] = {
+    "serial": "esair.buses:SerialBus",
+    "can": "esair.buses:CanBus",
+    "i2c": "esair.buses:I2CBus",
+}
+"""The kinds of bus that need no module name."""
+
+_MODULE_AND_CLASS = re.compile(
+    r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([^\W\d]\w*(?:\.[^\W\d]\w*)*)\Z"
+)
+_INSTALLED = re.compile(r"[A-Za-z][\w.-]{0,62}\Z")
+
+
+@contextlib.contextmanager
+def searched_first(folder: Path) -> Iterator[None]:
+    """Find modules in a folder before all others, as for a script that lies there."""
+    path = str(folder)
+    sys.path.insert(0, path)
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):
+            sys.path.remove(path)
+
+
+def find_class(
+    name: str,
+    key: str,
+    mistakes: Mistakes,
+    *,
+    group: str,
+    folder: Path,
+    built_in: Mapping[str, str] | None = None,
+) -> type | None:
+    """Return the class that a file names, or note what is wrong with the name.
+
+    Args:
+        name: ``module:Class``, or the name of an entry point.
+        key: The key that holds the name.
+        mistakes: Where mistakes go.
+        group: The group of the entry points.
+        folder: The folder of the file; its modules are found first.
+        built_in: Names that are known without an entry point.
+
+    Returns:
+        The class; None if there was a mistake.
+    """
+    built_in = built_in or {}
+    target = built_in.get(name, name)
+    if matched := _MODULE_AND_CLASS.match(target):
+        return _import(matched[1], matched[2], key, mistakes, folder)
+    if not _INSTALLED.match(name):
+        mistakes.add(
+            key,
+            "expected 'module:Class', or the name of an installed driver, "
+            f"not {name!r:.80}",
+        )
+        return None
+    points = {
+        point.name: point for point in importlib.metadata.entry_points(group=group)
+    }
+    if name not in points:
+        known = [*built_in, *points]
+        mistakes.add(
+            key,
+            f"{name!r} is not installed{did_you_mean(name, known) or _among(known)} "
+            f"(a class of your own is named 'module:Class')",
+        )
+        return None
+    try:
+        found: object = points[name].load()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # the code of another package
+        mistakes.add(key, f"{name!r} cannot be imported: {describe(error)}")
+        return None
+    return _checked_class(found, name, key, mistakes)
+
+
+def _among(known: list[str]) -> str:
+    return f"; there are {', '.join(sorted(known))}" if known else ""
+
+
+def _import(
+    module_name: str, class_name: str, key: str, mistakes: Mistakes, folder: Path
+) -> type | None:
+    top = module_name.partition(".")[0]
+    if top in sys.stdlib_module_names:
+        mistakes.add(
+            key,
+            f"{top!r} is a module of Python itself, it has no drivers; name your own",
+        )
+        return None
+    with searched_first(folder):
+        try:
+            module = importlib.import_module(module_name)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # the user's code may do anything
+            mistakes.add(key, _why_not_imported(module_name, error, folder))
+            return None
+    if problem := _another_module(top, folder):
+        mistakes.add(key, problem)
+        return None
+    found: object = module
+    for part in class_name.split("."):
+        try:
+            found = getattr(found, part)
+        except Exception:  # a module may have a __getattr__ of its own
+            classes = [
+                each for each, value in vars(module).items() if isinstance(value, type)
+            ]
+            mistakes.add(
+                key,
+                f"module {module_name!r} has no {class_name!r}"
+                + (did_you_mean(class_name, classes) or ""),
+            )
+            return None
+    return _checked_class(found, f"{module_name}:{class_name}", key, mistakes)
+
+
+def _checked_class(
+    found: object, name: str, key: str, mistakes: Mistakes
+) -> type | None:
+    if isinstance(found, type):
+        return found
+    mistakes.add(key, f"{name!r} is no class, but a {type(found).__name__}")
+    return None
+
+
+def _another_module(top: str, folder: Path) -> str | None:
+    """Say so if a module beside the file is not the one that was imported."""
+    origin = getattr(sys.modules.get(top), "__file__", None)
+    if origin is None or top == "__main__":
+        return None
+    for beside in (folder / f"{top}.py", folder / top / "__init__.py"):
+        if beside.is_file():
+            if Path(origin).resolve() == beside.resolve():
+                return None
+            return (
+                f"this process has imported another {top!r} already, from {origin}, "
+                f"so {beside} cannot be used: give one of them another name"
+            )
+    return None
+
+
+def _why_not_imported(module_name: str, error: BaseException, folder: Path) -> str:
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        if module_name == error.name or module_name.startswith(f"{error.name}."):
+            neighbours = [path.stem for path in sorted(folder.glob("*.py"))[:100]]
+            hint = did_you_mean(error.name, neighbours)
+            return (
+                f"there is no module {error.name!r}, neither installed "
+                f"nor in {folder}{hint}"
+            )
+        return (
+            f"module {module_name!r} needs {error.name!r}, which is not installed"
+            f"{_place(error)}"
+        )
+    return (
+        f"module {module_name!r} cannot be imported: {describe(error)}{_place(error)}"
+    )
+
+
+def _place(error: BaseException) -> str:
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if "importlib" not in frame.filename and frame.filename != __file__
+    ]
+    if not frames:
+        return ""
+    return f" ({frames[-1].filename}, line {frames[-1].lineno})"

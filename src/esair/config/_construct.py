@@ -1,0 +1,287 @@
+"""From a table of a file to an object: keywords, settings, attributes.
+
+A key of a component is, in this order, a keyword of its constructor, a setting
+that its class declares, or a public attribute of its class that holds plain data
+(``speed: float = 0.3``). Anything else is a mistake.
+"""
+
+from __future__ import annotations
+
+import enum
+import inspect
+import typing
+from collections.abc import Container, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import attrs
+
+from esair import abc
+from esair.config._mistakes import Mistakes, below
+from esair.config._options import options_of
+from esair.config._records import Field, fields_of, hints_of
+from esair.config._values import INVALID, convert
+from esair.config._words import unknown, wanted
+from esair.exceptions import BadValueError
+from esair.resources import Resource, Setting
+from esair.resources._setting import settings_of
+
+_PLAIN: Final = (bool, int, float, str, tuple, frozenset, enum.Enum)
+
+
+OPTIONS: Final = "options"
+"""The key of a table with keywords for the package behind a class."""
+
+
+class Place(enum.Enum):
+    """Where a value goes."""
+
+    KEYWORD = "keyword of the constructor"
+    SETTING = "setting"
+    ATTRIBUTE = "attribute"
+    OPTIONS = "table of further keywords"
+
+
+@attrs.frozen
+class Accepted:
+    """One key that a class accepts.
+
+    Attributes:
+        place: Where the value goes.
+        field: Its type, and whether it must be there.
+        setting: The setting, if it is one.
+    """
+
+    place: Place
+    field: Field
+    setting: Setting | None = None
+
+
+def accepted_by(cls: type) -> dict[str, Accepted]:
+    """Return the keys that a class accepts, by name.
+
+    A constructor with ``**keywords`` is taken to hand them on to the next class,
+    one with ``**options`` to hand them on to something else.
+    """
+    attributes = _attributes_of(cls)
+    found: dict[str, Accepted] = {}
+    if issubclass(cls, Resource):
+        for name, setting in settings_of(cls).items():
+            found[name] = Accepted(
+                Place.SETTING, Field(setting.type, required=False), setting
+            )
+    for name, kind in attributes.items():
+        found.setdefault(name, Accepted(Place.ATTRIBUTE, Field(kind, required=False)))
+    keywords = keywords_of(cls)
+    if keywords.takes_settings:
+        for name, accepted in found.items():
+            if accepted.setting is not None:
+                found[name] = attrs.evolve(accepted, place=Place.KEYWORD)
+    for name, field in keywords.fields.items():
+        known = found.get(name)
+        if field.kind is Any and known is not None:
+            field = attrs.evolve(field, kind=known.field.kind)
+        found[name] = Accepted(Place.KEYWORD, field, known.setting if known else None)
+    if keywords.takes_options:
+        for name, kind in options_of(cls).items():
+            found.setdefault(name, Accepted(Place.KEYWORD, Field(kind, required=False)))
+        found[OPTIONS] = Accepted(Place.OPTIONS, Field(dict[str, Any], required=False))
+    return found
+
+
+@attrs.frozen
+class Keywords:
+    """What the constructor of a class takes.
+
+    Attributes:
+        fields: Its keywords, by name.
+        takes_settings: Whether it takes the settings of a resource too.
+        takes_options: Whether it takes whatever a package behind it takes.
+    """
+
+    fields: dict[str, Field]
+    takes_settings: bool = False
+    takes_options: bool = False
+
+
+def keywords_of(cls: type) -> Keywords:
+    """Return what the constructor of a class takes."""
+    found: dict[str, Field] = {}
+    for holder in cls.__mro__:
+        constructor = vars(holder).get("__init__")
+        if holder is object or not inspect.isfunction(constructor):
+            continue
+        hints = hints_of(constructor)
+        parameters = list(inspect.signature(constructor).parameters.values())[1:]
+        for parameter in parameters:
+            if parameter.kind in {
+                parameter.POSITIONAL_OR_KEYWORD,
+                parameter.KEYWORD_ONLY,
+            }:
+                kind = hints.get(parameter.name, _kind_of(parameter.default))
+                required = parameter.default is parameter.empty
+                found.setdefault(parameter.name, Field(kind, required))
+        if holder is Resource:
+            return Keywords(found, takes_settings=True)
+        rest = [each.name for each in parameters if each.kind is each.VAR_KEYWORD]
+        if rest == [OPTIONS]:
+            return Keywords(found, takes_options=True)
+        if not rest:
+            break
+    return Keywords(found)
+
+
+def _attributes_of(cls: type) -> dict[str, Any]:
+    hints = hints_of(cls)
+    found: dict[str, Any] = {}
+    for name in [*hints, *(name for holder in cls.__mro__ for name in vars(holder))]:
+        if name.startswith("_") or name in found:
+            continue
+        hint = hints.get(name)
+        if hint is typing.ClassVar or typing.get_origin(hint) is typing.ClassVar:
+            continue
+        value = inspect.getattr_static(cls, name, None)
+        if (
+            isinstance(value, Setting)
+            or inspect.isroutine(value)
+            or hasattr(value, "__get__")
+        ):
+            continue
+        if isinstance(hint, typing.TypeVar):
+            hint = Any
+        if hint is not None:
+            found[name] = hint
+        elif isinstance(value, _PLAIN) or (
+            value is not None and fields_of(type(value))
+        ):
+            found[name] = _kind_of(value)
+    return found
+
+
+def _kind_of(default: object) -> Any:
+    """Return the type of values that may stand for a default without a type."""
+    if type(default) is int:
+        return int | float  # ``speed = 1`` does not mean whole numbers only
+    if isinstance(default, _PLAIN) or fields_of(type(default)) is not None:
+        return type(default)
+    return Any
+
+
+def construct(
+    cls: type,
+    name: str,
+    table: Mapping[str, Any],
+    keys: Mapping[str, str],
+    key: str,
+    mistakes: Mistakes,
+    folder: Path,
+    *,
+    given: Mapping[str, Any] | None = None,
+    kinds: Mapping[str, Any] | None = None,
+    inherited: Container[str] = (),
+    later: frozenset[str] = frozenset(),
+    make: bool = True,
+) -> Any:
+    """Make a component from its table, or note every mistake.
+
+    Args:
+        cls: The class of the component.
+        name: Its name.
+        table: What the file says about it.
+        keys: The key in the file of each key in the table.
+        key: The key of the component in the file.
+        mistakes: Where mistakes go.
+        folder: Where relative paths begin.
+        given: Objects that are no values of the file: the bus.
+        kinds: The types of keys whose types the class itself cannot say.
+        inherited: Keys that are left out if the class does not accept them.
+        later: Keys that somebody else takes care of.
+        make: Whether the component is made, or its table only checked.
+
+    Returns:
+        The component; None if there was a mistake.
+    """
+    given = dict(given or {})
+    accepted = accepted_by(cls)
+    known = {each for each in accepted if each not in {"name", *given}}
+    before = len(mistakes.errors)
+    values: dict[str, Any] = {}
+    for field, value in table.items():
+        if field in later:
+            continue
+        if field not in known:
+            if field in inherited:
+                continue
+            mistakes.add(keys[field], unknown("key", field, known.difference(later)))
+            continue
+        setting = accepted[field].setting
+        if setting is not None:
+            values[field] = _check_setting(setting, value, keys[field], mistakes)
+        else:
+            kind = (kinds or {}).get(field, accepted[field].field.kind)
+            values[field] = convert(value, kind, keys[field], mistakes.add, folder)
+    for field, accept in accepted.items():
+        if accept.field.required and field not in {"name", *given, *table}:
+            mistakes.add(
+                key,
+                f"the key {field!r} is missing: expected {wanted(accept.field.kind)}",
+            )
+    options: dict[str, Any] = {}
+    if accepted_as(accepted, OPTIONS, Place.OPTIONS) and OPTIONS in values:
+        options = values.pop(OPTIONS)
+        for field in options if isinstance(options, dict) else ():
+            if field in accepted:
+                where = below(keys[OPTIONS], field)
+                mistakes.add(where, f"its place is {below(key, field)}")
+    if len(mistakes.errors) > before or not make:
+        return None
+    values.update(options)
+    return _make(cls, name, values, accepted, given, key, mistakes)
+
+
+def accepted_as(accepted: Mapping[str, Accepted], field: str, place: Place) -> bool:
+    """Tell whether a class accepts a key in a certain way."""
+    return field in accepted and accepted[field].place is place
+
+
+def _check_setting(
+    setting: Setting, value: object, key: str, mistakes: Mistakes
+) -> Any:
+    try:
+        return setting.check("", value)
+    except BadValueError as error:
+        mistakes.add(key, str(error).removeprefix(f": {setting.name}: "))
+        return INVALID
+
+
+def _make(
+    cls: type,
+    name: str,
+    values: Mapping[str, Any],
+    accepted: Mapping[str, Accepted],
+    given: Mapping[str, Any],
+    key: str,
+    mistakes: Mistakes,
+) -> Any:
+    everything = {**values, **given}
+    keywords = {
+        field: value
+        for field, value in everything.items()
+        if accepted_as(accepted, field, Place.KEYWORD) or field not in accepted
+    }
+    takes_name = accepted_as(accepted, "name", Place.KEYWORD)
+    if takes_name:
+        keywords["name"] = name
+    try:
+        made = cls(**keywords)
+        if not takes_name and isinstance(made, abc.Component) and made.name != name:
+            abc.Component.__init__(made, name=name)  # a constructor that takes no name
+        for field, value in everything.items():
+            if field not in keywords:
+                setattr(made, field, value)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # the user's code may do anything
+        mistakes.caught(key, error, f"{cls.__name__}(...)")
+        return None
+    return made

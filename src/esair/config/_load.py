@@ -1,0 +1,116 @@
+"""From a file to a robot."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar, overload
+
+from esair.config._description import Description
+from esair.config._findings import Severity, examine
+from esair.config._parts import make_draft, refused_by_robot
+from esair.config._source import read_source
+from esair.exceptions import ConfigError
+
+if TYPE_CHECKING:
+    from esair.standard import Robot
+
+R = TypeVar("R")
+
+
+def load(
+    path: str | os.PathLike[str],
+    *,
+    simulated: bool = False,
+    robot_class: type | None = None,
+) -> Description:
+    """Read and check a configuration; nothing is opened, nothing moves.
+
+    Modules that the file names are also found in its own folder.
+
+    Args:
+        path: The file, in TOML.
+        simulated: Whether the ``sim`` tables replace what they stand beside.
+        robot_class: The class of the robot, if it is not `esair.Robot`: its
+            keywords are the keys of the table ``[robot]``.
+
+    Raises:
+        ConfigError: The file cannot be read, or is no TOML.
+        ExceptionGroup: Every mistake in it at once, each a `ConfigError` that
+            names file, line, key, and what was expected.
+    """
+    if robot_class is None:
+        from esair.standard import Robot
+
+        robot_class = Robot
+    source = read_source(path)
+    draft = make_draft(source, simulated=simulated, robot_class=robot_class)
+    for finding in examine(draft):
+        if finding.severity is Severity.ERROR:
+            source.mistakes.add(finding.key, finding.message)
+    source.mistakes.raise_all()
+    refused_by_robot(draft, robot_class)
+    source.mistakes.raise_all()
+    return Description(
+        path=source.path,
+        digest=source.digest,
+        simulated=simulated,
+        robot=draft.robot,
+        buses={name: bus for name, bus in draft.buses.items() if bus is not None},
+        resources={
+            name: resource
+            for name, resource in draft.resources.items()
+            if resource is not None
+        },
+        behaviors={
+            name: action
+            for name, action in draft.behaviors.items()
+            if action is not None
+        },
+        policies=draft.policies,
+    )
+
+
+@overload
+def build(description: Description) -> Robot: ...
+@overload
+def build(description: Description, robot_class: Callable[..., R]) -> R: ...
+def build(
+    description: Description, robot_class: Callable[..., Any] | None = None
+) -> Any:
+    """Make the robot that was described. It is not started.
+
+    Args:
+        description: What `load` returned; it serves for one robot.
+        robot_class: The class of the robot; `esair.Robot` unless given.
+
+    Raises:
+        ConfigError: A robot was made of this description already.
+        ExceptionGroup: The robot refuses what is described.
+    """
+    if robot_class is None:
+        from esair.standard import Robot
+
+        robot_class = Robot
+    if description.is_built:
+        raise ConfigError(
+            str(description.path),
+            "",
+            "a robot was made of it already: load the file again",
+        )
+    robot = robot_class(
+        resources=list(description.resources.values()),
+        behaviors=list(description.behaviors.values()),
+        policies=list(description.policies.values()),
+        **description.robot,
+    )
+    description.is_built = True
+    return robot
+
+
+def load_robot(
+    path: str | os.PathLike[str], robot_class: type[R], simulated: bool = False
+) -> R:
+    """Make a robot from a file; see `load` and `build`."""
+    description = load(path, simulated=simulated, robot_class=robot_class)
+    return build(description, robot_class)

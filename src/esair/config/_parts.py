@@ -1,0 +1,109 @@
+"""From the tables of a file to the parts of a robot: as far as they are sound."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from esair.config._actions import make_behavior
+from esair.config._construct import keywords_of
+from esair.config._devices import make_bus, make_device
+from esair.config._draft import Draft
+from esair.config._mistakes import below, dotted, show
+from esair.config._policies import read_policies
+from esair.config._source import Source
+from esair.config._tables import named_tables
+from esair.config._values import INVALID, convert
+from esair.config._words import unknown
+from esair.exceptions import ConfigError, EsairError
+from esair.messages import check_name
+from esair.resources import Actuator, Sensor
+
+TABLES: Final = ("robot", "bus", "sensor", "actuator", "behavior", "access")
+"""The tables of a file."""
+
+
+def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
+    """Make every component that a file describes; mistakes go to the source."""
+    draft = Draft(source, simulated)
+    for name, value in list(source.data.items()):
+        if name not in TABLES:
+            source.mistakes.add(dotted(name), unknown("table", name, TABLES))
+        elif not isinstance(value, dict):
+            source.mistakes.add(name, f"expected a table, not {show(value)}")
+            del source.data[name]
+    draft.robot = _read_robot(source, robot_class)
+    for name, table in named_tables(source, "bus"):
+        draft.buses[name] = make_bus(draft, name, table)
+    for kind, base in (("sensor", Sensor), ("actuator", Actuator)):
+        for name, table in named_tables(source, kind):
+            key = f"{kind}.{name}"
+            if name in draft.resources:
+                source.mistakes.add(
+                    key,
+                    f"the name {name!r} is taken by {draft.keys[name]}: choose another",
+                )
+                continue
+            draft.keys[name] = key
+            draft.resources[name] = make_device(draft, key, name, table, base)
+    for name, table in named_tables(source, "behavior"):
+        draft.behaviors[name] = make_behavior(draft, name, table)
+    draft.policies = read_policies(source, draft.keys)
+    return draft
+
+
+def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:
+    table = source.data.get("robot", {})
+    parts = {"resources", "behaviors", "policies", "buses"}
+    keywords = keywords_of(robot_class).fields
+    known = {name: field for name, field in keywords.items() if name not in parts}
+    settings: dict[str, Any] = {"name": "robot"}
+    for name, value in table.items():
+        key = below("robot", name)
+        if name not in known:
+            source.mistakes.add(key, unknown("key", name, known))
+            continue
+        result = convert(
+            value, known[name].kind, key, source.mistakes.add, source.folder
+        )
+        if result is not INVALID:
+            settings[name] = result
+    try:
+        check_name("robot", settings["name"])
+    except ConfigError as error:
+        source.mistakes.add(
+            "robot.name", f"expected {str(error).rpartition('expected ')[2]}"
+        )
+    return settings
+
+
+def refused_by_robot(draft: Draft, robot_class: type) -> None:
+    """Note what the robot itself would refuse, in a draft without mistakes.
+
+    The checks of this package know the file and tell more; these are the ones that
+    count in the end.
+    """
+    resources = {
+        name: each for name, each in draft.resources.items() if each is not None
+    }
+    behaviors = {
+        name: each for name, each in draft.behaviors.items() if each is not None
+    }
+    mistakes = draft.source.mistakes
+    try:
+        robot = robot_class(
+            resources=resources.values(),
+            behaviors=behaviors.values(),
+            policies=draft.policies.values(),
+            **draft.robot,
+        )
+    except (EsairError, ExceptionGroup) as error:
+        mistakes.caught("robot", error, "the robot")
+        return
+    for name, resource in resources.items():
+        for refusal in robot.resources.mistakes([resource]):
+            mistakes.caught(draft.keys[name], refusal, "its start")
+    for name, behavior in behaviors.items():
+        for refusal in robot.behaviors.mistakes([behavior], resources):
+            mistakes.caught(f"behavior.{name}", refusal, "its start")
+    for refusal in robot.resources.rules.mistakes(resources, list(behaviors)):
+        mistakes.caught("access", refusal, "its start")

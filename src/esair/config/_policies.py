@@ -1,0 +1,111 @@
+"""The tables ``[access.RESOURCE]``: who may do what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+from esair.config._mistakes import below, dotted, show
+from esair.config._source import Source
+from esair.config._words import unknown
+from esair.exceptions import ConfigError, did_you_mean
+from esair.messages import Access, Policy, check_name
+
+_RIGHTS: Final = {
+    "read": Access.READ,
+    "write": Access.WRITE,
+    "configure": Access.CONFIGURE,
+    "none": Access(0),
+}
+
+
+def read_policies(source: Source, resources: Iterable[str]) -> dict[str, Policy]:
+    """Return the rules of a file, by the name of the resource."""
+    tables = source.data.get("access", {})
+    known = list(resources)
+    policies: dict[str, Policy] = {}
+    for name, table in tables.items():
+        key = dotted("access", name)
+        if name not in known:
+            source.mistakes.add(key, unknown("resource", name, known))
+        elif not isinstance(table, dict):
+            source.mistakes.add(
+                key,
+                f'expected a table such as {{ wander = "write" }}, not {show(table)}',
+            )
+        else:
+            policies[name] = _policy(source, key, name, table)
+    return policies
+
+
+def _policy(source: Source, key: str, name: str, table: dict[str, Any]) -> Policy:
+    allow: Any = {}
+    levels: Any = {}
+    exclusive = False
+    for behavior, value in table.items():
+        where = below(key, behavior)
+        if behavior == "exclusive":
+            if isinstance(value, bool):
+                exclusive = value
+            else:
+                source.mistakes.add(where, f"expected true or false, not {show(value)}")
+        elif behavior == "max_priority":
+            levels = _levels(source, where, value)
+        elif _is_name(source, where, behavior):
+            access = _access(source, where, value)
+            if access is not None:
+                allow[behavior] = access
+    return Policy(name, allow=allow, exclusive=exclusive, max_priority=levels)
+
+
+def _levels(source: Source, key: str, value: object) -> dict[str, int]:
+    if not isinstance(value, dict):
+        source.mistakes.add(
+            key, f"expected a table such as {{ wander = 5 }}, not {show(value)}"
+        )
+        return {}
+    levels: dict[str, int] = {}
+    for behavior, level in value.items():
+        where = below(key, behavior)
+        if not _is_name(source, where, behavior):
+            continue
+        if type(level) is int:
+            levels[behavior] = level
+        else:
+            source.mistakes.add(where, f"expected a whole number, not {show(level)}")
+    return levels
+
+
+def _is_name(source: Source, key: str, behavior: str) -> bool:
+    if behavior == "*":
+        return True
+    try:
+        check_name("behavior", behavior)
+    except ConfigError:
+        source.mistakes.add(
+            key, "expected the name of a behavior, or '*' for all others"
+        )
+        return False
+    return True
+
+
+def _access(source: Source, key: str, value: object) -> Access | None:
+    if not isinstance(value, str):
+        source.mistakes.add(
+            key, f'expected rights such as "read, write", not {show(value)}'
+        )
+        return None
+    access = Access(0)
+    sound = True
+    for word in value.split(","):
+        right = word.strip()
+        if right in _RIGHTS:
+            access |= _RIGHTS[right]
+        else:
+            source.mistakes.add(
+                key,
+                "expected read, write, configure or none, with commas between them, "
+                f"not {show(right)}{did_you_mean(right, _RIGHTS)}",
+            )
+            sound = False
+    return access if sound else None

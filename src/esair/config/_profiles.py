@@ -1,0 +1,118 @@
+"""Profiles in the file: what an action reads and writes, changed without its class."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import attrs
+
+from esair.actions import Reads, Writes
+from esair.actions._needs import ProfiledAction
+from esair.config._mistakes import below, show
+from esair.config._source import Source
+from esair.config._values import INVALID, convert
+from esair.config._words import unknown, wanted
+from esair.exceptions import ConfigError
+from esair.messages import check_name
+
+FLOWS: Final = ("reads", "writes")
+"""The keys that change the profile of a behavior or reaction."""
+
+_KINDS: Final[Mapping[str, type[Reads[Any]] | type[Writes[Any]]]] = {
+    "reads": Reads,
+    "writes": Writes,
+}
+_FIELDS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "reads": {"name": str, "max_age": float, "configure": bool},
+    "writes": {"name": str, "priority": int, "hold": float, "configure": bool},
+}
+
+
+def set_profile(
+    action: ProfiledAction,
+    table: Mapping[str, object],
+    keys: Mapping[str, str],
+    source: Source,
+) -> None:
+    """Change what an action reads or writes as the file says, or note why not.
+
+    Args:
+        action: A behavior or reaction.
+        table: Its table in the file.
+        keys: The key in the file of each key in the table.
+        source: The file.
+    """
+    before = len(source.mistakes.errors)
+    given: dict[str, dict[str, Any]] = {flow: {} for flow in FLOWS}
+    for attribute, need in action.needs.items():
+        given["writes" if isinstance(need, Writes) else "reads"][attribute] = need
+    for flow in FLOWS:
+        if flow not in table:
+            continue
+        ports = table[flow]
+        if not isinstance(ports, dict):
+            source.mistakes.add(
+                keys[flow],
+                f"expected a table with a key for each port, not {show(ports)}",
+            )
+            continue
+        other = given["reads" if flow == "writes" else "writes"]
+        for attribute, changes in ports.items():
+            where = below(keys[flow], attribute)
+            if attribute in other:
+                source.mistakes.add(
+                    where, f"its class declares {attribute!r} the other way round"
+                )
+                continue
+            changed = _changed(flow, given[flow].get(attribute), changes, where, source)
+            if changed is not None:
+                given[flow][attribute] = changed
+    if len(source.mistakes.errors) == before:
+        # Again, and not through the class: its own constructor may not hand them on.
+        ProfiledAction.__init__(action, name=action.name, **given)
+
+
+def _changed(
+    flow: str, declared: Any, changes: object, key: str, source: Source
+) -> Reads[Any] | Writes[Any] | None:
+    if isinstance(changes, str):
+        changes = {"name": changes}
+    if not isinstance(changes, dict):
+        source.mistakes.add(
+            key, f"expected the name of a resource, or a table, not {show(changes)}"
+        )
+        return None
+    fields = _FIELDS[flow]
+    values: dict[str, Any] = {}
+    for field, value in changes.items():
+        where = below(key, field)
+        if field not in fields:
+            source.mistakes.add(where, unknown("key", field, fields))
+            continue
+        result = convert(
+            value, fields[field], where, source.mistakes.add, source.folder
+        )
+        if result is INVALID:
+            continue
+        if field in {"max_age", "hold"} and not result > 0:
+            source.mistakes.add(
+                where, f"expected {wanted(float)} > 0, in seconds, not {show(value)}"
+            )
+            continue
+        if field == "name" and not _is_name(result, where, source):
+            continue
+        values[field] = result
+    if declared is not None:
+        changed: Reads[Any] | Writes[Any] = attrs.evolve(declared, **values)
+        return changed
+    return _KINDS[flow](Any, **values)
+
+
+def _is_name(name: str, key: str, source: Source) -> bool:
+    try:
+        check_name("resource", name)
+    except ConfigError as error:
+        source.mistakes.add(key, f"expected {str(error).rpartition('expected ')[2]}")
+        return False
+    return True

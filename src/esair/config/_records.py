@@ -1,0 +1,85 @@
+"""Classes with fields: which ones a table must fill, and of what type."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import typing
+from collections.abc import Mapping
+from typing import Any
+
+import attrs
+
+
+@attrs.frozen
+class Field:
+    """One field of a record, or one keyword of a constructor.
+
+    Attributes:
+        kind: Its type.
+        required: Whether it has no default.
+    """
+
+    kind: Any
+    required: bool
+
+
+def fields_of(kind: type) -> Mapping[str, Field] | None:
+    """Return the fields of a class that a table can be turned into, or None."""
+    if attrs.has(kind):
+        hints = hints_of(kind)
+        return {
+            field.alias: Field(
+                hints.get(field.name, Any), field.default is attrs.NOTHING
+            )
+            for field in attrs.fields(kind)
+            if field.init
+        }
+    if dataclasses.is_dataclass(kind):
+        hints = hints_of(kind)
+        return {
+            field.name: Field(
+                hints.get(field.name, Any),
+                field.default is dataclasses.MISSING
+                and field.default_factory is dataclasses.MISSING,
+            )
+            for field in dataclasses.fields(kind)
+            if field.init
+        }
+    if typing.is_typeddict(kind):
+        required = typing.cast("frozenset[str]", kind.__required_keys__)  # type: ignore[attr-defined]
+        return {
+            name: Field(hint, name in required) for name, hint in hints_of(kind).items()
+        }
+    if issubclass(kind, tuple) and hasattr(kind, "_fields"):
+        hints = hints_of(kind)
+        defaults = kind._field_defaults  # type: ignore[attr-defined]
+        return {
+            name: Field(hints.get(name, Any), name not in defaults)
+            for name in kind._fields
+        }
+    return None
+
+
+def hints_of(something: Any) -> dict[str, Any]:
+    """Return type hints; what cannot be resolved at run time is `typing.Any`."""
+    try:
+        return typing.get_type_hints(something)
+    except Exception:  # a name imported for type checkers only, or nonsense
+        holders = [something]
+    if inspect.isclass(something):
+        holders = list(reversed(something.__mro__))
+    return {
+        name: _resolved(hint, holder)
+        for holder in holders
+        for name, hint in inspect.get_annotations(holder).items()
+    }
+
+
+def _resolved(hint: object, holder: object) -> Any:
+    if not isinstance(hint, str):
+        return hint
+    try:
+        return eval(hint, dict(vars(inspect.getmodule(holder))))
+    except Exception:  # as above, but for this name only
+        return Any

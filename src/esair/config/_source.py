@@ -1,0 +1,116 @@
+"""A configuration file: read once, parsed, and looked over as a whole."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+import attrs
+
+from esair.config._mistakes import ConfigFileError, Lines, Mistakes, below, dotted, show
+
+LIMIT: Final = 1_048_576
+"""How large a configuration file may be, in bytes."""
+
+DEPTH: Final = 16
+"""How deeply its tables and lists may be nested."""
+
+_INTEGER: Final = 2**63  # what TOML promises to keep
+
+
+@attrs.frozen
+class Source:
+    """The text of one configuration file, parsed.
+
+    Attributes:
+        path: The file.
+        digest: SHA-256 of its bytes, in hexadecimal: what was loaded, exactly.
+        data: Its tables.
+        mistakes: Where mistakes go.
+    """
+
+    path: Path
+    digest: str
+    data: dict[str, Any]
+    mistakes: Mistakes
+
+    @property
+    def folder(self) -> Path:
+        """Where the file lies: relative paths and modules are found there."""
+        return self.path.resolve().parent
+
+
+def read_source(path: str | os.PathLike[str]) -> Source:
+    """Read and parse a configuration file, once.
+
+    Raises:
+        ConfigFileError: It cannot be read, or is no TOML.
+    """
+    shown = str(path)
+    raw = _bytes_of(path, shown)
+    try:
+        text = raw.decode()
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ConfigFileError(shown, line, "", "expected text in UTF-8") from None
+    try:
+        data = tomllib.loads(text)
+    except RecursionError:
+        reason = f"expected at most {DEPTH} tables or lists inside each other"
+        raise ConfigFileError(shown, None, "", reason) from None
+    except ValueError as error:  # with "(at line 3, column 5)"
+        reason = f"this is no TOML: {' '.join(str(error).split())}"
+        raise ConfigFileError(shown, None, "", reason) from None
+    mistakes = Mistakes(shown, Lines(text))
+    _look_over(data, mistakes)
+    digest = hashlib.sha256(raw).hexdigest()
+    return Source(Path(path), digest, data, mistakes)
+
+
+def _bytes_of(path: str | os.PathLike[str], shown: str) -> bytes:
+    try:
+        with Path(path).open("rb") as file:
+            raw = file.read(LIMIT + 1)
+    except FileNotFoundError:
+        raise ConfigFileError(shown, None, "", "there is no such file") from None
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
+        reason = f"it cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise ConfigFileError(shown, None, "", reason) from None
+    if len(raw) > LIMIT:
+        raise ConfigFileError(shown, None, "", f"expected at most {LIMIT} bytes")
+    return raw
+
+
+def _look_over(data: dict[str, Any], mistakes: Mistakes) -> None:
+    """Note, and take out, what no key of any component can want."""
+    waiting: list[tuple[str, Any, int]] = [("", data, 0)]
+    while waiting:
+        key, holder, depth = waiting.pop()
+        items = holder.items() if isinstance(holder, dict) else enumerate(holder)
+        for name, value in list(items):
+            where = below(key, str(name)) if key else dotted(str(name))
+            problem = _problem(value, where, depth)
+            if problem:
+                mistakes.add(where, problem)
+                if isinstance(holder, dict):
+                    del holder[name]
+                else:
+                    holder[name] = 0
+            elif isinstance(value, dict | list):
+                waiting.append((where, value, depth + 1))
+
+
+def _problem(value: object, key: str, depth: int) -> str | None:
+    if isinstance(value, dict | list) and depth >= DEPTH:
+        return f"expected at most {DEPTH} tables or lists inside each other"
+    if isinstance(value, float) and not math.isfinite(value):
+        if "limits" in key.split(".") and not math.isnan(value):
+            return None  # a limit on one side only
+        return f"expected a finite number, not {show(value)}"
+    if isinstance(value, int) and not -_INTEGER <= value < _INTEGER:
+        return "expected a whole number of 64 bits"
+    return None

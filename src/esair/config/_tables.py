@@ -1,0 +1,133 @@
+"""The table of one component: its name, its class, and what counts when simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import attrs
+
+from esair.actions._needs import ProfiledAction
+from esair.buses import Bus
+from esair.config._classes import BUSES, find_class
+from esair.config._draft import Draft
+from esair.config._mistakes import below, dotted, show
+from esair.config._source import Source
+from esair.config._words import wanted
+from esair.exceptions import ConfigError
+from esair.messages import check_name
+from esair.resources import Actuator, Sensor
+
+
+def named_tables(source: Source, kind: str) -> list[tuple[str, dict[str, Any]]]:
+    holder = source.data.get(kind, {})
+    found: list[tuple[str, dict[str, Any]]] = []
+    for name, table in list(holder.items()):
+        key = dotted(kind, name)
+        try:
+            check_name(kind, name)
+        except ConfigError as error:
+            source.mistakes.add(
+                key, f"a name is {str(error).rpartition('expected ')[2]}"
+            )
+            del holder[name]
+            continue
+        if isinstance(table, dict):
+            found.append((name, table))
+        else:
+            source.mistakes.add(
+                key, f"expected a table [{kind}.NAME], not {show(table)}"
+            )
+            del holder[name]
+    return found
+
+
+@attrs.frozen
+class Variant:
+    """One table, real or simulated.
+
+    Attributes:
+        table: The values that count.
+        keys: The key in the file of each.
+        inherited: What a simulated device has from the real one's table.
+        is_simulated: Whether there was a table ``sim``.
+    """
+
+    table: dict[str, Any]
+    keys: dict[str, str]
+    inherited: frozenset[str] = frozenset()
+    is_simulated: bool = False
+
+
+def variant_of(
+    draft: Draft, key: str, table: Mapping[str, Any], driver: str
+) -> Variant:
+    real = {name: value for name, value in table.items() if name != "sim"}
+    keys = {name: below(key, name) for name in real}
+    sim = table.get("sim")
+    if "sim" in table and not isinstance(sim, dict):
+        draft.source.mistakes.add(
+            f"{key}.sim",
+            f"expected a table of what replaces the real keys, not {show(sim)}",
+        )
+    if not draft.simulated or not isinstance(sim, dict):
+        return Variant(real, keys)
+    inherited: frozenset[str] = frozenset()
+    if driver in sim:  # another class: it has its own keys, and is on its own bus
+        real.pop("bus", None)
+        inherited = frozenset(real) - frozenset(sim)
+    keys.update({name: below(f"{key}.sim", name) for name in sim})
+    return Variant({**real, **sim}, keys, inherited, is_simulated=True)
+
+
+def class_of(
+    draft: Draft, key: str, variant: Variant, field: str, base: type, group: str
+) -> type | None:
+    """Return the class that a table names, or note why it cannot serve."""
+    mistakes = draft.source.mistakes
+    if field not in variant.table:
+        expected = "'serial', 'can', 'i2c'" if base is Bus else "'module:Class'"
+        mistakes.add(
+            key,
+            f"the key {field!r} is missing: expected {expected} or an installed name",
+        )
+        return None
+    name = variant.table[field]
+    where = variant.keys[field]
+    if not isinstance(name, str):
+        mistakes.add(where, f"expected {wanted(str)}, not {show(name)}")
+        return None
+    found = find_class(
+        name,
+        where,
+        mistakes,
+        group=group,
+        folder=draft.source.folder,
+        built_in=BUSES if base is Bus else None,
+    )
+    if found is None or issubclass(found, base):
+        return found
+    mistakes.add(where, f"expected {_KINDS[base]}, {name!r} is {_kind_of(found)}")
+    return None
+
+
+_KINDS: Final[Mapping[type, str]] = {
+    Sensor: "a Sensor",
+    Actuator: "an Actuator",
+    ProfiledAction: "a Behavior or Reaction",
+    Bus: "a Bus",
+}
+_PLACES: Final[Mapping[type, str]] = {
+    Sensor: "[sensor.NAME]",
+    Actuator: "[actuator.NAME]",
+    ProfiledAction: "[behavior.NAME]",
+    Bus: "[bus.NAME]",
+}
+
+
+def _kind_of(cls: type) -> str:
+    for base, text in _KINDS.items():
+        if issubclass(cls, base):
+            return f"{text}: its place is {_PLACES[base]}"
+    bases = ", ".join(each.__name__ for each in cls.__bases__)
+    return f"none: its bases are {bases}"

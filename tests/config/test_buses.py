@@ -1,0 +1,72 @@
+"""The buses of the package, as a file names them."""
+
+import pytest
+
+from esair import buses, config
+from esair.exceptions import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("table", "kind"),
+    [
+        ('type = "serial"\nport = "/dev/ttyS0"\nbaudrate = 9600', "SerialBus"),
+        (
+            'type = "serial"\nport = "/dev/ttyS0"\nparity = "E"\nstopbits = 2',
+            "SerialBus",
+        ),
+        ('type = "serial"\nport = "/dev/ttyS0"\ndelimiter = ";"', "SerialBus"),
+        ('type = "can"\ninterface = "socketcan"\nchannel = "can0"', "CanBus"),
+        ('type = "can"\nchannel = "can0"\nbitrate = 500000', "CanBus"),
+        ('type = "can"\nchannel = "a"\noptions = {{ app_name = "x" }}', "CanBus"),
+        ('type = "i2c"\nbus = 1', "I2CBus"),
+    ],
+)
+def test_the_three_buses_need_no_module_name(project, table, kind) -> None:
+    """serial, can, i2c, with the keys of their classes and of what is behind them."""
+    described = config.load(project.write(f"[bus.x]\n{table}\n"))
+
+    assert type(described.buses["x"]) is getattr(buses, kind)
+    assert described.buses["x"].name == "x"
+    assert not described.buses["x"].is_open
+
+
+def test_bytes_are_written_as_strings(project) -> None:
+    """TOML has no bytes."""
+    text = '[bus.x]\ntype = "serial"\nport = "/dev/ttyS0"\ndelimiter = "\\r\\n"\n'
+
+    assert config.load(project.write(text)).buses["x"].delimiter == b"\r\n"
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "told"),
+    [
+        ('type = "serial"\nport = "x"\nbaudrte = 1', "bus.x.baudrte", "'baudrate'?"),
+        ('type = "serial"\nport = "x"\nparity = "X"', "bus.x.parity", "one of 'N'"),
+        ('type = "serial"', "bus.x.port", "expected the path"),
+        ('type = "can"\nchannel = "can0"\nbitrate = "fast"', "bus.x.bitrate", "whole"),
+        ('type = "can"\nchannel = "a"\noptions = 3', "bus.x.options", "a table"),
+        (
+            'type = "can"\nchannel = "a"\noptions = {{ channel = "b" }}',
+            "bus.x.options.channel",
+            "its place is bus.x.channel",
+        ),
+        ('type = "i2c"\nbus = -1', "bus.x.bus", "the N of /dev/i2c-N"),
+        ('type = "i2c"\nbus = "1"', "bus.x.bus", "a whole number"),
+    ],
+)
+def test_mistakes_in_their_keys_are_told(project, table, key, told) -> None:
+    """A misspelled key is not handed on to the package behind."""
+    project.write(f"[bus.x]\n{table}\n")
+
+    assert told in project.mistakes()[key]
+
+
+def test_a_bus_class_of_ones_own_must_be_a_bus(project) -> None:
+    """Whatever has the right methods but is none would lack a lane."""
+    project.write('[bus.x]\ntype = "{m}:Sonar"\n')
+
+    with pytest.raises(ExceptionGroup) as caught:
+        config.load(project.file)
+    (error,) = caught.value.exceptions
+    assert isinstance(error, ConfigError)
+    assert "expected a Bus" in str(error)
