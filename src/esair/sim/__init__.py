@@ -1,0 +1,40 @@
+"""A rover in a two-dimensional world, with devices that speak real protocols.
+
+The robot's side sees a serial line, a CAN bus and an I²C bus, and nothing else: what
+is behind them is here. ``Simulation`` is all of it together; the classes of buses
+(``SimSerialBus`` and its kin) say in a configuration file which wire a bus is on::
+
+    [bus.front]
+    type = "serial"
+    port = "/dev/ttyUSB0"
+    sim = { type = "esair.sim:SimSerialBus", line = "front" }
+"""
+
+from esair.sim._arena import Arena, Box, Pillar, Wall
+from esair.sim._buses import SimCanBus, SimI2CBus, SimSerialBus
+from esair.sim._imu import SimMpu6050
+from esair.sim._motor import SimMotor
+from esair.sim._serial_parts import SimBumper, SimRangeFinder
+from esair.sim._simulation import Simulation
+from esair.sim._wires import MemoryCan, MemoryLine, PtyLine, SimI2cMaster
+from esair.sim._world import World
+
+__all__ = [
+    "Arena",
+    "Box",
+    "MemoryCan",
+    "MemoryLine",
+    "Pillar",
+    "PtyLine",
+    "SimBumper",
+    "SimCanBus",
+    "SimI2CBus",
+    "SimI2cMaster",
+    "SimMotor",
+    "SimMpu6050",
+    "SimRangeFinder",
+    "SimSerialBus",
+    "Simulation",
+    "Wall",
+    "World",
+]

@@ -1,0 +1,229 @@
+"""The world, the parts and their wires together, on the event loop's clock."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import contextlib
+import itertools
+import os
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+from esair.buses import Frame
+from esair.exceptions import ConfigError, did_you_mean
+from esair.loop import Spoke, Wheel
+from esair.sim._arena import Arena
+from esair.sim._imu import SimMpu6050
+from esair.sim._motor import SimMotor
+from esair.sim._serial_parts import SimBumper, SimRangeFinder
+from esair.sim._wires import MemoryCan, MemoryLine, PtyLine, SimI2cMaster, VirtualCan
+from esair.sim._world import World
+
+STEP = 0.01
+"""How much time one step of the physics is, in seconds."""
+
+CATCH_UP = 50
+"""How many steps are made at once when the loop was held up; more are left out."""
+
+FRAME_LIMIT = 100_000
+"""How many frames are kept; then the newest win."""
+
+_numbers = itertools.count()
+
+
+class Simulation:
+    """A rover in its arena, and the ends of its wires.
+
+    ========= =================  =============================================
+    wire      what is on it      how the robot reaches it
+    ========= =================  =============================================
+    ``front`` range finder       `SimSerialBus`, a pseudo-terminal
+    ``skirt`` bumper             `SimSerialBus`, a pseudo-terminal
+    ``drive`` two motors         `SimCanBus`, python-can's ``virtual`` interface
+    ``body``  MPU-6050 at 0x68   `SimI2CBus`, the methods of ``smbus2.SMBus``
+    ========= =================  =============================================
+
+    On a virtual clock all wires are in memory and carry the same bytes and frames.
+    Use it as an async context manager, before the robot; a robot that is described
+    by a file, and finds no simulation, starts one with its first bus.
+
+    Args:
+        arena: What there is in the world.
+        seed: Decides all noise.
+
+    Attributes:
+        late: How many steps of the physics were left out.
+        frames: The frames on the CAN bus with their times, the oldest first.
+        on_frame: Called with the time and each frame; None if nobody cares.
+    """
+
+    def __init__(self, arena: Arena | None = None, *, seed: int = 0) -> None:
+        loop = asyncio.get_running_loop()
+        self.world = World(arena, seed=seed)
+        self.in_memory: bool = getattr(loop, "virtual", False)
+        self.late = 0
+        self.frames: collections.deque[tuple[float, Frame]] = collections.deque(
+            maxlen=FRAME_LIMIT
+        )
+        self.on_frame: Callable[[float, Frame], None] | None = None
+        self._loop = loop
+        self._folder: Path | None = None
+        if not self.in_memory:
+            self._folder = Path(tempfile.mkdtemp(prefix="esair-sim-"))
+        self.front = self._make_line("front")
+        self.skirt = self._make_line("skirt")
+        self.channel = f"esair-sim-{os.getpid()}-{next(_numbers)}"
+        self.drive: MemoryCan | VirtualCan = (
+            MemoryCan(self._heard)
+            if self.in_memory
+            else VirtualCan(self.channel, self._heard)
+        )
+        self._motors = [SimMotor(self.world, side, self._tell) for side in (0, 1)]
+        self._imu = SimMpu6050(self.world, seed=seed)
+        self.body = SimI2cMaster({0x68: self._imu})
+        self._range_finder = SimRangeFinder(self.world, self.front, seed=seed)
+        self._bumper = SimBumper(self.world, self.skirt)
+        self._began = 0.0
+        self._steps = 0
+        self._spoke: Spoke | None = None
+        self._users: dict[object, None] = {}
+
+    async def __aenter__(self) -> Simulation:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self.stop()
+
+    @property
+    def time(self) -> float:
+        """How long it has been running, in seconds of the loop's clock."""
+        return self._loop.time() - self._began
+
+    async def start(self) -> None:
+        """Plug everything in and let time pass."""
+        _of_loop[self._loop] = self
+        self.front.plug()
+        self.skirt.plug()
+        await self.drive.open()
+        self._began = self._loop.time()
+        self._spoke = Wheel.of(self._loop).every(STEP, self._turn)
+
+    async def stop(self) -> None:
+        """Let time stand still and let all wires go."""
+        if _of_loop.get(self._loop) is self:
+            del _of_loop[self._loop]
+        if self._spoke is not None:
+            self._spoke.stop()
+        self.front.unplug()
+        self.skirt.unplug()
+        await self.drive.close()
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def line(self, name: str) -> PtyLine | MemoryLine:
+        """Return a serial line by its name.
+
+        Raises:
+            ConfigError: There is no such line.
+        """
+        lines = {"front": self.front, "skirt": self.skirt}
+        if name not in lines:
+            hint = did_you_mean(name, lines) or "; there are front, skirt"
+            raise ConfigError(
+                "simulation", "line", f"no line is named {name!r:.80}{hint}"
+            )
+        return lines[name]
+
+    def _make_line(self, name: str) -> PtyLine | MemoryLine:
+        return (
+            MemoryLine(name) if self._folder is None else PtyLine(self._folder / name)
+        )
+
+    def _turn(self, _now: float) -> None:
+        due = int((self._loop.time() - self._began) / STEP + 1e-6)
+        missed = due - self._steps - CATCH_UP
+        if missed > 0:
+            self.late += missed
+            self._steps += missed
+        while self._steps < due:
+            self._steps += 1
+            self.world.step(STEP)
+            self._imu.step()
+            for motor in self._motors:
+                motor.step()
+            self._bumper.step()
+            self._range_finder.step()
+
+    def _heard(self, frame: Frame) -> None:
+        self._note(frame)
+        for motor in self._motors:
+            motor.receive(frame)
+
+    def _tell(self, frame: Frame) -> None:
+        self._note(frame)
+        self.drive.send(frame)
+
+    def _note(self, frame: Frame) -> None:
+        now = self.time
+        self.frames.append((now, frame))
+        if self.on_frame is not None:
+            self.on_frame(now, frame)
+
+    @classmethod
+    async def join(cls, user: object) -> Simulation:
+        """Return the simulation of the running loop; the first user starts it.
+
+        It ends with `leave` of the last user, unless somebody else had started it.
+        """
+        loop = asyncio.get_running_loop()
+        found = _of_loop.get(loop)
+        if found is None:
+            starting = _starting.get(loop)
+            if starting is None:
+                starting = _starting[loop] = loop.create_future()
+                try:
+                    found = cls()
+                    found._users[user] = None
+                    await found.start()
+                finally:
+                    del _starting[loop]
+                    starting.set_result(None)
+            else:
+                await asyncio.shield(starting)
+                return await cls.join(user)
+        elif found._users:
+            found._users[user] = None
+        return found
+
+    async def leave(self, user: object) -> None:
+        """Need the simulation no more."""
+        if user in self._users:
+            del self._users[user]
+            if not self._users:
+                await self.stop()
+
+    @staticmethod
+    def running() -> Simulation | None:
+        """Return the simulation of the running loop, if there is one."""
+        with contextlib.suppress(RuntimeError):
+            return _of_loop.get(asyncio.get_running_loop())
+        return None
+
+
+_of_loop: weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, Simulation] = (
+    weakref.WeakKeyDictionary()
+)
+_starting: weakref.WeakKeyDictionary[
+    asyncio.AbstractEventLoop, asyncio.Future[None]
+] = weakref.WeakKeyDictionary()
