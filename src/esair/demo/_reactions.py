@@ -1,0 +1,87 @@
+"""What the rover does without thinking: it turns away, and backs off."""
+
+from __future__ import annotations
+
+import math
+
+from esair.actions import Reaction, reads, writes
+from esair.demo._devices import Scan, Touch, Twist
+
+
+class Avoid(Reaction):
+    """Turn away from what is close ahead until the way is free, and go that way a bit.
+
+    Without the bit of way it would turn for ever between itself and whoever wants to
+    go where it has just turned away from.
+
+    Args:
+        near: What is closer than this is turned away from, in metres.
+        clear: When nothing is closer than this the turn ends, in metres.
+    """
+
+    ranges = reads(Scan, max_age=0.5)
+    wheels = writes(Twist, priority=10)
+
+    LEAVE = 14
+    """For how many sweeps it goes the way that it has found free."""
+
+    def __init__(
+        self, *, near: float = 0.21, clear: float = 0.38, name: str | None = None
+    ) -> None:
+        super().__init__(name=name)
+        self.near = near
+        self.clear = clear
+        self._turn = 0.0
+        self._leaving = 0
+
+    def react(self, ranges: Scan) -> Twist | None:
+        """Turn to the side with more room."""
+        ahead = math.radians(38.0)
+        nearest = ranges.nearest(-ahead, ahead)
+        if self._turn:
+            if nearest <= self.clear:
+                return Twist(0.0, self._turn)
+            self._turn = 0.0
+            self._leaving = self.LEAVE
+        if nearest < self.near:
+            right = ranges.nearest(-2 * ahead, 0.0)
+            left = ranges.nearest(0.0, 2 * ahead)
+            self._turn = 1.6 if left > right else -1.6
+            self._leaving = 0
+            return Twist(0.0, self._turn)
+        if self._leaving:
+            self._leaving -= 1
+            return Twist(0.3, 0.0)
+        return None
+
+
+class Bump(Reaction):
+    """Back off from what was touched, turning away from it."""
+
+    rate = 20.0
+    bumper = reads(Touch, max_age=0.5)
+    wheels = writes(Twist, priority=20)
+
+    BACK_OFF = 17
+    """For how many steps, at 20 Hz."""
+
+    def __init__(self, *, name: str | None = None) -> None:
+        super().__init__(name=name)
+        self.bumps = 0
+        """How often something was touched."""
+        self._left = 0
+        self._turn = 0.0
+
+    def react(self, bumper: Touch) -> Twist | None:
+        """Drive back for a while after each touch."""
+        if (bumper.left or bumper.right) and self._left < self.BACK_OFF - 3:
+            if not self._left:
+                self.bumps += 1
+            self._left = self.BACK_OFF
+            self._turn = {(True, False): -0.9, (False, True): 0.9}.get(
+                (bumper.left, bumper.right), 0.5
+            )
+        if not self._left:
+            return None
+        self._left -= 1
+        return Twist(-0.3, self._turn)

@@ -1,0 +1,327 @@
+"""What happens to the rover, and when: the four events of the show."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator
+
+import attrs
+
+from esair.actions import Behavior, writes
+from esair.demo._devices import Twist
+from esair.demo._journeys import Explore, Home
+from esair.drivers.wheel_motor import LEFT, RIGHT, command_id, decode_command
+from esair.messages import BehaviorState, Refused, ResourceState
+from esair.sim import Simulation
+from esair.standard import Robot
+
+LOOK_PERIOD = 0.005
+"""How often it is looked whether something has happened, in seconds."""
+
+OUTAGE = 2.5
+"""For how long the range finder is unplugged, in seconds."""
+
+PATIENCE = 6.0
+"""How long to wait for what must happen, in seconds."""
+
+
+@attrs.frozen
+class Event:
+    """Something that happened.
+
+    Attributes:
+        time: In seconds since the show began.
+        kind: ``unplug``, ``plug``, ``refuse``, ``swap``, ``bump`` or ``end``.
+        text: What it was, in one line.
+        detail: What came of it, in one line.
+        place: Where the rover was, in metres.
+    """
+
+    time: float
+    kind: str
+    text: str
+    detail: str
+    place: tuple[float, float]
+
+
+@attrs.frozen
+class Fault:
+    """A fault and what it cost.
+
+    Attributes:
+        text: What it was.
+        noticed: Until the robot knew, in seconds.
+        safe: Until the last wheel had its stop frame, in seconds.
+        back: From the return of the device to the first reading, in seconds.
+        moved: From the return of the device to the first motion, in seconds.
+        cost: What did not happen meanwhile.
+    """
+
+    text: str
+    noticed: float
+    safe: float
+    back: float
+    moved: float
+    cost: str
+
+
+class Passenger(Behavior):
+    """Wants to drive too, but comes last.
+
+    Attributes:
+        answer: What it was told.
+    """
+
+    wheels = writes(Twist, priority=-10)
+
+    def __init__(self, *, name: str | None = None) -> None:
+        super().__init__(name=name)
+        self.answer: Refused | None = None
+
+    async def run(self) -> None:
+        """Ask for the wheels while somebody has them."""
+        while self.answer is None:
+            if self.wheels.why().holder is not None:
+                outcome = await self.wheels.write(Twist(0.6, 0.0))
+                if isinstance(outcome, Refused):
+                    self.answer = outcome
+                    return
+            await asyncio.sleep(0.05)
+
+
+class Story:
+    """Lets the events happen, and tells what came of them.
+
+    Args:
+        robot: The running robot.
+        simulation: The world that it is in.
+        tell: Called with each event.
+        explore: The behavior that explores.
+        duration: How long it may take, in seconds.
+
+    Attributes:
+        faults: What went wrong, and what it cost.
+        unmet: What should have happened and did not, in words.
+        home: The behavior that has taken its place; None before.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        simulation: Simulation,
+        tell: Callable[[Event], None],
+        *,
+        explore: Explore,
+        duration: float,
+    ) -> None:
+        self.faults: list[Fault] = []
+        self.unmet: list[str] = []
+        self.explore = explore
+        self.home: Home | None = None
+        self._robot = robot
+        self._simulation = simulation
+        self._tell = tell
+        self._duration = duration
+        self._loop = asyncio.get_running_loop()
+        self._begin = self._loop.time()
+
+    async def play(self) -> None:
+        """Let everything happen, in its order."""
+        await self._until(0.28 * self._duration)
+        await self._lose_range_finder()
+        await self._until(0.48 * self._duration)
+        await self._refuse_passenger()
+        await self._until(0.58 * self._duration)
+        await self._send_home()
+
+    # The events.
+
+    async def _lose_range_finder(self) -> None:
+        robot, simulation = self._robot, self._simulation
+        blind_before = self.explore.blind
+        unplugged, at = simulation.time, self._loop.time()
+        place = self._place()
+        simulation.front.unplug()
+        lost = await self._happens(
+            "the loss is noticed",
+            lambda: self._state("ranges") is not ResourceState.READY,
+        )
+        safe = await self._happens(
+            "the wheels stop", lambda: self._stopped_since(unplugged) is not None
+        )
+        await self._happens(
+            "avoid is parked", lambda: self._is("avoid", BehaviorState.PARKED)
+        )
+        stopped = self._stopped_since(unplugged)
+        safe = safe if stopped is None else stopped - unplugged
+        self._tell(
+            Event(
+                at - self._begin,
+                "unplug",
+                "the range finder is unplugged",
+                f"noticed after {_ms(lost)}, both wheels stopped after {_ms(safe)}, "
+                "avoid is parked",
+                place,
+            )
+        )
+        await self._until(at - self._begin + OUTAGE)
+        moved_blind = self._moving_since(unplugged + safe)
+        if moved_blind is not None:
+            self.unmet.append("the wheels stand while the range finder is away")
+        plugged, at = simulation.time, self._loop.time()
+        place = self._place()
+        simulation.front.plug()
+        back = await self._happens(
+            "the range finder is back", lambda: self._is("avoid", BehaviorState.RUNNING)
+        )
+        await self._happens(
+            "a fresh command moves the wheels",
+            lambda: self._moving_since(plugged) is not None,
+        )
+        moved = (self._moving_since(plugged) or plugged) - plugged
+        back = min(back, moved)  # who moves has seen already, whenever it was looked
+        holder = robot.resources.why("wheels").holder
+        self._tell(
+            Event(
+                at - self._begin,
+                "plug",
+                "the range finder is plugged in again",
+                f"back after {_ms(back)}, all resume; nothing moved before a fresh "
+                f"command of {holder} after {_ms(moved)}",
+                place,
+            )
+        )
+        missed = self.explore.blind - blind_before
+        self.faults.append(
+            Fault(
+                "range finder unplugged",
+                lost,
+                safe,
+                back,
+                moved,
+                f"{missed} commands of explore not made, avoid parked",
+            )
+        )
+
+    async def _refuse_passenger(self) -> None:
+        passenger = Passenger()
+        at, place = self._loop.time(), self._place()
+        await self._robot.behaviors.add(passenger)
+        await self._happens(
+            "the passenger is refused", lambda: passenger.answer is not None
+        )
+        await self._robot.behaviors.remove("passenger")
+        answer = passenger.answer
+        if answer is not None:
+            self._tell(
+                Event(
+                    at - self._begin,
+                    "refuse",
+                    "a passenger of priority -10 wants the wheels",
+                    f"refused: {answer.holder} holds them with "
+                    f"priority {answer.priority}",
+                    place,
+                )
+            )
+
+    async def _send_home(self) -> None:
+        at, place = self._loop.time(), self._place()
+        x, y, _ = self._simulation.world.arena.start
+        home = Home(place=(x, y))
+        await self._robot.behaviors.replace("explore", home)
+        self.home = home
+        took = self._loop.time() - at
+        self._tell(
+            Event(
+                at - self._begin,
+                "swap",
+                "the user replaces explore by a way home",
+                f"done in {_ms(took)}, everything else kept running",
+                place,
+            )
+        )
+        await self._happens(
+            "the rover is at home",
+            lambda: home.arrived,
+            patience=self._duration - (self._loop.time() - self._begin),
+            must=False,
+        )
+        await asyncio.sleep(0.5)
+        where = "is home" if home.arrived else "is on its way home"
+        self._tell(
+            Event(
+                self._loop.time() - self._begin,
+                "end",
+                f"the rover {where}",
+                "the robot stops; the wheels get their safe command last of all",
+                self._place(),
+            )
+        )
+
+    # What can be seen.
+
+    def _place(self) -> tuple[float, float]:
+        pose = self._simulation.world.pose
+        return pose.x, pose.y
+
+    def _state(self, resource: str) -> ResourceState:
+        return self._robot.resources.query(resource).state
+
+    def _is(self, behavior: str, state: BehaviorState) -> bool:
+        return self._robot.behaviors.query(behavior).state is state
+
+    def _commands_since(self, time: float) -> Iterator[tuple[float, int, bool]]:
+        sides = {command_id(side): side for side in (LEFT, RIGHT)}
+        recent: list[tuple[float, int, bool]] = []
+        for when, frame in reversed(self._simulation.frames):
+            if when < time:
+                break
+            if frame.id in sides:
+                command = decode_command(sides[frame.id], frame.data)
+                moves = command.enable and command.speed != 0.0
+                recent.append((when, sides[frame.id], moves))
+        return reversed(recent)
+
+    def _stopped_since(self, time: float) -> float | None:
+        """Return when the later wheel got a stop that nothing followed."""
+        stopped: dict[int, float | None] = {LEFT: None, RIGHT: None}
+        for when, side, moves in self._commands_since(time):
+            if moves:
+                stopped[side] = None
+            elif stopped[side] is None:
+                stopped[side] = when
+        left, right = stopped[LEFT], stopped[RIGHT]
+        return None if left is None or right is None else max(left, right)
+
+    def _moving_since(self, time: float) -> float | None:
+        return next(
+            (when for when, _, moves in self._commands_since(time) if moves), None
+        )
+
+    # Time.
+
+    async def _until(self, time: float) -> None:
+        await asyncio.sleep(max(0.0, self._begin + time - self._loop.time()))
+
+    async def _happens(
+        self,
+        what: str,
+        condition: Callable[[], bool],
+        *,
+        patience: float = PATIENCE,
+        must: bool = True,
+    ) -> float:
+        """Wait until something is so; return how long it took, in seconds."""
+        begin = self._loop.time()
+        while not condition():
+            if self._loop.time() - begin > patience:
+                if must:
+                    self.unmet.append(what)
+                break
+            # It is the world that is looked at: nothing could tell when to look.
+            await asyncio.sleep(LOOK_PERIOD)
+        return self._loop.time() - begin
+
+
+def _ms(seconds: float) -> str:
+    return f"{seconds:.2f} s" if seconds >= 1.0 else f"{1000 * seconds:.0f} ms"
