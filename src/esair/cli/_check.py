@@ -1,0 +1,149 @@
+"""``esair check``: what is wrong with a robot, before it moves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import attrs
+from cyclopts import Parameter
+from rich import box
+from rich.console import Console
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from esair.config import FoundInFile, Report
+from esair.config import check as check_file
+
+_STYLES = {"error": "bold red", "warning": "yellow"}
+
+
+def check(
+    file: Path,
+    /,
+    *,
+    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    strict: Annotated[bool, Parameter(negative=())] = False,
+) -> int:
+    """Find every mistake of a robot.toml at once, without opening a device.
+
+    Exit code: 0 no errors, 1 errors found, 2 the file cannot be read.
+
+    Args:
+        file: The configuration of the robot.
+        as_json: Print JSON, for programs.
+        strict: Count warnings as errors.
+    """
+    report = check_file(file)
+    console = Console(highlight=False)
+    if as_json:
+        console.out(json.dumps(to_json(report), indent=2), highlight=False)
+    else:
+        if report.findings:
+            console.print(_findings(report.findings))
+        if report.actuators:
+            console.print(_actuators(report))
+        console.print(_summary(report), soft_wrap=True)
+    return 1 if report.errors or (strict and report.warnings) else 0
+
+
+def to_json(report: Report) -> dict[str, Any]:
+    """Return a report as ``esair check --json`` prints it.
+
+    The schema, where ``schema`` grows when a key changes its meaning or goes (keys
+    may be added)::
+
+        schema           1
+        file             string: the file, as it was named
+        digest           string: SHA-256 of the file, in hexadecimal
+        ok               boolean: there are no errors
+        errors           integer: how many
+        warnings         integer: how many
+        with_simulation  boolean: the sim tables were checked too
+        findings         list of
+            severity         "error" | "warning"
+            rule             "configuration" | "need" | "denied" | "starve" |
+                             "rights" | "time" | "unused" | "port"
+            key              string: dotted path in the file; "" for the whole
+            line             integer, from 1 | null
+            message          string
+            only_simulated   boolean: it holds for esair sim only
+        actuators        list of
+            name             string
+            driver           string: module:Class
+            safe             string: the safe command, in Python's words | null
+            command_timeout  number: seconds
+            writers          list of {behavior, kind: "behavior" | "reaction",
+                             priority: integer}, highest priority first
+            sent_by          string: who sends the safe command, and when
+            own_timeout      number: seconds | null
+            when_the_host_dies   string
+    """
+    return {
+        "schema": 1,
+        "file": report.file,
+        "digest": report.digest,
+        "ok": not report.errors,
+        "errors": report.errors,
+        "warnings": report.warnings,
+        "with_simulation": report.with_simulation,
+        "findings": [attrs.asdict(finding) for finding in report.findings],
+        "actuators": [attrs.asdict(actuator) for actuator in report.actuators],
+    }
+
+
+def _findings(findings: tuple[FoundInFile, ...]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left")
+    table.add_column("line", justify="right", style="dim")
+    table.add_column("where", style="cyan", overflow="fold")
+    table.add_column("what", overflow="fold", ratio=1)
+    for finding in findings:
+        what = Text()
+        what.append(f"{finding.severity}: ", _STYLES[finding.severity])
+        what.append("in the simulation: " if finding.only_simulated else "", "italic")
+        what.append(finding.message)
+        line = "" if finding.line is None else str(finding.line)
+        table.add_row(line, Text(finding.key or "the file"), what)
+    return table
+
+
+def _actuators(report: Report) -> Panel:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)
+    table.add_column("actuator", style="bold")
+    table.add_column("written by (priority)", overflow="fold")
+    table.add_column("safe command", style="bold red", overflow="fold")
+    table.add_column("who sends it", overflow="fold")
+    table.add_column("when this computer dies", overflow="fold")
+    for actuator in report.actuators:
+        writers = "\n".join(
+            f"{writer.behavior} ({writer.priority})" for writer in actuator.writers
+        )
+        table.add_row(
+            Text(actuator.name),
+            Text(writers or "nobody"),
+            Text("none") if actuator.safe is None else Text(actuator.safe, "green"),
+            Text(actuator.sent_by),
+            Text(
+                actuator.when_the_host_dies,
+                "red" if actuator.own_timeout is None else "",
+            ),
+        )
+    return Panel(table, title="How each actuator is made safe", title_align="left")
+
+
+def _summary(report: Report) -> Text:
+    def count(number: int, word: str) -> str:
+        return f"{number} {word}" if number == 1 else f"{number} {word}s"
+
+    style = (
+        "bold red" if report.errors else "yellow" if report.warnings else "bold green"
+    )
+    text = Text(f"{report.file}: ", "bold")
+    text.append(
+        f"{count(report.errors, 'error')}, {count(report.warnings, 'warning')}", style
+    )
+    if report.with_simulation:
+        text.append("; real and simulated", "dim")
+    return text

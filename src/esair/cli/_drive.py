@@ -1,0 +1,102 @@
+"""A robot from a file, run until it ends: what ``esair run`` and ``sim`` share."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import sys
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.text import Text
+
+import esair
+from esair import config
+from esair.cli._errors import CANNOT_USE, tell
+from esair.exceptions import BehaviorFailedError, EsairError, describe
+
+ENDED_WITH_AN_ERROR: Final = 1
+"""The exit code of a robot that did not start, or whose behavior has failed."""
+
+
+def drive(file: Path, *, simulated: bool, seconds: float | None, verbose: bool) -> int:
+    """Run the robot of a file until it ends, or until a signal.
+
+    Args:
+        file: The configuration of the robot.
+        simulated: Whether the ``sim`` tables count.
+        seconds: Stop after this many seconds; None to go on until the end.
+        verbose: Whether every line of the log is shown.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        ConfigError: The file cannot be read.
+        ExceptionGroup: Of `ConfigError`: every mistake in the file.
+        SystemExit: A signal came: 128 plus its number.
+    """
+    if seconds is not None and not 0 < seconds < float("inf"):
+        tell(f"--for: expected seconds > 0, not {seconds:g}")
+        return CANNOT_USE
+    console = Console(stderr=True, highlight=False)
+    _show_log(console, verbose=verbose)
+    sys.path.insert(0, str(file.resolve().parent))  # modules imported while it runs
+    described = config.load(file, simulated=simulated)
+    robot = config.build(described, esair.Robot)
+    console.print(_headline(described))
+    try:
+        esair.run(robot, duration=seconds)
+    except BehaviorFailedError as error:
+        tell(describe(error))
+        return ENDED_WITH_AN_ERROR
+    except EsairError as error:
+        return _not_started([error])
+    except ExceptionGroup as group:
+        errors, rest = group.split(EsairError)
+        if errors is None or rest is not None:
+            raise
+        return _not_started(errors.exceptions)
+    # What each actuator was told at the end is in the log.
+    return 0 if all(told.answered for told in robot.stopped) else ENDED_WITH_AN_ERROR
+
+
+def _headline(described: config.Description) -> Text:
+    def count(number: int, word: str) -> str:
+        return f"{number} {word}" if number == 1 else f"{number} {word}s"
+
+    text = Text(described.name, "bold")
+    text.append(" (simulated)" if described.simulated else "", "cyan")
+    text.append(
+        f": {count(len(described.resources), 'device')}, "
+        f"{count(len(described.behaviors), 'behavior')}; Ctrl-C stops it",
+        "not bold",
+    )
+    return text
+
+
+def _not_started(errors: tuple[Exception, ...] | list[EsairError]) -> int:
+    for error in errors:
+        tell(describe(error))
+    return ENDED_WITH_AN_ERROR
+
+
+class _Lines(RichHandler):
+    """Shows what happened, without tracebacks."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        record = copy.copy(record)  # another handler may want the traceback
+        record.exc_info = record.exc_text = None
+        super().emit(record)
+
+
+def _show_log(console: Console, *, verbose: bool) -> None:
+    kind = RichHandler if verbose else _Lines
+    handler = kind(console=console, show_path=False, log_time_format="%H:%M:%S")
+    log = logging.getLogger()
+    log.addHandler(handler)
+    log.setLevel(logging.DEBUG if verbose else logging.WARNING)
+    logging.getLogger("esair").setLevel(logging.DEBUG if verbose else logging.INFO)
+    logging.getLogger("asyncio").setLevel(logging.WARNING)

@@ -1,0 +1,61 @@
+"""How the command line says that something is wrong: in lines, never a traceback."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Final
+
+from esair.config import ConfigFileError
+from esair.exceptions import ConfigError
+
+CANNOT_USE: Final = 2
+"""The exit code for a command line, file or installation that cannot be used."""
+
+
+def tell(message: str) -> None:
+    """Write one line to the standard error."""
+    print(f"esair: {message}", file=sys.stderr)  # noqa: T201 - this is the command line
+
+
+def show_mistakes(mistakes: Sequence[ConfigError]) -> int:
+    """Write every mistake of a configuration to the standard error.
+
+    Returns:
+        The exit code.
+    """
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    for mistake in mistakes:
+        line = Text()
+        if isinstance(mistake, ConfigFileError):
+            where = f":{mistake.line}" if mistake.line is not None else ""
+            line.append(f"{mistake.file}{where}: ", "bold")
+            line.append(f"{mistake.key}: " if mistake.key else "", "cyan")
+            line.append(mistake.reason)
+        else:
+            line.append(str(mistake))
+        console.print(line)
+    count = len(mistakes)
+    words = "1 mistake" if count == 1 else f"{count} mistakes"
+    console.print(Text(f"{words}; nothing was opened, nothing moved", "bold red"))
+    return CANNOT_USE
+
+
+def missing_extra(error: ModuleNotFoundError, extra: str) -> int | None:
+    """Say how to install what an import found missing.
+
+    Args:
+        error: What the import raised.
+        extra: The extra of esair that brings the package.
+
+    Returns:
+        The exit code; None if the missing module is one of esair's own.
+    """
+    package = (error.name or "").partition(".")[0]
+    if package in {"", "esair"}:
+        return None
+    tell(f'this needs {package}, which is not installed: pip install "esair[{extra}]"')
+    return CANNOT_USE

@@ -1,0 +1,84 @@
+"""The entry point ``esair``: which verb, and what becomes of its errors."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+from esair.cli._errors import CANNOT_USE, show_mistakes, tell
+from esair.exceptions import ConfigError
+
+if TYPE_CHECKING:
+    from cyclopts import App
+
+_NEEDED: Final = ("cyclopts", "rich")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one verb and end the process with its exit code.
+
+    Args:
+        arguments: The words after ``esair``; those of this process unless given.
+    """
+    for package in _NEEDED:
+        if importlib.util.find_spec(package) is None:
+            tell(f'the command line needs {package}: pip install "esair[cli]"')
+            sys.exit(CANNOT_USE)
+    try:
+        code = _run(sys.argv[1:] if arguments is None else list(arguments))
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader, such as ``head``, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    sys.exit(code)
+
+
+def _run(arguments: list[str]) -> int:
+    from cyclopts import CycloptsError
+
+    try:
+        verb, bound, _ = make_app().parse_args(
+            arguments, exit_on_error=False, print_error=True
+        )
+    except CycloptsError:
+        return CANNOT_USE
+    try:
+        return verb(*bound.args, **bound.kwargs) or 0
+    except ConfigError as error:
+        return show_mistakes([error])
+    except ExceptionGroup as group:
+        mistakes, rest = group.split(ConfigError)
+        if mistakes is None or rest is not None:
+            raise
+        return show_mistakes(_leaves(mistakes))
+
+
+def _leaves(group: BaseExceptionGroup[ConfigError]) -> list[ConfigError]:
+    found: list[ConfigError] = []
+    for error in group.exceptions:
+        found += _leaves(error) if isinstance(error, BaseExceptionGroup) else [error]
+    return found
+
+
+def make_app() -> App:
+    """Return the command line with all its verbs."""
+    from cyclopts import App
+
+    from esair.cli._check import check
+    from esair.cli._demo import demo
+    from esair.cli._new import new
+    from esair.cli._run import run
+    from esair.cli._sim import sim
+
+    app = App(
+        name="esair",
+        help="Robots that must not hurt anyone, lose data, or stop for a loose cable.",
+        version=importlib.metadata.version("esair"),
+    )
+    for verb in (demo, new, check, sim, run):
+        app.command(verb)
+    return app

@@ -1,0 +1,178 @@
+"""``esair run`` and ``esair sim``: exit codes, and every actuator safe at the end."""
+
+import json
+import signal
+
+import pytest
+
+pytestmark = pytest.mark.real_clock
+
+MODULE = """
+import json
+import os
+import esair
+
+def note(word):
+    with open("log.jsonl", "a") as file:
+        file.write(json.dumps(word) + "\\n")
+
+class Motor(esair.Actuator[float]):
+    safe = 0.0
+    async def write(self, command: float) -> None:
+        note(command)
+
+class SimMotor(Motor):
+    async def write(self, command: float) -> None:
+        note(["sim", command])
+
+class Gone(Motor):
+    required = True
+    async def open(self) -> None:
+        raise ConnectionError("no such thing")
+
+class Once(esair.Behavior):
+    motor = esair.writes(float)
+    async def run(self) -> None:
+        await self.motor.write(1.0)
+
+class Always(esair.Behavior):
+    motor = esair.writes(float)
+    async def run(self) -> None:
+        async for _ in esair.every(0.02):
+            await self.motor.write(1.0)
+            import late_import  # found beside the file while it runs
+
+class Crash(esair.Behavior):
+    motor = esair.writes(float)
+    restart = esair.Restart(max=0)
+    async def run(self) -> None:
+        await self.motor.write(1.0)
+        raise RuntimeError("on purpose")
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A module and a robot.toml for one motor and one behavior."""
+    (tmp_path / "parts.py").write_text(MODULE)
+    (tmp_path / "late_import.py").write_text("")
+
+    def write(behavior: str, motor: str = "Motor"):
+        (tmp_path / "robot.toml").write_text(
+            f'[actuator.motor]\ndriver = "parts:{motor}"\n'
+            'sim = { driver = "parts:SimMotor" }\n'
+            f'[behavior.it]\ndriver = "parts:{behavior}"\n'
+        )
+        return tmp_path
+
+    return write
+
+
+def sent(folder):
+    """What the motor was told."""
+    return [
+        json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()
+    ]
+
+
+def test_a_robot_that_ends_by_itself_is_exit_code_0(folder, start) -> None:
+    """All behaviors have ended; the motor is safe."""
+    where = folder("Once")
+    process = start("run", "robot.toml", cwd=where)
+    _, log = process.communicate(timeout=20)
+
+    assert process.returncode == 0, log
+    assert 1.0 in sent(where)
+    assert sent(where)[-1] == 0.0
+
+
+def test_sim_uses_the_simulated_devices(folder, start) -> None:
+    """The real driver is not called at all."""
+    where = folder("Once")
+    process = start("sim", "robot.toml", cwd=where)
+    process.communicate(timeout=20)
+
+    assert ["sim", 1.0] in sent(where)
+    assert all(isinstance(each, list) for each in sent(where))
+
+
+def test_a_time_can_be_set(folder, start) -> None:
+    """``--for`` ends it in order."""
+    where = folder("Always")
+    process = start("run", "robot.toml", "--for", "0.3", cwd=where)
+    _, log = process.communicate(timeout=20)
+
+    assert process.returncode == 0, log
+    assert sent(where).count(1.0) > 2
+    assert sent(where)[-1] == 0.0
+
+
+@pytest.mark.promise("ROB-2")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_makes_the_motor_safe(folder, start, number) -> None:
+    """Exit code 128 plus the number, no traceback."""
+    where = folder("Always")
+    process = start("run", "robot.toml", cwd=where)
+    while "Ctrl-C stops it" not in process.stderr.readline():
+        assert process.poll() is None
+    while not (where / "log.jsonl").exists() or 1.0 not in sent(where):
+        assert process.poll() is None
+    process.send_signal(number)
+    _, log = process.communicate(timeout=20)
+
+    assert process.returncode == 128 + number
+    assert sent(where)[-1] == 0.0
+    assert "Traceback" not in log
+
+
+def test_a_behavior_that_fails_for_good_is_exit_code_1(folder, start) -> None:
+    """Its error is one line, its actuator safe; the traceback is there on demand."""
+    where = folder("Crash")
+    process = start("run", "robot.toml", cwd=where)
+    _, log = process.communicate(timeout=20)
+
+    assert process.returncode == 1
+    assert "RuntimeError: on purpose" in log.splitlines()[-1]
+    assert "Traceback" not in log
+    assert sent(where)[-1] == 0.0
+
+    process = start("run", "robot.toml", "--verbose", cwd=where)
+    assert "Traceback" in process.communicate(timeout=20)[1]
+
+
+def test_a_required_device_that_is_not_there_is_exit_code_1(folder, start) -> None:
+    """The robot does not start, and says why in a line."""
+    process = start("run", "robot.toml", cwd=folder("Once", "Gone"))
+    _, log = process.communicate(timeout=20)
+
+    assert process.returncode == 1
+    assert "no such thing" in log.splitlines()[-1]
+    assert "Traceback" not in log
+
+
+def test_a_broken_configuration_is_exit_code_2(folder, start) -> None:
+    """Every mistake in a line, nothing opened."""
+    where = folder("Onec")
+    with (where / "robot.toml").open("a") as file:
+        file.write("[robot]\nnmae = 1\n")
+    process = start("run", "robot.toml", cwd=where)
+    _, told = process.communicate(timeout=20)
+
+    assert process.returncode == 2
+    first, second, last = told.splitlines()
+    assert first.startswith("robot.toml:5: behavior.it.driver: ")
+    assert second.startswith("robot.toml:7: robot.nmae: ")
+    assert last == "2 mistakes; nothing was opened, nothing moved"
+    assert not (where / "log.jsonl").exists()
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])
+def test_a_time_that_makes_no_sense_is_exit_code_2(folder, start, seconds) -> None:
+    """Before anything is opened."""
+    where = folder("Once")
+    process = start("run", "robot.toml", f"--for={seconds}", cwd=where)
+    _, told = process.communicate(timeout=20)
+
+    assert process.returncode == 2
+    assert "--for: expected seconds > 0" in told
+    assert not (where / "log.jsonl").exists()
