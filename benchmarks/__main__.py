@@ -1,0 +1,83 @@
+"""``python -m benchmarks``: every goal in one table."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import platform
+import sys
+import time
+from pathlib import Path
+
+import attrs
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.cases import (
+    data_path,
+    garbage,
+    lifecycle,
+    mediator,
+    reactions,
+    starting,
+)
+from benchmarks.harness import Row
+
+CASES = {
+    "P1,P2": mediator,
+    "P3,P4": data_path,
+    "P5,P6,P7": reactions,
+    "P10,P12": lifecycle,
+    "P11": starting,
+    "P13": garbage,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("--only", default="", help="goals to measure, such as P1,P5")
+    parser.add_argument("--json", type=Path, help="write the rows to a file")
+    parser.add_argument("--markdown", type=Path, help="write the table to a file")
+    arguments = parser.parse_args()
+    logging.disable(logging.WARNING)
+    wanted = {goal for goal in arguments.only.upper().split(",") if goal}
+    begin = time.perf_counter()
+    rows: list[Row] = []
+    for goals, case in CASES.items():
+        if not wanted or wanted & set(goals.split(",")):
+            rows += asyncio.run(case.rows())
+    machine = f"Python {platform.python_version()}, {time.perf_counter() - begin:.0f} s"
+    _show(rows, machine)
+    if arguments.json:
+        text = json.dumps([attrs.asdict(row) for row in rows], indent=2)
+        arguments.json.write_text(text + "\n")
+    if arguments.markdown:
+        arguments.markdown.write_text(_markdown(rows, machine))
+
+
+def _cells(row: Row) -> list[str]:
+    ratio = f"{row.ratio:.3f}" if row.ratio or row.goal is not None else ""
+    goal = f"<= {row.goal:.3g}" if row.goal is not None else ""
+    return [row.case, row.esair, row.limit, ratio, goal, row.met, row.note]
+
+
+HEAD = ["case", "esair", "limit or peer", "ratio", "goal", "met", "note"]
+
+
+def _show(rows: list[Row], machine: str) -> None:
+    table = Table(*HEAD, title=f"esair benchmarks ({machine})")
+    for row in rows:
+        table.add_row(*_cells(row), style="red" if row.met == "NO" else "")
+    Console(width=None if sys.stdout.isatty() else 150).print(table)
+
+
+def _markdown(rows: list[Row], machine: str) -> str:
+    lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
+    lines += ["| " + " | ".join(_cells(row)) + " |" for row in rows]
+    return f"{machine}\n\n" + "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""The limits: the least that anybody could do, without a single check."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+
+from esair.loop._timer import DescriptorTimer
+
+Step = Callable[[float], None]
+
+
+@contextlib.asynccontextmanager
+async def sleeping_tasks(count: int, period: float) -> AsyncIterator[list[float]]:
+    """Tasks that sleep until they are due; yields how late each wake-up was."""
+    late: list[float] = []
+    loop = asyncio.get_running_loop()
+
+    async def tick() -> None:
+        due = loop.time()
+        while True:
+            due += period
+            await asyncio.sleep(due - loop.time())
+            late.append(loop.time() - due)
+
+    tasks = [asyncio.create_task(tick()) for _ in range(count)]
+    try:
+        yield late
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+@contextlib.asynccontextmanager
+async def bare_wheel(steps: list[Step], period: float) -> AsyncIterator[None]:
+    """Functions that one timerfd calls, spread over four phases of the period."""
+    loop = asyncio.get_running_loop()
+    phases = [steps[number::4] for number in range(4)] if len(steps) > 4 else [steps]
+    begin = loop.time() + 0.01
+    turn = 0
+
+    def due() -> float:
+        return begin + turn * period / len(phases)
+
+    def call() -> None:
+        nonlocal turn
+        now = due()
+        for step in phases[turn % len(phases)]:
+            step(now)
+        while due() <= loop.time():
+            turn += 1
+        timer.set(due())
+
+    timer = DescriptorTimer(loop, call)
+    timer.set(begin)
+    try:
+        yield
+    finally:
+        timer.close()

@@ -1,0 +1,72 @@
+"""P11: what importing esair costs."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+from benchmarks.harness import Row, ms
+
+FORBIDDEN = ("serial", "serial_asyncio", "can", "smbus2", "cyclopts", "rich", "pytest")
+
+
+async def rows() -> list[Row]:
+    return _rows()
+
+
+def _rows() -> list[Row]:
+    found = []
+    for case, mine, other, goal in (
+        ("P11 import esair", "import esair", "import asyncio, anyio, attrs", 1.15),
+    ):
+        ratios, mines, others = [], [], []
+        with tempfile.TemporaryDirectory() as cache:
+            # Both sides import compiled modules, whatever the environment says.
+            environment = {**os.environ, "PYTHONPYCACHEPREFIX": cache}
+            environment.pop("PYTHONDONTWRITEBYTECODE", None)
+            _run(mine, environment)
+            for _ in range(15):
+                a, b = _run(mine, environment), _run(other, environment)
+                mines.append(a)
+                others.append(b)
+                ratios.append(a / b)
+        ratio = statistics.median(ratios)
+        found.append(
+            Row(
+                case,
+                ms(statistics.median(mines)),
+                ms(statistics.median(others)),
+                ratio,
+                goal,
+            )
+        )
+    loaded = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            f"import esair, sys; print(*[n for n in {FORBIDDEN!r} if n in sys.modules])",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split()
+    found.append(
+        Row(
+            "P11 bus and CLI packages that it loads",
+            ", ".join(loaded) or "none",
+            "none",
+            float(len(loaded)),
+            0.0,
+        )
+    )
+    return found
+
+
+def _run(code: str, environment: dict[str, str]) -> float:
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
+    return time.perf_counter() - begin
