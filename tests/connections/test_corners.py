@@ -295,7 +295,7 @@ async def test_a_wrong_argument_in_a_thread_is_an_error_there():
         restart = esair.Restart(max=0)
 
         def run(self):
-            self.sonar.read(max_ag=1)
+            self.sonar.read(max_ag=1)  # type: ignore[call-arg, unused-coroutine]
 
     async with esair.Robot(resources=[sonar, wheels], behaviors=[Plain()]) as robot:
         await asyncio.sleep(0.1)
