@@ -9,7 +9,7 @@ from sensors import CpuTemperature, RangeFinder, Thermometer
 
 import esair
 from esair.buses import I2CBus, SerialBus
-from esair.sim import MemoryLine
+from esair.wires import MemoryLine
 
 READ = esair.Access.READ
 

@@ -18,7 +18,8 @@ from esair.drivers.mpu6050 import (
     encode_motion,
 )
 from esair.exceptions import ConfigError, DeviceFaultError
-from esair.sim import SimI2cMaster, SimMpu6050, World
+from esair.sim import SimMpu6050, World
+from esair.wires import ChipBus
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -57,7 +58,7 @@ def test_a_motion_beyond_the_range_is_cut_off() -> None:
 
 async def sensor_on(chip: SimMpu6050, **settings: Any) -> Mpu6050:
     """Make a sensor on a bus with one chip."""
-    bus = I2CBus(name="body", opener=lambda: SimI2cMaster({0x68: chip}), inline=True)
+    bus = I2CBus(name="body", opener=lambda: ChipBus({0x68: chip}), inline=True)
     await bus.open()
     return Mpu6050(bus=bus, **settings)
 
@@ -111,7 +112,7 @@ async def test_another_chip_at_the_address_is_refused() -> None:
         def write(self, register: int, data: bytes) -> None:
             raise AssertionError("nothing may be written to a chip that is not known")
 
-    bus = I2CBus(name="body", opener=lambda: SimI2cMaster({0x68: Other()}), inline=True)
+    bus = I2CBus(name="body", opener=lambda: ChipBus({0x68: Other()}), inline=True)
     await bus.open()
 
     with pytest.raises(DeviceFaultError, match="0x71"):

@@ -16,20 +16,15 @@ from esair.sim._imu import SimMpu6050
 from esair.sim._motor import SimMotor
 from esair.sim._serial_parts import SimBumper, SimRangeFinder
 from esair.sim._simulation import Simulation
-from esair.sim._wires import MemoryCan, MemoryLine, PtyLine, SimI2cMaster
 from esair.sim._world import World
 
 __all__ = [
     "Arena",
     "Box",
-    "MemoryCan",
-    "MemoryLine",
     "Pillar",
-    "PtyLine",
     "SimBumper",
     "SimCanBus",
     "SimI2CBus",
-    "SimI2cMaster",
     "SimMotor",
     "SimMpu6050",
     "SimRangeFinder",

@@ -15,7 +15,7 @@ from esair.buses import (
     python_can,
 )
 from esair.sim._simulation import Simulation
-from esair.sim._wires import MemoryCan, MemoryLine
+from esair.wires import MemoryCan, MemoryLine
 
 
 class SimSerialBus(SerialBus):

@@ -21,8 +21,8 @@ from esair.sim._arena import Arena
 from esair.sim._imu import SimMpu6050
 from esair.sim._motor import SimMotor
 from esair.sim._serial_parts import SimBumper, SimRangeFinder
-from esair.sim._wires import MemoryCan, MemoryLine, PtyLine, SimI2cMaster, VirtualCan
 from esair.sim._world import World
+from esair.wires import ChipBus, MemoryCan, MemoryLine, PtyLine, VirtualCan
 
 STEP = 0.01
 """How much time one step of the physics is, in seconds."""
@@ -85,7 +85,7 @@ class Simulation:
         )
         self._motors = [SimMotor(self.world, side, self._tell) for side in (0, 1)]
         self._imu = SimMpu6050(self.world, seed=seed)
-        self.body = SimI2cMaster({0x68: self._imu})
+        self.body = ChipBus({0x68: self._imu})
         self._range_finder = SimRangeFinder(self.world, self.front, seed=seed)
         self._bumper = SimBumper(self.world, self.skirt)
         self._began = 0.0
