@@ -92,6 +92,9 @@ class FakeWire:
     def on_lost(self, listener: Any) -> Any:
         return lambda: None
 
+    def on_arrival(self, listener: Any) -> Any:
+        return lambda: None
+
 
 @pytest.mark.promise("ROB-1", "ROB-2")
 @pytest.mark.parametrize("how", ["end", "error", "cancel", "exit", "interrupt"])

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from esair.buses._bus import Bus
+from esair.buses._stats import BusStats
 
 if TYPE_CHECKING:
     from esair.buses._can import CanBus, Frame, FrameLink, python_can
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bus",
+    "BusStats",
     "CanBus",
     "Frame",
     "FrameLink",

@@ -5,18 +5,22 @@ from __future__ import annotations
 import abc
 import asyncio
 from collections.abc import Callable
+from typing import TypeVar
 
+from esair.buses._stats import BusStats
 from esair.exceptions import describe
 from esair.loop import Lane
 from esair.messages import check_name
+
+T = TypeVar("T")
 
 
 class Bus(abc.ABC):
     """A wire that several devices share.
 
-    A subclass writes ``_open`` and ``_close`` and calls `lost` when the wire is
-    gone. Everything else (opening once for all, reopening when a device asks
-    for it after a loss) is here.
+    A subclass writes ``_open`` and ``_close``, calls `lost` when the wire is gone
+    and, if it can know it, `arrived` when it is there again. Everything else (opening
+    once for all, reopening when a device asks for it after a loss) is here.
 
     Args:
         name: The name of the bus in errors, threads and the configuration.
@@ -27,10 +31,13 @@ class Bus(abc.ABC):
         self.is_open = False
         self.error: BaseException | None = None
         """Why the bus is not open; None if it is, or has not been tried."""
+        self.stats = BusStats()
+        """What happened on the bus since it was made."""
         self.lane = Lane(name)
         """The thread for blocking calls of the devices on this bus."""
         self._opening: asyncio.Task[None] | None = None
-        self._listeners: list[Callable[[BaseException], None]] = []
+        self._on_lost: list[Callable[[BaseException], None]] = []
+        self._on_arrival: list[Callable[[], None]] = []
 
     @abc.abstractmethod
     async def _open(self) -> None:
@@ -54,11 +61,12 @@ class Bus(abc.ABC):
         try:
             await self._open()
         except Exception as error:
-            self.error = error
+            self._note(error)
             raise
         else:
             self.is_open = True
             self.error = None
+            self.stats.opened += 1
         finally:
             self._opening = None
 
@@ -71,27 +79,56 @@ class Bus(abc.ABC):
             await self._close()
         await self.lane.join(timeout=0.2)
 
+    @property
+    def waiting(self) -> int:
+        """How much waits to be sent: bytes, frames or calls."""
+        return self.lane.waiting
+
     def on_lost(self, listener: Callable[[BaseException], None]) -> Callable[[], None]:
         """Call a function when the wire is gone; returns how to stop that."""
-        self._listeners.append(listener)
+        return _listen(self._on_lost, listener)
 
-        def forget() -> None:
-            if listener in self._listeners:
-                self._listeners.remove(listener)
+    def on_arrival(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call a function when the wire has come back and can be opened again.
 
-        return forget
+        Returns how to stop that.
+        """
+        return _listen(self._on_arrival, listener)
 
     def lost(self, error: BaseException) -> None:
         """Tell everybody on the bus, once, that the wire is gone."""
         if not self.is_open:
             return
         self.is_open = False
-        self.error = error
-        for listener in tuple(self._listeners):
+        self.stats.lost += 1
+        self._note(error)
+        for listener in tuple(self._on_lost):
             listener(error)
+
+    def arrived(self) -> None:
+        """Tell everybody that the wire is there again; nothing is opened by that."""
+        if self.is_open:
+            return
+        for listener in tuple(self._on_arrival):
+            listener()
+
+    def _note(self, error: BaseException) -> None:
+        self.error = error
+        self.stats.errors += 1
+        self.stats.last_error = describe(error)
 
     def __repr__(self) -> str:
         state = "open" if self.is_open else "closed"
         if self.error is not None:
             state = describe(self.error)
         return f"<{type(self).__name__} {self.name!r} {state}>"
+
+
+def _listen(listeners: list[T], listener: T) -> Callable[[], None]:
+    listeners.append(listener)
+
+    def forget() -> None:
+        if listener in listeners:
+            listeners.remove(listener)
+
+    return forget

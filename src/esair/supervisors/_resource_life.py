@@ -6,7 +6,7 @@ import asyncio
 import logging
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from esair.connections import (
     ActuatorChannel,
@@ -26,6 +26,9 @@ from esair.messages import ResourceState, Restart
 from esair.resources import Resource
 from esair.resources._setting import settings_of
 from esair.supervisors._restart_budget import RestartBudget
+
+if TYPE_CHECKING:
+    from esair.buses import Bus
 
 FIRST_DELAY = 0.1
 """The pause before a lost device is tried again, in seconds; it doubles each time."""
@@ -70,13 +73,17 @@ class ResourceLife:
         self._is_open = False
         self._over = False
         self._task: asyncio.Task[None]
-        self._forget_bus: Callable[[], None] = _nothing
+        self._forget_bus: tuple[Callable[[], None], ...] = ()
 
     def start(self) -> None:
         """Begin to open the device."""
         self.resource._listener = self._told  # noqa: SLF001 - the resource's own supervisor
         if self.resource.bus is not None:
-            self._forget_bus = self.resource.bus.on_lost(self._told)
+            bus: Bus = self.resource.bus
+            self._forget_bus = (
+                bus.on_lost(self._told),
+                bus.on_arrival(lambda: self._told(None)),
+            )
         self._task = spawn(self._loop, self._live(), name=f"{self.resource.name} life")
 
     def on_error(self, error: Exception) -> None:
@@ -112,7 +119,8 @@ class ResourceLife:
     async def stop(self, timeout: float) -> None:
         """Close the device, whatever it is doing."""
         self._over = True
-        self._forget_bus()
+        for forget in self._forget_bus:
+            forget()
         self.resource._listener = None  # noqa: SLF001 - the resource's own supervisor
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=timeout)
@@ -279,10 +287,6 @@ class ResourceLife:
 
 def _ignore(_name: str) -> None:
     """Tell nobody: the supervisor has not said whom."""
-
-
-def _nothing() -> None:
-    """Forget nothing: the resource is on no bus."""
 
 
 def _arrive(news: asyncio.Future[BaseException | None]) -> None:
