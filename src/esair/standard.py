@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -274,7 +274,12 @@ class Robot:
         self.behaviors.grace = 0.0
 
 
-def run(robot: Robot, *, duration: float | None = None) -> None:
+def run(
+    robot: Robot,
+    *,
+    duration: float | None = None,
+    loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None,
+) -> None:
     """Run a robot until its behaviors have ended, or until a signal.
 
     SIGINT (Ctrl-C), SIGTERM and SIGHUP stop it in order, with every actuator safe;
@@ -284,6 +289,8 @@ def run(robot: Robot, *, duration: float | None = None) -> None:
     Args:
         robot: What to run.
         duration: Stop after this many seconds.
+        loop_factory: Makes the event loop, such as ``uvloop.new_event_loop``;
+            asyncio's own unless given.
 
     Raises:
         ExceptionGroup: The robot cannot start; every mistake is named.
@@ -300,7 +307,7 @@ def run(robot: Robot, *, duration: float | None = None) -> None:
             with anyio.move_on_after(duration):
                 await robot.ended()
 
-    with asyncio.Runner() as runner:
+    with asyncio.Runner(loop_factory=loop_factory) as runner:
         runner.run(main())
 
 

@@ -8,6 +8,7 @@ import pytest
 pytestmark = pytest.mark.real_clock
 
 MODULE = """
+import asyncio
 import json
 import os
 import esair
@@ -41,6 +42,10 @@ class Always(esair.Behavior):
         async for _ in esair.every(0.02):
             await self.motor.write(1.0)
             import late_import  # found beside the file while it runs
+
+class Which(esair.Behavior):
+    async def run(self) -> None:
+        note(type(asyncio.get_running_loop()).__module__)
 
 class Crash(esair.Behavior):
     motor = esair.writes(float)
@@ -105,6 +110,34 @@ def test_a_time_can_be_set(folder, start) -> None:
     assert process.returncode == 0, log
     assert sent(where).count(1.0) > 2
     assert sent(where)[-1] == 0.0
+
+
+@pytest.mark.parametrize("behavior", ["Which", "Always"])
+def test_it_runs_on_uvloop(folder, start, behavior) -> None:
+    """``--loop uvloop`` changes the loop and nothing else."""
+    pytest.importorskip("uvloop")
+    where = folder(behavior)
+    process = start("run", "robot.toml", "--loop", "uvloop", "--for", "0.3", cwd=where)
+    _, log = process.communicate(timeout=20)
+
+    assert process.returncode == 0, log
+    assert ("uvloop" in sent(where)) == (behavior == "Which")
+    assert (1.0 in sent(where)) == (behavior == "Always")
+    assert [word for word in sent(where) if word != "uvloop"][-1] == 0.0
+
+
+def test_a_loop_that_is_not_installed_is_exit_code_2(folder, start) -> None:
+    """The message says what to install."""
+    code = (
+        "import sys; sys.modules['uvloop'] = None; import esair.cli; esair.cli.main()"
+    )
+    process = start(
+        "run", "robot.toml", "--loop", "uvloop", cwd=folder("Once"), code=code
+    )
+    _, log = process.communicate(timeout=20)
+
+    assert process.returncode == 2
+    assert "pip install 'esair[uvloop]'" in log
 
 
 @pytest.mark.promise("ROB-2")

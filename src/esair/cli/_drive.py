@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import copy
 import logging
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -21,7 +23,14 @@ ENDED_WITH_AN_ERROR: Final = 1
 """The exit code of a robot that did not start, or whose behavior has failed."""
 
 
-def drive(file: Path, *, simulated: bool, seconds: float | None, verbose: bool) -> int:
+def drive(
+    file: Path,
+    *,
+    simulated: bool,
+    seconds: float | None,
+    verbose: bool,
+    loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None,
+) -> int:
     """Run the robot of a file until it ends, or until a signal.
 
     Args:
@@ -29,6 +38,7 @@ def drive(file: Path, *, simulated: bool, seconds: float | None, verbose: bool) 
         simulated: Whether the ``sim`` tables count.
         seconds: Stop after this many seconds; None to go on until the end.
         verbose: Whether every line of the log is shown.
+        loop_factory: Makes the event loop; asyncio's own if None.
 
     Returns:
         The exit code.
@@ -48,7 +58,7 @@ def drive(file: Path, *, simulated: bool, seconds: float | None, verbose: bool) 
     robot = config.build(described, esair.Robot)
     console.print(_headline(described))
     try:
-        esair.run(robot, duration=seconds)
+        esair.run(robot, duration=seconds, loop_factory=loop_factory)
     except BehaviorFailedError as error:
         tell(describe(error))
         return ENDED_WITH_AN_ERROR

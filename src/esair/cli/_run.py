@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
 from esair.cli._drive import drive
+from esair.cli._errors import CANNOT_USE, tell
 
 
 def run(
@@ -15,6 +16,7 @@ def run(
     /,
     *,
     seconds: Annotated[float | None, Parameter(name="--for")] = None,
+    loop: Literal["asyncio", "uvloop"] = "asyncio",
     verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative=())] = False,
 ) -> int:
     """Run the robot of a robot.toml on its real hardware.
@@ -24,6 +26,17 @@ def run(
     Args:
         file: The configuration of the robot.
         seconds: Stop after this many seconds.
+        loop: The event loop: Python's own, or uvloop if it is installed.
         verbose: Show every line of the log.
     """
-    return drive(file, simulated=False, seconds=seconds, verbose=verbose)
+    factory = None
+    if loop == "uvloop":
+        try:
+            import uvloop
+        except ImportError:
+            tell("--loop: uvloop is not installed: pip install 'esair[uvloop]'")
+            return CANNOT_USE
+        factory = uvloop.new_event_loop
+    return drive(
+        file, simulated=False, seconds=seconds, verbose=verbose, loop_factory=factory
+    )
