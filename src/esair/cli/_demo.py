@@ -7,18 +7,25 @@ from pathlib import Path
 from esair.cli._errors import missing_extra
 
 
-def demo(*, fast: bool = False, seed: int = 0, out: Path | None = None) -> int:
+def demo(
+    *,
+    fast: bool = False,
+    seed: int = 0,
+    out: Path | None = None,
+    record: Path | None = None,
+) -> int:
     """Watch a simulated rover explore, lose a sensor, stop safely and go on.
 
     Args:
         fast: Run on a virtual clock, in a few seconds.
         seed: The same number gives the same run.
         out: Where the picture of the run goes (PNG).
+        record: Where every CAN frame goes, in the format of candump.
     """
     try:
         from esair.demo import demo as show
 
-        return show(fast=fast, seed=seed, out=out)
+        return show(fast=fast, seed=seed, out=out, record=record)
     except ModuleNotFoundError as error:
         code = missing_extra(error, "sim")
         if code is None:
