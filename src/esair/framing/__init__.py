@@ -1,0 +1,40 @@
+"""Frames on serial lines, as pure code: bytes in, payloads out, no I/O.
+
+`FRAMINGS` has the names for a configuration.
+"""
+
+from esair.framing._cobs import Cobs
+from esair.framing._framing import Framing
+from esair.framing._length_crc import LengthCrc
+from esair.framing._lines import Lines
+from esair.framing._nmea import (
+    SentenceError,
+    Sentences,
+    checksum,
+    decode_sentence,
+    encode_sentence,
+)
+from esair.framing._raw import Raw
+
+__all__ = [
+    "FRAMINGS",
+    "Cobs",
+    "Framing",
+    "LengthCrc",
+    "Lines",
+    "Raw",
+    "SentenceError",
+    "Sentences",
+    "checksum",
+    "decode_sentence",
+    "encode_sentence",
+]
+
+FRAMINGS: dict[str, type[Framing]] = {
+    "lines": Lines,
+    "nmea": Sentences,
+    "cobs": Cobs,
+    "length-crc": LengthCrc,
+    "raw": Raw,
+}
+"""The framings by the names that a configuration uses."""

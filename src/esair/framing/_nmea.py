@@ -1,0 +1,147 @@
+"""Lines of text with a checksum, framed as NMEA 0183 does it.
+
+``$``, an address of letters and digits, fields after commas, ``*``, and the exclusive
+or of all characters in between as two hexadecimal digits: ``$RFACK,RTE,20*24``.
+Pure functions: bytes in, fields out, no I/O.
+
+Source: NMEA 0183, chapter 5 (data format protocol).
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from typing import Self
+
+from esair.exceptions import BadValueError
+from esair.framing._framing import Framing
+
+_FORBIDDEN = frozenset("$*,\r\n!\\^~")
+
+
+class SentenceError(ValueError):
+    """A line that is no sentence, or one that was damaged on its way."""
+
+
+def checksum(body: bytes) -> int:
+    """Return the exclusive or of all bytes between ``$`` and ``*``."""
+    return functools.reduce(operator.xor, body, 0)
+
+
+def encode_sentence(*fields: str | int) -> bytes:
+    r"""Make a line of an address and its fields, with ``\r\n`` at its end.
+
+    Raises:
+        SentenceError: A field has characters that a sentence cannot carry.
+    """
+    texts = [str(field) for field in fields]
+    for text in texts:
+        if not text.isascii() or not text.isprintable() or _FORBIDDEN & set(text):
+            raise SentenceError(f"a sentence cannot carry the field {text!r:.80}")
+    body = ",".join(texts).encode("ascii")
+    return b"$%b*%02X\r\n" % (body, checksum(body))
+
+
+def decode_sentence(line: bytes) -> list[str]:
+    """Return the address and the fields of a line, with or without its end.
+
+    What stands before the last ``$`` is the rest of something else and is left out.
+
+    Raises:
+        SentenceError: It is no sentence, or its checksum is wrong.
+    """
+    return _body(line).decode("ascii").split(",")
+
+
+def _body(line: bytes) -> bytes:
+    begin = line.rfind(b"$")
+    body, star, digits = line[begin + 1 :].rstrip(b"\r\n").rpartition(b"*")
+    if begin < 0 or not star:
+        raise SentenceError(f"expected $...*XX, not {line!r:.80}")
+    try:
+        told = int(digits, 16) if len(digits) == 2 and digits.isalnum() else -1
+    except ValueError:
+        told = -1
+    if told < 0 or not body.isascii():
+        raise SentenceError(f"expected ASCII and a checksum, not {line!r:.80}")
+    if told != checksum(body):
+        raise SentenceError(f"the checksum of {line!r:.80} is {checksum(body):02X}")
+    return body
+
+
+class Sentences(Framing):
+    r"""Sentences of NMEA 0183: the payload is what stands between ``$`` and ``*``.
+
+    A ``$`` always begins a new sentence, and a ``\n``, with or without a ``\r``, ends
+    it. The standard allows 76 bytes; many devices say more.
+
+    Args:
+        max_length: The longest payload, in bytes.
+
+    Raises:
+        ConfigError: A parameter is wrong.
+    """
+
+    def __init__(self, *, max_length: int = 256) -> None:
+        super().__init__(max_length=max_length)
+        self._max_frame = 1 + max_length + 5  # $, *XX and the end of the line
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take the bytes that arrived; return the payloads that are complete now."""
+        payloads: list[bytes] = []
+        *ended, rest = bytes(data).split(b"\n")
+        for piece in ended:
+            self._extend(piece + b"\n")
+            if self._buffer:
+                self._finish(payloads)
+        self._extend(rest)
+        return payloads
+
+    def _extend(self, piece: bytes) -> None:
+        buffer = self._buffer
+        begin = piece.rfind(b"$")
+        if begin >= 0:  # what began before was cut off
+            self.bad_frames += piece.count(b"$") - 1 + bool(buffer)
+            self.discarded += len(buffer) + begin
+            buffer[:] = piece[begin:]
+        elif buffer:
+            buffer += piece
+        else:
+            self.discarded += len(piece)
+        if len(buffer) > self._max_frame:
+            self._drop()
+
+    def _finish(self, payloads: list[bytes]) -> None:
+        try:
+            body = _body(bytes(self._buffer))
+        except SentenceError:
+            self._drop()
+            return
+        if len(body) > self.max_length:
+            self._drop()
+        else:
+            payloads.append(body)
+            self._buffer.clear()
+
+    def _drop(self) -> None:
+        self.bad_frames += 1
+        self.discarded += len(self._buffer)
+        self._buffer.clear()
+
+    def encode(self, payload: bytes) -> bytes:
+        r"""Return ``$``, the payload, ``*``, the checksum and ``\r\n``.
+
+        Raises:
+            BadValueError: It is too long, or has bytes that no sentence can carry.
+        """
+        payload = self._checked(payload)
+        text = payload.decode("latin-1")
+        if not text.isascii() or not text.isprintable() or {"$", "*"} & set(text):
+            raise BadValueError(
+                "framing", "payload", f"a sentence cannot carry {payload!r:.80}"
+            )
+        return b"$%b*%02X\r\n" % (payload, checksum(payload))
+
+    def fresh(self) -> Self:
+        """Return a new one with the same parameters and zero counters."""
+        return type(self)(max_length=self.max_length)

@@ -1,0 +1,44 @@
+"""No frames at all."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from esair.exceptions import BadValueError
+from esair.framing._framing import Framing
+
+
+class Raw(Framing):
+    """Every chunk is a payload as it comes, cut into bounded pieces.
+
+    The line is free to cut and join what was sent: only the order of bytes holds.
+
+    Args:
+        max_length: The longest payload, in bytes.
+
+    Raises:
+        ConfigError: A parameter is wrong.
+    """
+
+    def __init__(self, *, max_length: int = 4096) -> None:
+        super().__init__(max_length=max_length)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the bytes that arrived, in pieces of at most *max_length*."""
+        size = self.max_length
+        return [bytes(data[at : at + size]) for at in range(0, len(data), size)]
+
+    def encode(self, payload: bytes) -> bytes:
+        """Return the payload itself.
+
+        Raises:
+            BadValueError: It is empty or too long.
+        """
+        payload = self._checked(payload)
+        if not payload:
+            raise BadValueError("framing", "payload", "expected at least one byte")
+        return payload
+
+    def fresh(self) -> Self:
+        """Return a new one with the same parameters and zero counters."""
+        return type(self)(max_length=self.max_length)
