@@ -1,6 +1,7 @@
 """What the robot does: behaviors deliberate, reactions react."""
 
 from esair.actions._behavior import NOTHING, Behavior, Host
+from esair.actions._from_minimal import MinimalReaction, adapt_action
 from esair.actions._needs import Need, Reads, Writes, mistakes_in_needs, reads, writes
 from esair.actions._ports import (
     ActuatorPort,
@@ -18,12 +19,14 @@ __all__ = [
     "BlockingActuatorPort",
     "BlockingSensorPort",
     "Host",
+    "MinimalReaction",
     "Need",
     "Reaction",
     "ReactionRunner",
     "Reads",
     "SensorPort",
     "Writes",
+    "adapt_action",
     "mistakes_in_needs",
     "mistakes_in_reaction",
     "reads",

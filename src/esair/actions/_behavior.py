@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from esair import minimal
+from esair.actions._from_minimal import adapt_action
 from esair.actions._needs import ProfiledAction
 from esair.actions._ports import ActuatorPort, SensorPort
 from esair.actions._reaction import Reaction
@@ -170,7 +172,7 @@ class Behavior(ProfiledAction):
 
     async def perform(
         self,
-        reaction: Reaction,
+        reaction: Reaction | minimal.Reaction,
         *,
         until: Callable[..., bool] | None = None,
         timeout: float | None = None,
@@ -193,7 +195,8 @@ class Behavior(ProfiledAction):
         host = self._host
         if host is None:
             raise self._alone()
-        return await host.perform(reaction, until, timeout)
+        adapted: Reaction = adapt_action(reaction)
+        return await host.perform(adapted, until, timeout)
 
     async def register(
         self,

@@ -70,6 +70,8 @@ def make_app() -> App:
 
     from esair.cli._check import check
     from esair.cli._demo import demo
+    from esair.cli._devices import devices
+    from esair.cli._min import minimal
     from esair.cli._new import new
     from esair.cli._run import run
     from esair.cli._sim import sim
@@ -79,6 +81,7 @@ def make_app() -> App:
         help="Robots that must not hurt anyone, lose data, or stop for a loose cable.",
         version=importlib.metadata.version("esair"),
     )
-    for verb in (demo, new, check, sim, run):
+    for verb in (demo, new, check, devices, sim, run):
         app.command(verb)
+    app.command(minimal)
     return app

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from esair.demo._devices import (
-    Bumper,
-    Odometry,
-    RangeFinder,
-    Scan,
-    Touch,
-    Travel,
-    Twist,
-    Wheels,
-)
+from esair.demo._devices import Bumper, Odometry, RangeFinder, Travel, Wheels
 from esair.demo._journeys import Explore, Home
 from esair.demo._mapper import Belief, Mapper
 from esair.demo._reactions import Avoid, Bump
+from esair.demo._values import Scan, Touch, Twist
 
 __all__ = [
     "Avoid",

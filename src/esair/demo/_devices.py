@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Sequence
 import attrs
 
 from esair.buses import CanBus, SerialBus
-from esair.drivers.nmea import SentenceError, decode_sentence, encode_sentence
+from esair.demo._values import Scan, Touch, Twist
 from esair.drivers.wheel_motor import (
     LEFT,
     MAX_SPEED,
@@ -21,57 +21,11 @@ from esair.drivers.wheel_motor import (
     feedback_id,
 )
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.framing import SentenceError, decode_sentence, encode_sentence
 from esair.resources import Actuator, Sensor, setting
 
 IDENTITY_TIMEOUT = 0.5
 """How long a part may take to say who it is, in seconds."""
-
-
-@attrs.frozen
-class Twist:
-    """How the rover moves.
-
-    Attributes:
-        linear: Forward, in m/s.
-        angular: Counter-clockwise, in rad/s.
-    """
-
-    linear: float
-    angular: float
-
-
-@attrs.frozen
-class Scan:
-    """Distances to what is around, in a fan.
-
-    Attributes:
-        first: Direction of the first beam from straight ahead, in rad.
-        step: From one beam to the next, in rad, counter-clockwise.
-        ranges: In metres from the rover's centre; infinite if nothing is in reach.
-    """
-
-    first: float
-    step: float
-    ranges: tuple[float, ...]
-
-    def nearest(self, begin: float, end: float) -> float:
-        """Return the least distance between two directions, in metres."""
-        return min(
-            (
-                distance
-                for index, distance in enumerate(self.ranges)
-                if begin <= self.first + index * self.step <= end
-            ),
-            default=math.inf,
-        )
-
-
-@attrs.frozen
-class Touch:
-    """What the bumper feels."""
-
-    left: bool
-    right: bool
 
 
 @attrs.frozen
@@ -108,7 +62,7 @@ class _SerialSensor:
         return self.bus
 
     async def _ask(self, answer: str, *question: str | int) -> list[str]:
-        inbox = self._line.lines(b"$" + answer.encode(), limit=4)
+        inbox = self._line.frames(b"$" + answer.encode(), limit=4)
         try:
             await self._line.write(encode_sentence(*question))
             fields = decode_sentence(await inbox.take(timeout=IDENTITY_TIMEOUT))
@@ -148,7 +102,7 @@ class RangeFinder(_SerialSensor, Sensor[Scan]):
 
     async def stream(self) -> AsyncIterator[Scan]:
         """Yield every sweep that arrives whole."""
-        inbox = self._line.lines(b"$RFSWP", limit=4)
+        inbox = self._line.frames(b"$RFSWP", limit=4)
         try:
             async for line in inbox:
                 scan = _scan(line)
@@ -188,7 +142,7 @@ class Bumper(_SerialSensor, Sensor[Touch]):
 
     async def stream(self) -> AsyncIterator[Touch]:
         """Yield what it feels, at each touch and ten times a second."""
-        inbox = self._line.lines(b"$BMSTA", limit=4)
+        inbox = self._line.frames(b"$BMSTA", limit=4)
         try:
             async for line in inbox:
                 try:

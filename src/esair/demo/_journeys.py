@@ -6,7 +6,6 @@ import itertools
 import math
 
 from esair.actions import Behavior, reads, writes
-from esair.demo._devices import Scan, Twist
 from esair.demo._map import Position
 from esair.demo._mapper import Belief
 from esair.demo._pace import Pace
@@ -18,6 +17,7 @@ from esair.demo._plan import (
     way_to,
     way_to_frontier,
 )
+from esair.demo._values import Scan, Twist
 from esair.exceptions import (
     BehaviorFailedError,
     BehaviorRemovedError,

@@ -9,8 +9,9 @@ import attrs
 import numpy as np
 
 from esair.actions import Behavior, reads
-from esair.demo._devices import Scan, Touch, Travel
+from esair.demo._devices import Travel
 from esair.demo._map import FloorMap, Position
+from esair.demo._values import Scan, Touch
 from esair.drivers.mpu6050 import Motion
 
 REACH = 2.45

@@ -1,11 +1,9 @@
 """What the rover does without thinking: it turns away, and backs off."""
 
-from __future__ import annotations
-
 import math
 
-from esair.actions import Reaction, reads, writes
-from esair.demo._devices import Scan, Touch, Twist
+from esair.demo._values import Scan, Touch, Twist
+from esair.minimal import Reaction, reads, writes
 
 
 class Avoid(Reaction):
@@ -26,15 +24,15 @@ class Avoid(Reaction):
     """For how many sweeps it goes the way that it has found free."""
 
     def __init__(
-        self, *, near: float = 0.21, clear: float = 0.38, name: str | None = None
+        self, *, near: float = 0.21, clear: float = 0.38, name: "str | None" = None
     ) -> None:
-        super().__init__(name=name)
+        super().__init__(name)
         self.near = near
         self.clear = clear
         self._turn = 0.0
         self._leaving = 0
 
-    def react(self, ranges: Scan) -> Twist | None:
+    def react(self, ranges: Scan) -> "Twist | None":
         """Turn to the side with more room."""
         ahead = math.radians(38.0)
         nearest = ranges.nearest(-ahead, ahead)
@@ -65,14 +63,14 @@ class Bump(Reaction):
     BACK_OFF = 17
     """For how many steps, at 20 Hz."""
 
-    def __init__(self, *, name: str | None = None) -> None:
-        super().__init__(name=name)
+    def __init__(self, *, name: "str | None" = None) -> None:
+        super().__init__(name)
         self.bumps = 0
         """How often something was touched."""
         self._left = 0
         self._turn = 0.0
 
-    def react(self, bumper: Touch) -> Twist | None:
+    def react(self, bumper: Touch) -> "Twist | None":
         """Drive back for a while after each touch."""
         if (bumper.left or bumper.right) and self._left < self.BACK_OFF - 3:
             if not self._left:

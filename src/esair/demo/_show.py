@@ -13,6 +13,7 @@ from typing import TextIO
 import attrs
 from rich.console import Console
 
+from esair.actions import MinimalReaction
 from esair.buses import Frame
 from esair.config import build, load
 from esair.demo._journeys import Explore
@@ -109,8 +110,10 @@ async def perform(
     async with Simulation(seed=seed) as simulation:
         described = load(_robot_file(), simulated=True)
         robot = ending.robot = build(described)
-        explore, bump = described.behaviors["explore"], described.behaviors["bump"]
+        explore, reflex = described.behaviors["explore"], described.behaviors["bump"]
         assert isinstance(explore, Explore)
+        assert isinstance(reflex, MinimalReaction)
+        bump = reflex.reaction
         assert isinstance(bump, Bump)
         if recorder is not None:
             simulation.on_frame = lambda time, frame: _record(recorder, time, frame)

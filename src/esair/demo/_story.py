@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 import attrs
 
 from esair.actions import Behavior, writes
-from esair.demo._devices import Twist
 from esair.demo._journeys import Explore, Home
+from esair.demo._values import Twist
 from esair.drivers.wheel_motor import LEFT, RIGHT, command_id, decode_command
 from esair.messages import BehaviorState, Refused, ResourceState
 from esair.sim import Simulation

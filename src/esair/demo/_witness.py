@@ -9,9 +9,10 @@ from typing import Any
 import attrs
 
 from esair.actions import Behavior, SensorPort, reads
-from esair.demo._devices import Scan, Touch, Travel
+from esair.demo._devices import Travel
 from esair.demo._mapper import Belief
 from esair.demo._pace import Pace
+from esair.demo._values import Scan, Touch
 from esair.drivers.mpu6050 import Motion
 from esair.exceptions import EsairError
 from esair.loop import every

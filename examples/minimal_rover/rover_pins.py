@@ -1,0 +1,80 @@
+"""The rover of `esair demo` on a Raspberry Pi Pico: what is on its pins.
+
+Plain Python that runs on MicroPython and on CPython; the wiring is in
+docs/how-to/from-std-to-min.md.
+"""
+
+from esair.boards.digital import DigitalIn
+from esair.boards.servo import PwmServo
+from esair.boards.ultrasonic import UltrasonicRange
+from esair.demo._values import Scan, Touch, Twist
+from esair.minimal import Actuator, Sensor
+
+TRACK = 0.16
+"""From wheel to wheel, in metres."""
+
+TOP_SPEED = 0.5
+"""Of a wheel at full pulses, in m/s."""
+
+
+class Ranges(Sensor):
+    """Three ultrasonic range finders: right, ahead, left."""
+
+    def __init__(self, triggers, echoes, angle=0.6):
+        Sensor.__init__(self)
+        self.angle = angle
+        self.parts = [
+            UltrasonicRange(trigger, echo, 2.0)
+            for trigger, echo in zip(triggers, echoes)
+        ]
+
+    def open(self):
+        for part in self.parts:
+            part.open()
+
+    def read(self):
+        return Scan(-self.angle, self.angle, tuple([p.read() for p in self.parts]))
+
+
+class Bumper(Sensor):
+    """Two switches to ground."""
+
+    def __init__(self, left, right):
+        Sensor.__init__(self)
+        self.left = DigitalIn(left, "up", True)
+        self.right = DigitalIn(right, "up", True)
+
+    def open(self):
+        self.left.open()
+        self.right.open()
+
+    def read(self):
+        return Touch(self.left.read(), self.right.read())
+
+
+class Wheels(Actuator):
+    """Two motor controllers that listen to servo pulses; 1.5 ms is stop."""
+
+    safe = Twist(0.0, 0.0)
+
+    def __init__(self, left, right):
+        Actuator.__init__(self)
+        self.left = PwmServo(left)
+        self.right = PwmServo(right)
+
+    def open(self):
+        self.left.open()
+        self.right.open()
+
+    def close(self):
+        self.left.close()
+        self.right.close()
+
+    def write(self, command):
+        turn = command.angular * TRACK / 2
+        self.left.write(_share(command.linear - turn))
+        self.right.write(_share(command.linear + turn))
+
+
+def _share(speed):
+    return max(-1.0, min(1.0, speed / TOP_SPEED))

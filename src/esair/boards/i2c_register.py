@@ -1,0 +1,83 @@
+"""A number in a register of an I2C part: temperature, light, one axis of a gyroscope."""
+
+from esair.minimal import Sensor
+
+
+class I2CRegister(Sensor):
+    """A register that is read as an integer, times a scale.
+
+    Args:
+        address: The address of the part, 7 bits.
+        register: The number of the register.
+        size: Bytes of the number.
+        signed: Whether it is a two's complement.
+        little: Whether its first byte is the lowest.
+        scale: What one step stands for.
+        offset: Added after the scale.
+        i2c: The number of the bus; with ``scl`` and ``sda``, its pins.
+        setup: Pairs of register and byte that are written when it is opened.
+        name: The name of the sensor.
+    """
+
+    def __init__(
+        self,
+        address: int,
+        register: int,
+        size: int = 2,
+        signed: bool = True,
+        little: bool = False,
+        scale: float = 1.0,
+        offset: float = 0.0,
+        i2c: int = 0,
+        scl: "int | str | None" = None,
+        sda: "int | str | None" = None,
+        frequency: int = 400000,
+        setup: "tuple[tuple[int, int], ...]" = (),
+        name: "str | None" = None,
+    ) -> None:
+        Sensor.__init__(self, name)
+        self.address = address
+        self.register = register
+        self.buffer = bytearray(size)
+        self.signed = signed
+        self.little = little
+        self.scale = scale
+        self.offset = offset
+        self.i2c = i2c
+        self.scl = scl
+        self.sda = sda
+        self.frequency = frequency
+        self.setup = setup
+
+    def open(self) -> None:
+        """Take the bus, and set the part up.
+
+        Raises:
+            OSError: It does not answer.
+        """
+        from machine import I2C, Pin
+
+        if self.scl is None:
+            bus = I2C(self.i2c, freq=self.frequency)
+        else:
+            bus = I2C(
+                self.i2c, scl=Pin(self.scl), sda=Pin(self.sda), freq=self.frequency
+            )
+        for register, value in self.setup:
+            bus.writeto_mem(self.address, register, bytes([value]))
+        self._read = bus.readfrom_mem_into
+
+    def read(self) -> float:
+        """Return the number in its unit.
+
+        Raises:
+            OSError: The part does not answer.
+        """
+        buffer = self.buffer
+        self._read(self.address, self.register, buffer)
+        number = 0
+        for i in range(len(buffer)):
+            number = number << 8 | buffer[-1 - i if self.little else i]
+        if self.signed and number >> (8 * len(buffer) - 1):
+            number -= 1 << (8 * len(buffer))
+        return number * self.scale + self.offset

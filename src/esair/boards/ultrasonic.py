@@ -1,0 +1,64 @@
+"""An ultrasonic range finder with a trigger and an echo pin, such as the HC-SR04."""
+
+from esair.minimal import Sensor
+
+
+class UltrasonicRange(Sensor):
+    """The way to the next thing, in metres.
+
+    Reading blocks until the echo is back: 6 ms for a metre, at most the time for
+    ``reach``. No echo is no error: it gives infinity, as nothing is in reach. An echo
+    pin that is stuck, or not there, raises `OSError`.
+
+    Args:
+        trigger: The pin that starts a measurement.
+        echo: The pin that is high as long as the sound is under way. It gives 5 V: a
+            board for 3.3 V needs a divider.
+        reach: How far it looks, in metres.
+        name: The name of the sensor.
+    """
+
+    SPEED = 343.0
+    """Of sound at 20 degrees Celsius, in m/s."""
+
+    def __init__(
+        self,
+        trigger: "int | str",
+        echo: "int | str",
+        reach: float = 4.0,
+        name: "str | None" = None,
+    ) -> None:
+        Sensor.__init__(self, name)
+        self.trigger = trigger
+        self.echo = echo
+        self.timeout_us = int(2 * reach / self.SPEED * 1000000)
+
+    def open(self) -> None:
+        """Take the pins."""
+        import machine
+
+        self._trigger = machine.Pin(self.trigger, machine.Pin.OUT, value=0)
+        self._echo = machine.Pin(self.echo, machine.Pin.IN)
+        self._pulse = machine.time_pulse_us
+        try:
+            from time import sleep_us
+        except ImportError:  # on a computer, with a stand-in for the pins
+
+            def sleep_us(_us: int) -> None:
+                return None
+
+        self._sleep_us = sleep_us
+
+    def read(self) -> float:
+        """Measure once.
+
+        Raises:
+            OSError: The part does not answer.
+        """
+        self._trigger(1)
+        self._sleep_us(10)
+        self._trigger(0)
+        us = self._pulse(self._echo, 1, self.timeout_us)
+        if us == -2:
+            raise OSError("no echo pulse began: is it connected?")
+        return float("inf") if us < 0 else us * self.SPEED / 2000000

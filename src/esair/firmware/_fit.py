@@ -1,0 +1,141 @@
+"""Which parts of a robot fit into ESAIR MIN, and why the others do not."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+from esair import minimal
+from esair.actions import Behavior, MinimalReaction, Reaction
+from esair.config import Description
+from esair.resources import Actuator, MinimalActuator, MinimalSensor, Sensor
+
+Misfit = Callable[[str, str], None]
+
+_NOT_ATTRIBUTES = frozenset({"driver", "sim", "bus", "restart", "reads", "writes"})
+
+
+@attrs.frozen
+class Part:
+    """A component that fits.
+
+    Attributes:
+        kind: ``sensor``, ``actuator`` or ``behavior``, as the table in the file.
+        name: Its name.
+        made: It, as `esair.minimal.Loop` takes it.
+        table: What the file says about it.
+    """
+
+    kind: str
+    name: str
+    made: Any
+    table: Mapping[str, Any]
+
+    @property
+    def key(self) -> str:
+        """Where it is in the file."""
+        return f"{self.kind}.{self.name}"
+
+
+def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Part]:
+    """Return the parts that fit; tell about the others."""
+    with path.open("rb") as file:
+        tables = tomllib.load(file)
+    for name in described.buses:
+        misfit(
+            f"bus.{name}",
+            "MIN has no buses: write a plain Sensor or Actuator over machine, as those "
+            "in esair.boards",
+        )
+    for name in described.policies:
+        misfit(
+            f"access.{name}",
+            "MIN checks no rights: a reaction has the profile of its class",
+        )
+    parts = []
+    for name, resource in described.resources.items():
+        kind = "sensor" if isinstance(resource, Sensor) else "actuator"
+        made: Any = resource
+        if isinstance(resource, MinimalSensor | MinimalActuator):
+            made = resource.device
+        elif not isinstance(resource, Sensor | Actuator):
+            continue
+        table = tables[kind][name]
+        if _is_plain(f"{kind}.{name}", resource, made, misfit):
+            parts.append(Part(kind, name, made, _values(table)))
+    for name, action in described.behaviors.items():
+        key = f"behavior.{name}"
+        table = tables["behavior"][name]
+        for word in ("restart", "reads", "writes"):
+            if word in table:
+                misfit(f"{key}.{word}", "MIN has only what the class says")
+        if isinstance(action, Behavior):
+            misfit(key, "it is a behavior: MIN has reactions, and nothing that waits")
+        elif isinstance(action, Reaction):
+            whole = (
+                action.reaction if isinstance(action, MinimalReaction) else action
+            )
+            parts.append(Part("behavior", name, whole, _values(table)))
+    return parts
+
+
+def _is_plain(key: str, resource: Any, made: Any, misfit: Misfit) -> bool:
+    if resource.bus is not None:
+        misfit(key, "it is on a bus of STD: MIN has devices over machine only")
+        return False
+    if isinstance(resource, Sensor) and resource.pushes:
+        misfit(key, "it has a stream: MIN reads its sensors in each step")
+        return False
+    if getattr(resource, "max_repeat", None) is not None:
+        misfit(key, "max_repeat: only STD watches for frozen values")
+        return False
+    if made is resource:
+        for name in ("open", "close", "identify", "apply"):
+            if getattr(type(made), name, None) is not getattr(
+                Sensor if isinstance(made, Sensor) else Actuator, name
+            ) and name in {"identify", "apply"}:
+                misfit(key, f"it has {name}: only STD calls it")
+                return False
+    return True
+
+
+def _values(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key not in _NOT_ATTRIBUTES}
+
+
+def loop_mistakes(
+    parts: list[Part], rate: float, misfit: Misfit, *, whole: bool
+) -> None:
+    """Tell what the loop itself would refuse.
+
+    Args:
+        parts: What fits so far.
+        rate: Steps per second.
+        misfit: Whom to tell.
+        whole: Whether all parts of the robot are there; else some are missed for a
+            reason that was told already.
+    """
+    by_kind: dict[str, list[Any]] = {"sensor": [], "actuator": [], "behavior": []}
+    keys = {}
+    for part in parts:
+        if not part.made.name:
+            part.made.name = part.name
+        by_kind[part.kind].append(part.made)
+        keys[part.name] = part.key
+    for text in minimal.mistakes(
+        by_kind["behavior"], by_kind["sensor"], by_kind["actuator"], rate
+    ):
+        name, _, reason = text.partition(": ")
+        if not whole and "there is no" in reason:
+            continue
+        misfit(keys.get(name, ""), reason)
+
+
+def rate_of(parts: list[Part]) -> float:
+    """Return the steps per second that the parts ask for; 50 if they do not."""
+    rates = [part.made.rate for part in parts if getattr(part.made, "rate", None)]
+    return float(max(rates, default=50.0))

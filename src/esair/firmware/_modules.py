@@ -1,0 +1,174 @@
+"""The modules that go to a board, and what they import that no board has."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+KNOWN_MODULES: Final = frozenset(
+    "array asyncio binascii bluetooth btree builtins cmath collections cryptolib deflate "
+    "dht ds18x20 errno esp esp32 framebuf gc hashlib heapq io json lwip machine marshal "
+    "math micropython microbit neopixel network ntptime onewire os platform pyb random re "
+    "rp2 select socket ssl stm struct sys time tls uasyncio uctypes ucollections uos "
+    "ustruct utime vfs webrepl zephyr zlib".split()
+)
+"""What MicroPython, or one of its ports, brings itself."""
+
+FACADE: Final = ("Actuator", "Reaction", "Sensor", "reads", "writes")
+"""What ``import esair`` gives on a board."""
+
+
+class Modules:
+    """Collects the source of modules, and of what they import.
+
+    Args:
+        folder: The folder of the configuration; its modules are found first.
+        misfit: Called with the key of a component and the reason that it does not fit.
+    """
+
+    def __init__(self, folder: Path, misfit: Callable[[str, str], None]) -> None:
+        self._folder = folder
+        self._misfit = misfit
+        self.sources: dict[str, str] = {}
+        """The text of each module, by its dotted name."""
+        self.facade = False
+        """Whether somebody imports ``esair`` itself."""
+        self.future = False
+        """Whether somebody imports ``__future__``, which boards do not have."""
+
+    def add(self, name: str, key: str) -> None:
+        """Take a module that a component needs, and what it imports in turn."""
+        if name in self.sources or name == "esair.minimal":
+            return
+        path = self._path_of(name)
+        if path is None:
+            self._misfit(key, f"its module {name!r} has no Python source")
+            return
+        text = path.read_text(encoding="utf-8")
+        self.sources[name] = text
+        is_package = path.name == "__init__.py"
+        try:
+            tree = ast.parse(text)
+        except SyntaxError as error:
+            self._misfit(key, f"module {name!r}: {error}")
+            return
+        for node in imports_of(tree):
+            self._follow(node, name, is_package, key)
+        for line, reason in what_boards_do_not_know(tree):
+            self._misfit(key, f"{path.name}, line {line}: {reason}")
+
+    def _follow(
+        self, node: ast.Import | ast.ImportFrom, name: str, is_package: bool, key: str
+    ) -> None:
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                self._need(alias.name, name, node.lineno, key)
+            return
+        target = node.module or ""
+        if node.level:
+            parts = name.split(".")
+            base = parts[: len(parts) - node.level + is_package]
+            target = ".".join([*base, *([target] if target else [])])
+        if target == "esair":
+            self._from_esair([alias.name for alias in node.names], name, node, key)
+            return
+        for alias in node.names:
+            whole = f"{target}.{alias.name}"
+            if self._is_ours(target) and self._path_of(whole) is not None:
+                self._need(whole, name, node.lineno, key)
+            else:
+                self._need(target, name, node.lineno, key)
+
+    def _from_esair(
+        self, wanted: list[str], name: str, node: ast.ImportFrom, key: str
+    ) -> None:
+        for each in wanted:
+            if each == "minimal":
+                continue
+            if each in FACADE:
+                self.facade = True
+            elif self._path_of(f"esair.{each}") is not None:
+                self._need(f"esair.{each}", name, node.lineno, key)
+            else:
+                self._misfit(
+                    key, f"module {name!r} uses esair.{each}, which only STD has"
+                )
+
+    def _need(self, target: str, name: str, line: int, key: str) -> None:
+        top = target.partition(".")[0]
+        if target == "__future__":
+            self.future = True
+        elif target == "esair":
+            self.facade = True
+        elif target == "esair.minimal":
+            pass
+        elif self._is_ours(target):
+            self.add(target, key)
+        elif top not in KNOWN_MODULES:
+            self._misfit(
+                key,
+                f"module {name!r} (line {line}) imports {target!r}, which MicroPython "
+                "does not have",
+            )
+
+    def _is_ours(self, target: str) -> bool:
+        """Tell whether a module is the user's, or one of esair's."""
+        top = target.partition(".")[0]
+        return (
+            top == "esair"
+            or (self._folder / f"{top}.py").is_file()
+            or (self._folder / top).is_dir()
+        )
+
+    def _path_of(self, name: str) -> Path | None:
+        beside = self._folder.joinpath(*name.split("."))
+        for path in (beside.with_suffix(".py"), beside / "__init__.py"):
+            if path.is_file():
+                return path
+        try:
+            spec = importlib.util.find_spec(name)
+        except (ImportError, ValueError):
+            return None
+        if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+            return None
+        return Path(spec.origin)
+
+
+def imports_of(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Yield the imports that a board makes: not those for type checkers.
+
+    An import in a ``try`` with an ``except ImportError`` is the module's own concern.
+    """
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node
+        elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            for other in node.orelse:
+                yield from imports_of(ast.Module([other], []))
+        elif isinstance(node, ast.Try) and any(
+            handler.type is None or "ImportError" in ast.unparse(handler.type)
+            for handler in node.handlers
+        ):
+            continue
+        else:
+            yield from imports_of(node)
+
+
+def what_boards_do_not_know(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield what MicroPython's compiler does not know, with the line."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Match):
+            yield node.lineno, "MicroPython has no match statement: use if"
+        elif isinstance(node, ast.ClassDef):
+            for base in node.bases:
+                if isinstance(base, ast.Subscript):
+                    plain = ast.unparse(base.value)
+                    yield (
+                        node.lineno,
+                        f"MicroPython knows no {ast.unparse(base)}: write {plain}",
+                    )
+        elif isinstance(node, ast.TryStar):
+            yield node.lineno, "MicroPython has no except*"

