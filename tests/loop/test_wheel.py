@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from typing import Any
 
 import pytest
@@ -158,3 +159,27 @@ def test_every_waits_without_a_loop_too() -> None:
         0.01,
         0.02,
     ]
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("B09")
+async def test_a_step_slower_than_its_period_starves_nobody() -> None:
+    """Between two of its steps every other task gets its turn."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    turns_of_others = 0
+    seen: list[int] = []
+
+    def slow(_now: float) -> None:
+        seen.append(turns_of_others)
+        if len(seen) <= 50:
+            loop.advance(0.03)
+
+    spoke = wheel().every(0.01, slow)
+    while len(seen) <= 50:
+        turns_of_others += 1
+        await asyncio.sleep(0)
+    spoke.stop()
+
+    assert all(after > before for before, after in itertools.pairwise(seen[:50]))
+    assert spoke.skipped >= 100

@@ -4,12 +4,18 @@ from esair.loop._bridge import Bridge, bridge
 from esair.loop._every import Every, every
 from esair.loop._garbage import freeze_garbage, unfreeze_garbage
 from esair.loop._lane import CallRefused, Lane
-from esair.loop._ownership import OwnedTasks, Owner, current_owner, spawn
-from esair.loop._signals import SignalWatch
+from esair.loop._ownership import (
+    OwnedTasks,
+    Owner,
+    current_owner,
+    spawn,
+    speaks_for_nobody,
+)
+from esair.loop._signals import ProcessWatch, SignalWatch
 from esair.loop._stepping import Suspended, finish, first_step
 from esair.loop._suspend import GLANCE, SuspendWatch
 from esair.loop._timer import clock_of
-from esair.loop._wheel import Spoke, Wheel
+from esair.loop._wheel import Spoke, Step, Wheel
 
 __all__ = [
     "GLANCE",
@@ -19,8 +25,10 @@ __all__ = [
     "Lane",
     "OwnedTasks",
     "Owner",
+    "ProcessWatch",
     "SignalWatch",
     "Spoke",
+    "Step",
     "SuspendWatch",
     "Suspended",
     "Wheel",
@@ -32,5 +40,6 @@ __all__ = [
     "first_step",
     "freeze_garbage",
     "spawn",
+    "speaks_for_nobody",
     "unfreeze_garbage",
 ]

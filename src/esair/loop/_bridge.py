@@ -32,7 +32,7 @@ class Bridge:
         self.name = name
         self._owner = owner
         self._loop = asyncio.get_running_loop()
-        self._closed = False
+        self.closed = False
         self._calls: set[asyncio.Task[Any]] = set()
         self._home = threading.current_thread()
 
@@ -109,6 +109,9 @@ class Bridge:
                 f"{self.name}: a call that waits, in the event loop: its run is a "
                 "plain function, so its other methods must be plain functions too"
             )
+        mine = bridge.get(None)
+        if mine is not None and mine.closed:  # a thread that outlived its own run
+            raise BehaviorRemovedError(self.name)
         outcome: concurrent.futures.Future[T] = concurrent.futures.Future()
 
         def done(task: asyncio.Task[T]) -> None:
@@ -123,7 +126,7 @@ class Bridge:
 
         def begin() -> None:
             in_flight(self._loop, -1)  # the thread waits
-            if self._closed:
+            if self.closed:
                 in_flight(self._loop, +1)
                 outcome.set_exception(BehaviorRemovedError(self.name))
                 return
@@ -150,7 +153,7 @@ class Bridge:
 
     def close(self) -> None:
         """Refuse every further call, and cancel those that run."""
-        self._closed = True
+        self.closed = True
         for call in tuple(self._calls):
             call.cancel()
 

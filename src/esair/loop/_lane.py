@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import collections
 import math
+import queue
 import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -53,15 +54,23 @@ class Lane:
         self.name = name
         self.limit = limit
         self.stuck_since: float | None = None
-        self._jobs: collections.deque[Job | None] = collections.deque()
-        self._ready = threading.Semaphore(0)
+        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._running = 0
+        self._pending: dict[
+            asyncio.Future[Any], tuple[float, Callable[..., Any], float]
+        ] = {}
+        self._looks_at = math.inf
+        self._timer: asyncio.TimerHandle | None = None
 
     @property
     def waiting(self) -> int:
         """How many calls wait for the one that runs."""
-        return len(self._jobs)
+        return self._jobs.qsize()
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the code that asks is running on the lane."""
+        return threading.current_thread() is self._thread
 
     async def call(
         self,
@@ -81,32 +90,34 @@ class Lane:
                 no, the function is not called.
 
         Raises:
-            BusyError: Too many calls wait.
+            BusyError: Too many calls wait, or there can be no more threads.
             DriverStuckError: It did not return in time.
             CallRefused: The guard said no.
         """
-        if len(self._jobs) >= self.limit:
+        if self._jobs.qsize() >= self.limit:
             raise BusyError(f"lane {self.name}", "number of waiting calls", self.limit)
         loop = asyncio.get_running_loop()
         future: asyncio.Future[T] = loop.create_future()
         self._start(loop)
-        self._jobs.append(Job(function, args, guard, future))
         in_flight(loop, +1)
-        self._ready.release()
+        self._jobs.put(Job(function, args, guard, future))
         if timeout == math.inf:
             return await future
-        timer = loop.call_later(timeout, self._expire, future, function, timeout)
+        deadline = loop.time() + timeout
+        self._pending[future] = (deadline, function, timeout)
+        if deadline < self._looks_at:
+            self._look_at(loop, deadline)
         try:
             return await future
         finally:
-            timer.cancel()
+            del self._pending[future]
 
     def close(self) -> None:
         """End the thread once the calls that it has are done."""
         if self._thread is not None:
-            self._jobs.append(None)
-            self._ready.release()
+            self._jobs.put(None)
             self._thread = None
+            self._rest()
 
     async def join(self, timeout: float) -> bool:
         """Wait until the calls that it has are done, and end the thread.
@@ -128,74 +139,115 @@ class Lane:
     def _start(self, loop: asyncio.AbstractEventLoop) -> None:
         if self._thread is None:
             # A thread that was told to end may still work off its own queue.
-            self._jobs = collections.deque()
-            self._ready = threading.Semaphore(0)
-            self._thread = threading.Thread(
-                target=self._work,
-                args=(loop, self._jobs, self._ready),
+            self._jobs = queue.SimpleQueue()
+            self.stuck_since = None
+            self._rest()
+            thread = threading.Thread(
+                target=_work,
+                args=(self._jobs, Results(self, loop)),
                 name=f"esair-{self.name}",
                 daemon=True,
             )
-            self._thread.start()
-
-    def _work(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        jobs: collections.deque[Job | None],
-        ready: threading.Semaphore,
-    ) -> None:
-        while True:
-            ready.acquire()
-            job = jobs.popleft()
-            if job is None:
-                return
-            result: Any = None
-            error: BaseException | None = None
             try:
-                if job.guard is not None and (job.future.done() or not job.guard()):
-                    error = CallRefused()
-                else:
-                    result = job.function(*job.args)
-            except BaseException as raised:  # a driver may raise anything
-                error = raised
-            try:
-                loop.call_soon_threadsafe(
-                    self._deliver, loop, job.future, result, error
-                )
-            except RuntimeError:
-                continue  # the loop is closed: what is queued (a safe command) still goes
+                thread.start()
+            except RuntimeError as error:  # the limit of the process or the user
+                raise BusyError(
+                    f"lane {self.name}", "the limit of threads", error
+                ) from None
+            self._thread = thread
 
-    def _deliver(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        future: asyncio.Future[Any],
-        result: Any,
-        error: BaseException | None,
-    ) -> None:
-        in_flight(loop, -1)
-        self.stuck_since = None
-        if future.done():  # it came too late, or its caller has gone
-            return
-        if isinstance(error, StopIteration | KeyboardInterrupt | SystemExit):
-            wrapped = RuntimeError(f"the driver raised {type(error).__name__}")
-            wrapped.__cause__ = error
-            future.set_exception(wrapped)
-        elif error is not None:
-            future.set_exception(error)
-        else:
-            future.set_result(result)
+    def _look_at(self, loop: asyncio.AbstractEventLoop, deadline: float) -> None:
+        """Look for calls that are overdue; one timer serves all that are under way."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._looks_at = deadline
+        self._timer = loop.call_at(deadline, self._expire, loop)
 
-    def _expire(
-        self,
-        future: asyncio.Future[Any],
-        function: Callable[..., Any],
-        timeout: float,
-    ) -> None:
-        if not future.done():
+    def _rest(self) -> None:
+        """Look for nothing while nothing is under way."""
+        if self._timer is not None and not self._pending:
+            self._timer.cancel()
+            self._timer = None
+            self._looks_at = math.inf
+
+    def _expire(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._timer = None
+        self._looks_at = math.inf
+        now = loop.time()
+        due = math.inf
+        for future, (deadline, function, timeout) in self._pending.items():
+            if future.done():
+                continue
+            if deadline > now:
+                due = min(due, deadline)
+                continue
             if self.stuck_since is None:
-                self.stuck_since = asyncio.get_running_loop().time()
+                self.stuck_since = now
             call = getattr(function, "__qualname__", repr(function))
             future.set_exception(DriverStuckError(self.name, call, timeout))
+        if due < math.inf:
+            self._look_at(loop, due)
+
+
+class Results:
+    """What the thread of a lane has done, on its way into the event loop.
+
+    However many results there are, one wake-up of the loop is under way at a time:
+    what is done until the loop gets to it goes with it.
+    """
+
+    def __init__(self, lane: Lane, loop: asyncio.AbstractEventLoop) -> None:
+        self._lane = lane
+        self._loop = loop
+        self._done: collections.deque[
+            tuple[asyncio.Future[Any], Any, BaseException | None]
+        ] = collections.deque()
+        self._wakes = False
+
+    def add(
+        self, future: asyncio.Future[Any], result: Any, error: BaseException | None
+    ) -> None:
+        """Hand over a result, from the thread."""
+        self._done.append((future, result, error))
+        if not self._wakes:
+            self._wakes = True
+            try:
+                self._loop.call_soon_threadsafe(self._deliver)
+            except RuntimeError:
+                return  # the loop is closed: what is queued (a safe command) still goes
+
+    def _deliver(self) -> None:
+        self._wakes = False  # before the look: what comes later wakes the loop again
+        self._lane.stuck_since = None
+        done = self._done
+        while done:
+            future, result, error = done.popleft()
+            in_flight(self._loop, -1)
+            if future.done():  # it came too late, or its caller has gone
+                continue
+            if isinstance(error, StopIteration | KeyboardInterrupt | SystemExit):
+                wrapped = RuntimeError(f"the driver raised {type(error).__name__}")
+                wrapped.__cause__ = error
+                future.set_exception(wrapped)
+            elif error is not None:
+                future.set_exception(error)
+            else:
+                future.set_result(result)
+
+
+def _work(jobs: queue.SimpleQueue[Job | None], results: Results) -> None:
+    while (job := jobs.get()) is not None:
+        result: Any = None
+        error: BaseException | None = None
+        try:
+            if job.guard is not None and (job.future.done() or not job.guard()):
+                error = CallRefused()
+            else:
+                result = job.function(*job.args)
+        except BaseException as raised:  # a driver may raise anything
+            error = raised
+        results.add(job.future, result, error)
+        del job, result, error  # nothing is kept alive while the lane is idle
 
 
 def _nothing() -> None:

@@ -14,7 +14,7 @@ T = TypeVar("T")
 class Owner:
     """Holds every task that a component has started and that still runs."""
 
-    __slots__ = ("_first", "_others", "threads")
+    __slots__ = ("_first", "_others", "over", "threads")
 
     def __init__(self) -> None:
         # Most components have one task only; a set for it would be half their size.
@@ -22,6 +22,8 @@ class Owner:
         self._others: set[asyncio.Task[Any]] | None = None
         self.threads: tuple[threading.Thread, ...] = ()
         """The threads that run its plain functions."""
+        self.over = False
+        """Its run has ended: what would not end with it speaks for nobody."""
 
     def adopt(self, task: asyncio.Task[Any]) -> None:
         """Remember a task until it is done. The loop itself keeps only weak references."""
@@ -69,6 +71,12 @@ def spawn(
 def current_owner() -> Owner | None:
     """Return the owner of the code that runs now; None if it is nobody's."""
     return _owner.get(None)
+
+
+def speaks_for_nobody() -> bool:
+    """Tell whether the code that runs now belongs to a run that has ended."""
+    owner = _owner.get(None)
+    return owner is not None and owner.over
 
 
 class Contained(Coroutine[Any, Any, Any]):

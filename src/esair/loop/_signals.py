@@ -1,10 +1,11 @@
-"""Signals that end a robot in order: SIGINT, SIGTERM, SIGHUP."""
+"""Signals that end a robot in order: SIGINT, SIGTERM, SIGHUP; and who changes them."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
 
@@ -66,3 +67,31 @@ class SignalWatch:
             self._on_second()
         else:
             os._exit(128 + number)
+
+
+class ProcessWatch:
+    """Notices what is changed of that which belongs to the whole process."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._before = self._look()
+
+    def changes(self) -> list[str]:
+        """Name what is not as it was when this was made."""
+        now = self._look()
+        return [what for what, value in self._before.items() if now[what] != value]
+
+    def _look(self) -> dict[str, object]:
+        # Asyncio keeps its own handlers apart; without the attribute they go unseen.
+        handlers = getattr(self._loop, "_signal_handlers", {})
+        found: dict[str, object] = {
+            f"the handler of {number.name}": (
+                signal.getsignal(number),
+                handlers.get(number),
+            )
+            for number in ENDING
+        }
+        found["the task factory of the event loop"] = self._loop.get_task_factory()
+        if sys.version_info < (3, 14):  # from then on the policy is deprecated
+            found["the event loop policy"] = asyncio.get_event_loop_policy()
+        return found

@@ -155,6 +155,8 @@ class Wheel:
         self._queue: list[Spoke] = []
         self._calls: Iterator[Spoke | Shot] = iter(())
         self._now = 0.0
+        self._began = 0.0
+        """When this turn began; what falls due later waits for the next one."""
         self._grid = 0.0
         self._timer: Timer | None = None
         self._timer_due = 0.0
@@ -261,6 +263,7 @@ class Wheel:
 
     async def _lead(self, loop: asyncio.AbstractEventLoop) -> None:
         me = self._leader = asyncio.current_task()
+        self._began = loop.time()
         try:
             while True:
                 for call in self._calls:
@@ -294,7 +297,7 @@ class Wheel:
                 spoke.queued = False
             self._calls = iter(queue)
             return True
-        if not heap or heap[0].due > now + _EARLY:
+        if not heap or heap[0].due > self._began + _EARLY:
             return False
         entry = heap[0]
         self._calls = iter(entry.turn(now))
@@ -305,6 +308,11 @@ class Wheel:
         return True
 
     async def _wait(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._heap[0].due <= loop.time() + _EARLY:
+            # Steps that take longer than their period must not starve everybody else.
+            await asyncio.sleep(0)
+            self._began = loop.time()
+            return
         if self._timer is None:
             self._timer = timer_for(loop, self._wake)
             self._timer_due = 0.0
@@ -318,6 +326,7 @@ class Wheel:
         finally:
             self._sleep = None
             self._timer_due = 0.0
+        self._began = loop.time()
         self.suspends.look()
 
 

@@ -1,0 +1,170 @@
+"""The lane: one thread for blocking calls, and one wake-up for many results."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+
+import pytest
+
+from esair.exceptions import BusyError, DriverStuckError
+from esair.loop import Lane
+
+pytestmark = pytest.mark.real_clock
+
+
+def keep_the_loop_busy(lane: Lane) -> None:
+    """Give the loop no turn until the thread has done everything."""
+    end = time.monotonic() + 5.0
+    while lane.waiting and time.monotonic() < end:
+        time.sleep(0.001)
+    time.sleep(0.01)
+
+
+async def test_calls_run_in_order_on_one_thread() -> None:
+    """Whoever asks first is served first, however many ask."""
+    lane = Lane("bus")
+    order: list[int] = []
+    threads: set[str] = set()
+
+    def work(number: int) -> int:
+        order.append(number)
+        threads.add(threading.current_thread().name)
+        assert lane.is_current
+        return number
+
+    results = await asyncio.gather(
+        *(lane.call(work, n, timeout=5.0) for n in range(100))
+    )
+
+    assert results == order == list(range(100))
+    assert threads == {"esair-bus"}
+    assert not lane.is_current
+    lane.close()
+
+
+@pytest.mark.promise("BUS-1")
+async def test_results_that_are_ready_together_wake_the_loop_once(monkeypatch) -> None:
+    """A burst costs less than as many single calls."""
+    loop = asyncio.get_running_loop()
+    wakes = 0
+    call_soon_threadsafe = loop.call_soon_threadsafe
+
+    def counting(callback, *args):
+        nonlocal wakes
+        wakes += 1
+        return call_soon_threadsafe(callback, *args)
+
+    monkeypatch.setattr(loop, "call_soon_threadsafe", counting)
+    lane = Lane("bus")
+    calls = [asyncio.ensure_future(lane.call(int, "7", timeout=5.0)) for _ in range(20)]
+    await asyncio.sleep(0)
+    keep_the_loop_busy(lane)
+
+    assert await asyncio.gather(*calls) == [7] * 20
+    assert wakes == 1
+    lane.close()
+
+
+async def test_errors_come_to_their_own_caller() -> None:
+    """Also one that would end a coroutine, or the process."""
+    lane = Lane("bus")
+
+    def fail(error: BaseException) -> None:
+        raise error
+
+    results = await asyncio.gather(
+        lane.call(fail, ValueError("a"), timeout=5.0),
+        lane.call(fail, StopIteration(), timeout=5.0),
+        lane.call(fail, SystemExit(3), timeout=5.0),
+        lane.call(int, "7", timeout=5.0),
+        return_exceptions=True,
+    )
+
+    assert [type(each) for each in results] == [
+        ValueError,
+        RuntimeError,
+        RuntimeError,
+        int,
+    ]
+    lane.close()
+
+
+@pytest.mark.fault("D21")
+async def test_a_new_thread_is_not_stuck_because_the_old_one_was() -> None:
+    """What was left behind goes on alone, and does no harm."""
+    lane = Lane("bus")
+    go = threading.Event()
+    with pytest.raises(DriverStuckError):
+        await lane.call(go.wait, timeout=0.01)
+    assert lane.stuck_since is not None
+    lane.close()
+
+    again = asyncio.ensure_future(lane.call(go.wait, timeout=5.0))
+    await asyncio.sleep(0)
+    assert lane.stuck_since is None
+    go.set()
+    assert await again is True
+    lane.close()
+
+
+async def test_what_waits_is_bounded() -> None:
+    """One more than the limit is refused at once."""
+    lane = Lane("bus", limit=3)
+    go = threading.Event()
+    first = asyncio.ensure_future(lane.call(go.wait, timeout=5.0))
+    async with asyncio.timeout(5.0):
+        await asyncio.sleep(0)
+        while lane.waiting:  # noqa: ASYNC110 - nobody tells
+            await asyncio.sleep(0.001)
+    others = [asyncio.ensure_future(lane.call(int, "7", timeout=5.0)) for _ in range(3)]
+    await asyncio.sleep(0)
+
+    assert lane.waiting == lane.limit
+    with pytest.raises(BusyError, match="3"):
+        await lane.call(int, "7", timeout=5.0)
+
+    go.set()
+    assert await first is True
+    assert await asyncio.gather(*others) == [7, 7, 7]
+    lane.close()
+
+
+async def test_each_call_has_its_own_deadline() -> None:
+    """One timer serves them all, and none is told too early, too late or twice."""
+    lane = Lane("bus")
+    go = threading.Event()
+    loop = asyncio.get_running_loop()
+    told: dict[float, float] = {}
+    begin = loop.time()
+
+    async def ask(timeout: float) -> None:
+        with pytest.raises(DriverStuckError, match=f"in {timeout:g} s"):
+            await lane.call(go.wait, timeout=timeout)
+        told[timeout] = loop.time() - begin
+
+    await asyncio.gather(*(ask(timeout) for timeout in (0.2, 0.05, 0.3, 0.1)))
+
+    assert list(told) == [0.05, 0.1, 0.2, 0.3]
+    assert all(timeout - 0.001 <= seconds for timeout, seconds in told.items())
+    go.set()
+    assert await lane.call(int, "7", timeout=5.0) == 7
+    lane.close()
+
+
+async def test_a_lane_serves_one_loop_after_another() -> None:
+    """A deadline of the loop before does not count in the next."""
+    lane = Lane("bus")
+    go = threading.Event()
+
+    async def life() -> None:
+        assert await lane.call(int, "7", timeout=1000.0) == 7
+        lane.close()
+
+    await asyncio.to_thread(asyncio.run, life())
+
+    with pytest.raises(DriverStuckError):
+        await lane.call(go.wait, 5.0, timeout=0.05)
+    go.set()
+    lane.close()
