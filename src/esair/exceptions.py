@@ -115,7 +115,12 @@ class ResourceRemovedError(EsairError, ConnectionError):
 class DeviceLostError(EsairError, ConnectionError):
     """The device is not there. It is reopened by itself when it comes back.
 
-    Drivers raise it too, to say that their device is gone.
+    Drivers raise it too, to say that their device is gone. From a write it says if
+    nobody can know whether the command was applied.
+
+    Attributes:
+        resource: The name of the sensor or actuator.
+        detail: What is known about it, in words; empty if nothing is.
     """
 
     def __init__(self, resource: str, detail: str = "") -> None:
@@ -123,6 +128,7 @@ class DeviceLostError(EsairError, ConnectionError):
             f"device of {resource!r} is lost" + (f": {detail}" if detail else "")
         )
         self.resource = resource
+        self.detail = detail
 
 
 class DeviceFaultError(EsairError, OSError):

@@ -190,6 +190,7 @@ class BehaviorStatus(NamedTuple):
         steps: How many steps a reaction has done.
         late: How many steps a reaction has skipped because they were late.
         waiting: How many puts wait for room in its inbox.
+        overruns: How many steps of a reaction have taken longer than its budget.
     """
 
     name: str
@@ -202,6 +203,7 @@ class BehaviorStatus(NamedTuple):
     steps: int = 0
     late: int = 0
     waiting: int = 0
+    overruns: int = 0
 
 
 class ResourceStatus(NamedTuple):

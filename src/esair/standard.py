@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import anyio
 
-from esair.actions import Behavior, Reaction
+from esair import minimal
+from esair.actions import Behavior, Reaction, adapt_action
 from esair.connections import ActuatorConnection, Registrations, SensorConnection, Told
 from esair.exceptions import (
     EsairError,
@@ -29,7 +30,7 @@ from esair.loop import (
     unfreeze_garbage,
 )
 from esair.messages import Policy, check_name
-from esair.resources import Resource
+from esair.resources import Resource, adapt_resource
 from esair.resources._resource import check_seconds
 from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
 
@@ -74,15 +75,16 @@ class Robot:
         self,
         *,
         name: str = "robot",
-        resources: Iterable[Resource] = (),
-        behaviors: Iterable[Behavior | Reaction] = (),
+        resources: Iterable[Resource | minimal.Sensor | minimal.Actuator] = (),
+        behaviors: Iterable[Behavior | Reaction | minimal.Reaction] = (),
         policies: Iterable[Policy] = (),
         grace: float = 1.0,
     ) -> None:
         self.name = check_name("robot", name)
         self._grace = check_seconds(f"robot {name!r}", "grace", grace)
-        self._list_of_resources = list(resources)
-        self._list_of_behaviors = list(behaviors)
+        # What was written for a microcontroller runs here as well, in an adapter.
+        self._list_of_resources: list[Any] = [adapt_resource(r) for r in resources]
+        self._list_of_behaviors: list[Any] = [adapt_action(b) for b in behaviors]
         self.sensors = SensorConnection()
         self.actuators = ActuatorConnection()
         registrations = Registrations()

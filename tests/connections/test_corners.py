@@ -6,9 +6,11 @@ import asyncio
 import threading
 from typing import Any
 
+import attrs
 import pytest
 
 import esair
+from esair.buses import Bus
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -333,3 +335,331 @@ async def test_nobody_registers_for_what_is_being_removed():
             await robot.resources.register("user", "wheels", esair.Access.WRITE)
         await removing
         wheels.resume()
+
+
+@attrs.frozen
+class Pair:
+    """A command of two numbers."""
+
+    left: float
+    right: float
+
+
+@pytest.mark.fault("V01")
+async def test_every_number_of_a_structure_is_looked_at():
+    """A structure of numbers is sent as it is; one that is not finite is named."""
+    wheels = FakeActuator("wheels", safe=Pair(0.0, 0.0))
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(Pair)})
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        assert await user.wheels.write(Pair(1.0, 2.0))
+        with pytest.raises(esair.BadValueError, match="right"):
+            await user.wheels.write(Pair(1.0, float("nan")))
+
+    assert wheels.commands == [Pair(0.0, 0.0), Pair(1.0, 2.0), Pair(0.0, 0.0)]
+
+
+@pytest.mark.fault("R07")
+async def test_the_right_to_an_actuator_reads_no_sensor():
+    """The connection names what is not there."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        with pytest.raises(esair.UnknownNameError, match="no sensor is named 'wheels'"):
+            await robot.sensors.read(user.wheels.registration)
+
+
+@pytest.mark.promise("RS-3")
+async def test_a_right_revoked_while_the_device_answers_gets_no_answer():
+    """Who waits for a reading is refused when it comes."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        sonar.stall()
+        reading = asyncio.create_task(user.sonar.read(fresh=True))
+        await asyncio.sleep(0.01)
+        robot.resources.revoke(user.sonar.registration)
+        sonar.resume()
+
+        with pytest.raises(esair.NotRegisteredError):
+            await reading
+
+
+@pytest.mark.promise("SC-3")
+@pytest.mark.real_clock
+async def test_even_a_new_reading_can_be_too_old():
+    """Older than the limit is older than the limit, though it came just now."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]):
+        with pytest.raises(esair.StaleReadingError):
+            await user.sonar.read(fresh=True, max_age=1e-9)
+
+
+@pytest.mark.promise("SC-1")
+async def test_an_answer_at_the_very_deadline_counts():
+    """It comes in the same moment as the end of the patience, but before it."""
+    sonar, wheels, user = parts()
+    loop = asyncio.get_running_loop()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        channel = robot.sensors.channel("sonar")
+        sonar.stall()
+        due = loop.time() + 0.5
+        loop.call_at(due, channel.publish, 7.0, float("inf"))
+        assert await user.sonar.read(fresh=True, timeout=0.5) == 7.0
+        assert loop.time() == due
+        sonar.resume()
+
+
+@pytest.mark.promise("SC-2")
+@pytest.mark.fault("D23")
+async def test_an_error_is_only_for_those_who_asked_before_it():
+    """Who wants a value that is newer than that call gets the next one."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]):
+        sonar.stall()
+        early, left = (
+            asyncio.create_task(user.sonar.read(fresh=True)) for _ in range(2)
+        )
+        await asyncio.sleep(0.01)
+        late = asyncio.create_task(user.sonar.read(fresh=True))
+        await asyncio.sleep(0.01)
+        sonar.fail(OSError("glitch"))
+        sonar.resume()
+        left.cancel()  # in the tick of the error
+
+        with pytest.raises(esair.DeviceFaultError, match="glitch"):
+            await early
+        assert await late == 1.0
+        assert left.cancelled() or await asyncio.wait({left})
+
+
+@pytest.mark.fault("D25", "X01")
+async def test_a_cancelled_caller_is_told_of_its_own_cancellation():
+    """A driver that passes it on is not at fault, and the next call goes through."""
+
+    class Sonar(esair.Sensor[float]):
+        cancels = False
+
+        async def read(self) -> float:
+            if self.cancels:
+                raise asyncio.CancelledError
+            return 1.0
+
+    class Wheels(esair.Actuator[float]):
+        safe = 0.0
+        cancels = False
+
+        async def write(self, command: float) -> None:
+            if self.cancels:
+                raise asyncio.CancelledError
+
+    sonar, wheels, user = Sonar(), Wheels(), Uses()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+
+        async def clean_up() -> None:
+            try:
+                await asyncio.Event().wait()
+            finally:
+                wheels.cancels = True
+                await user.wheels.write(1.0)
+
+        task = asyncio.create_task(clean_up())
+        await asyncio.sleep(0.01)
+        task.cancel()
+        await asyncio.wait({task})
+        wheels.cancels = False
+
+        assert task.cancelled()
+        assert robot.resources.query("wheels").faults == 0
+        assert await user.wheels.write(1.0)
+
+
+@pytest.mark.fault("D21")
+async def test_a_driver_may_say_itself_that_it_is_stuck():
+    """Its error reaches the caller as it is, from a write and from a setting."""
+    stuck = esair.DriverStuckError("arm", "ask", 0.3)
+
+    class Arm(esair.Actuator[float]):
+        safe = 0.0
+        gain = esair.setting(0)
+        fault_limit = 100
+
+        async def write(self, command: float) -> None:
+            if command:
+                await asyncio.sleep(0.01)
+                raise stuck
+
+        async def apply(self, **changes: Any) -> None:
+            if changes["gain"] == 1:
+                raise stuck
+
+    user: Any = esair.Behavior(
+        name="user", writes={"arm": esair.writes(float, configure=True)}
+    )
+    async with esair.Robot(resources=[Arm()], behaviors=[user]):
+        for attempt in (
+            lambda: user.arm.write(1.0),
+            lambda: user.arm.configure(gain=1),
+        ):
+            with pytest.raises(esair.DriverStuckError) as caught:
+                await attempt()
+            assert caught.value is stuck
+
+
+@pytest.mark.fault("D21")
+async def test_an_opening_may_say_itself_that_it_is_stuck():
+    """It is lost with that error."""
+    stuck = esair.DriverStuckError("arm", "ask", 0.3)
+
+    class Arm(esair.Actuator[float]):
+        safe = 0.0
+
+        async def open(self) -> None:
+            raise stuck
+
+        async def write(self, command: float) -> None:
+            return None
+
+    async with esair.Robot(resources=[Arm()]) as robot:
+        assert robot.resources.query("arm").error is stuck
+
+
+@pytest.mark.fault("D29")
+@pytest.mark.parametrize("faults", [0, 1, 2])
+async def test_a_device_lost_on_its_safe_command_is_not_called_safe(faults: int):
+    """It is lost, tried no further, and reported with what it did not answer."""
+
+    class Wheels(esair.Actuator[float]):
+        safe = 0.0
+        fault_limit = 100
+        errors: list[Exception]
+
+        async def write(self, command: float) -> None:
+            if command == 0.0 and self.errors:
+                raise self.errors.pop(0)
+
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    wheels = Wheels()
+    wheels.errors = []
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        await user.wheels.write(1.0)
+        wheels.errors = [*[OSError("no")] * faults, ConnectionError("gone")]
+        robot.resources.revoke(user.wheels.registration)
+        await asyncio.sleep(0.05)
+
+        told = robot.actuators.channel("wheels").told()
+        assert robot.resources.query("wheels").state is esair.ResourceState.LOST
+        assert not told.answered
+        assert "gone" in told.error
+
+
+@pytest.mark.promise("ROB-2")
+async def test_revoking_after_the_stop_is_no_error():
+    """A right that was issued while the robot stopped can still be given back."""
+    rights: list[Any] = []
+
+    class Late(esair.Behavior):
+        async def teardown(self) -> None:
+            asked = robot.resources.register("late", "wheels", esair.Access.WRITE)
+            rights.append(await asked)
+
+    wheels = FakeActuator("wheels", safe=0.0)
+    policy = esair.Policy("wheels", allow={"late": esair.Access.WRITE})
+    robot = esair.Robot(resources=[wheels], behaviors=[Late()], policies=[policy])
+    async with robot:
+        pass
+    robot.resources.revoke(rights[0])
+
+    assert not rights[0].usable
+    assert set(wheels.commands) == {0.0}
+
+
+@pytest.mark.fault("D28")
+async def test_an_error_that_comes_after_the_removal_is_nobodys():
+    """A stream that ends late, in an error, is no trouble to anybody."""
+    ended = asyncio.Event()
+
+    class Pusher(esair.Sensor[float]):
+        async def stream(self) -> Any:
+            try:
+                yield 1.0
+                await asyncio.Event().wait()
+            except asyncio.CancelledError:
+                await asyncio.sleep(3.0)
+                ended.set()
+                raise OSError("late") from None
+
+    async with esair.Robot(resources=[Pusher()]) as robot:
+        await asyncio.sleep(0.01)
+        await robot.resources.remove("pusher")
+        await asyncio.sleep(5.0)
+
+        assert ended.is_set()
+        assert robot.resources.names() == []
+
+
+@pytest.mark.fault("X01")
+async def test_a_cancelled_start_leaves_what_it_has_not_tried():
+    """Devices that hang in their opening are given up, all at the same time."""
+
+    class Hanging(FakeSensor[float]):
+        async def open(self) -> None:
+            await asyncio.Event().wait()
+
+    robot = esair.Robot(resources=[Hanging(name, 1.0) for name in ("a", "b", "c")])
+    loop = asyncio.get_running_loop()
+    starting = asyncio.create_task(robot.__aenter__())
+    await asyncio.sleep(0.1)
+    began = loop.time()
+    starting.cancel()
+    await asyncio.wait({starting})
+
+    assert starting.cancelled()
+    assert loop.time() - began < 1.5
+    assert robot.resources.names() == []
+
+
+@pytest.mark.promise("RS-5")
+async def test_nobody_registers_for_what_another_type_takes_the_place_of():
+    """Until the new one is there, a right to the old one would be void for ever."""
+    sonar, wheels, user = parts()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        await user.wheels.write(1.0)
+        wheels.stall()  # its safe command takes until its deadline
+        new = FakeSensor("wheels", 1.0)
+        replacing = asyncio.create_task(robot.resources.replace("wheels", new))
+        await asyncio.sleep(0.01)
+        with pytest.raises(esair.ResourceRemovedError):
+            await robot.resources.register("user", "wheels", esair.Access.READ)
+        await replacing
+        wheels.resume()
+
+        right = await robot.resources.register("user", "wheels", esair.Access.READ)
+        assert (await robot.sensors.read(right)).value == 1.0
+
+
+@pytest.mark.promise("RES-1", "BUS-1")
+@pytest.mark.real_clock
+async def test_blocking_drivers_on_one_bus_share_its_thread():
+    """Their calls come one after the other, on the worker thread of the bus."""
+    threads: list[str] = []
+
+    class Line(Bus):
+        async def _open(self) -> None:
+            return None
+
+        async def _close(self) -> None:
+            return None
+
+    class Part(esair.Sensor[float]):
+        def read(self) -> float:
+            threads.append(threading.current_thread().name)
+            return 1.0
+
+    line = Line(name="line")
+    both = [Part(name=name, bus=line) for name in ("one", "two")]
+    user: Any = esair.Behavior(
+        name="user", reads={part.name: esair.reads(float) for part in both}
+    )
+    async with esair.Robot(resources=both, behaviors=[user]):
+        assert await user.one.read() == await user.two.read() == 1.0
+
+    assert len(set(threads)) == 1
+    assert "line" in threads[0]

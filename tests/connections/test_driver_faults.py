@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import threading
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 
 import pytest
@@ -496,3 +496,48 @@ async def test_late_readings_of_a_closed_device_are_dropped(user_of: Any) -> Non
         slow.report_lost()
         await asyncio.sleep(0.05)
         assert seen == []
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait for a condition; generous, for a busy machine."""
+    async with asyncio.timeout(20.0):
+        while not condition():  # noqa: ASYNC110 - it is another thread's state
+            await asyncio.sleep(0.005)
+
+
+@pytest.mark.fault("D21")
+@pytest.mark.real_clock
+async def test_reopening_a_blocking_stream_adds_no_thread(user_of: Any) -> None:
+    """While its thread still waits for the device from before, the driver is stuck."""
+    go = threading.Event()
+
+    class Pusher(esair.Sensor[float]):
+        deadline = 0.05
+        fault_limit = 1000
+        stuck = True
+
+        def stream(self) -> Any:
+            yield 1.0
+            while self.stuck:
+                go.wait(0.01)
+            yield 2.0
+            go.wait(10.0)
+
+    def threads() -> int:
+        return sum("pusher_stream" in t.name for t in threading.enumerate())
+
+    pusher = Pusher()
+    user = user_of("user", pusher=esair.reads(float))
+    async with esair.Robot(resources=[pusher], behaviors=[user]) as robot:
+        channel = robot.sensors.channel("pusher")
+        await until(lambda: channel.newest is not None)  # and waits for the next value
+        for _ in range(3):
+            await until(lambda: channel.state is esair.ResourceState.READY)
+            pusher.report_lost(ConnectionError("cable"))
+        await until(lambda: robot.resources.query("pusher").faults > 1)
+        assert threads() == 1
+        pusher.stuck = False  # the thread comes back from the device from before
+        await until(lambda: channel.newest is not None)
+        assert threads() == 1
+        go.set()
+    await until(lambda: threads() == 0)

@@ -392,3 +392,82 @@ async def test_the_rate_can_be_changed_while_it_is_polled(fake_sensor: Any) -> N
 
         assert slow <= 3
         assert sonar.reads - slow == pytest.approx(100, abs=2)
+
+
+@pytest.mark.fault("D15")
+async def test_a_frozen_device_is_at_fault(fake_sensor: Any, user_of: Any) -> None:
+    """More equal values than it may give are not passed on; then it is reopened."""
+    sonar = fake_sensor("sonar", 1.0)
+    sonar.max_repeat = 3
+    user = user_of("user", sonar=esair.reads(float))
+
+    async with esair.Robot(resources=[sonar], behaviors=[user]) as robot:
+        for _ in range(3):
+            assert await user.sonar.read(fresh=True) == 1.0
+        with pytest.raises(
+            esair.DeviceFaultError, match=r"frozen: it gave 1\.0 4 times"
+        ):
+            await user.sonar.read(fresh=True)
+        sonar._value = 2.0  # it moves again
+        assert await user.sonar.read(fresh=True) == 2.0
+
+        for _ in range(2):
+            assert await user.sonar.read(fresh=True) == 2.0
+        for _ in range(3):
+            with pytest.raises(esair.DeviceFaultError):
+                await user.sonar.read(fresh=True)
+        assert robot.resources.query("sonar").state is esair.ResourceState.LOST
+        await asyncio.sleep(1.0)
+        assert sonar.opened == 2
+        assert await user.sonar.read(fresh=True) == 2.0  # it is given a new chance
+
+
+@pytest.mark.fault("D15")
+@pytest.mark.parametrize("broken", [False, True])
+async def test_values_that_are_arrays_or_cannot_be_compared(
+    user_of: Any, broken: bool
+) -> None:
+    """An array repeats if all of it does; what cannot be compared never repeats."""
+
+    class Same:
+        def all(self) -> bool:
+            if broken:
+                raise RuntimeError("no")
+            return True
+
+    class Scan:
+        def __eq__(self, other: object) -> Any:
+            return Same()
+
+        __hash__ = None  # type: ignore[assignment]
+
+    class Lidar(esair.Sensor[Any]):
+        max_repeat = 1
+
+        async def read(self) -> Scan:
+            return Scan()
+
+    user = user_of("user", lidar=esair.reads(Any))
+    async with esair.Robot(resources=[Lidar()], behaviors=[user]):
+        await user.lidar.read(fresh=True)
+        if broken:
+            await user.lidar.read(fresh=True)
+        else:
+            with pytest.raises(esair.DeviceFaultError, match="frozen"):
+                await user.lidar.read(fresh=True)
+
+
+@pytest.mark.fault("D15")
+@pytest.mark.parametrize("limit", [0, -1, 2.5, True, "3"])
+async def test_the_limit_of_repeats_is_a_number(
+    fake_sensor: Any, limit: object
+) -> None:
+    """Anything but a whole number above zero is a mistake of the developer."""
+    sonar = fake_sensor("sonar", 1.0)
+    sonar.max_repeat = limit
+
+    with pytest.raises(ExceptionGroup) as caught:
+        async with esair.Robot(resources=[sonar]):
+            pytest.fail("it started")
+
+    assert caught.group_contains(esair.ConfigError, match="max_repeat")

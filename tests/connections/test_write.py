@@ -324,3 +324,103 @@ async def test_a_write_cancelled_while_it_waits_is_never_sent(
 
         assert second.cancelled()
         assert wheels.commands == [0.0, 1.0, 3.0]
+
+
+@pytest.mark.promise("REA-1", "AC-2")
+async def test_a_release_withdraws_the_writes_that_wait(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """A command that waits for its turn is not sent after its sender gave way."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    user = user_of("user", wheels=esair.writes(float))
+    other = user_of("other", wheels=priority(-1))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user, other]):
+        wheels.stall()
+        first, second = (
+            asyncio.create_task(user.wheels.write(command)) for command in (1.0, 2.0)
+        )
+        await asyncio.sleep(0.01)
+        third = asyncio.create_task(other.wheels.write(3.0))
+        await asyncio.sleep(0)
+        user.wheels.release()
+        wheels.resume()
+
+        assert await first
+        refused = await second
+        assert not refused
+        assert "gave it back" in refused.rule
+        await third
+        assert wheels.commands[:2] == [0.0, 1.0]
+        assert 2.0 not in wheels.commands
+
+
+@pytest.mark.promise("REA-3")
+async def test_a_parked_reaction_sends_nothing_that_waited(
+    fake_sensor: Any, fake_actuator: Any, user_of: Any
+) -> None:
+    """After the safe command of its parking none of its commands comes."""
+
+    class Follow(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+
+        def react(self, sonar: float) -> float:
+            return sonar
+
+    sonar, wheels = fake_sensor("sonar"), fake_actuator("wheels", safe=0.0)
+    user = user_of("user", wheels=esair.writes(float, priority=-1))
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Follow(), user]):
+        wheels.stall()
+        writing = asyncio.create_task(user.wheels.write(7.0))
+        await asyncio.sleep(0.01)
+        sonar.feed(5.0)  # its command waits behind the one in flight
+        await asyncio.sleep(0.01)
+        sonar.unplug()
+        wheels.resume()
+        await writing
+        await asyncio.sleep(1.0)
+
+    assert 5.0 not in wheels.commands
+    assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.fault("D02")
+@pytest.mark.parametrize("sent", range(5))
+@pytest.mark.parametrize("pause", [0.0, 0.01])
+async def test_a_write_that_the_unplugging_cut_off_is_never_repeated(
+    user_of: Any, sent: int, pause: float
+) -> None:
+    """Nobody knows whether it was applied: the caller is told just that."""
+    wire: list[int] = []
+
+    class Arm(esair.Actuator[int]):
+        safe = 0
+        cut: int | None = None
+
+        async def write(self, command: int) -> None:
+            for index, byte in enumerate(command.to_bytes(4, "big")):
+                if index == self.cut:
+                    raise ConnectionResetError("unplugged")
+                wire.append(byte)
+                await asyncio.sleep(pause)
+            if self.cut == 4:
+                raise ConnectionResetError("unplugged")
+
+    arm, user = Arm(), user_of("user", arm=esair.writes(int))
+    async with esair.Robot(resources=[arm], behaviors=[user]) as robot:
+        wire.clear()
+        arm.cut = sent
+        with pytest.raises(esair.DeviceLostError, match="unknown whether 16909060 was"):
+            await user.arm.write(0x01020304)
+        assert wire == [1, 2, 3, 4][:sent]
+        with pytest.raises(esair.DeviceLostError) as caught:
+            await user.arm.write(5)
+        assert "unknown" not in str(caught.value)  # that one was not sent at all
+        assert robot.resources.query("arm").state is esair.ResourceState.LOST
+        arm.cut = None
+        await asyncio.sleep(10.0)
+        assert robot.resources.query("arm").state is esair.ResourceState.READY
+
+    assert set(wire[sent:]) == {0}

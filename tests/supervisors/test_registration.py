@@ -222,13 +222,28 @@ async def test_bad_terms_are_refused_before_anything_is_registered(
         assert robot.resources.query("wheels").users == ("user",)
 
 
+async def test_a_policy_may_name_a_behavior_that_comes_later(
+    fake_actuator: Any,
+) -> None:
+    """A name that is like no other is no mistake: it may be added while it runs."""
+    policy = Policy("wheels", allow={"later": Access.WRITE, "user": Access.WRITE})
+    async with esair.Robot(
+        resources=[fake_actuator("wheels", safe=0.0)],
+        behaviors=[writer("user")],
+        policies=[policy],
+    ) as robot:
+        await robot.behaviors.add(writer("later"))
+
+        assert robot.resources.query("wheels").users == ("user", "later")
+
+
 async def test_policies_with_mistakes_stop_the_start(fake_actuator: Any) -> None:
     """All mistakes at once: unknown resource and behavior, bad priority, two policies."""
     wheels = fake_actuator("wheels", safe=0.0)
     policies = [
         Policy("weels", allow={}),
-        Policy("wheels", allow={"wnder": Access.WRITE}, max_priority={"user": "high"}),  # type: ignore[dict-item]
-        Policy("wheels", allow={"wnder": Access.WRITE}, max_priority={"user": "high"}),  # type: ignore[dict-item]
+        Policy("wheels", allow={"usr": Access.WRITE}, max_priority={"user": "high"}),  # type: ignore[dict-item]
+        Policy("wheels", allow={"usr": Access.WRITE}, max_priority={"user": "high"}),  # type: ignore[dict-item]
     ]
     robot = esair.Robot(
         resources=[wheels], behaviors=[writer("user")], policies=policies
@@ -238,7 +253,7 @@ async def test_policies_with_mistakes_stop_the_start(fake_actuator: Any) -> None
         await robot.__aenter__()
 
     text = "\n".join(str(error) for error in caught.value.exceptions)
-    for part in ("'weels'", "more than one policy", "max_priority.user", "allow.wnder"):
+    for part in ("'weels'", "more than one policy", "max_priority.user", "allow.usr"):
         assert part in text
     assert wheels.opened == 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import logging
 import threading
@@ -337,3 +338,352 @@ async def test_a_stuck_thread_does_not_delay_the_stop(
     assert log[:3] == [0.0, 1.0, 0.0]
     assert log[-1] == 0.0
     assert any("stuck" in record.getMessage() for record in caplog.records)
+
+
+@pytest.mark.promise("RS-4", "RES-2")
+@pytest.mark.fault("R12")
+@pytest.mark.parametrize("takes", [0.05, 0.5, 1000.0])
+async def test_a_loss_ends_a_change_of_settings_that_is_on_its_way(
+    takes: float,
+) -> None:
+    """Its caller learns of the loss; the device returns with the settings from before."""
+
+    class Camera(esair.Sensor[float]):
+        gain = esair.setting(1)
+
+        def __init__(self) -> None:
+            super().__init__(gain=2)
+            self.in_device: dict[str, Any] = {}
+            self.takes = 0.0
+
+        async def open(self) -> None:
+            self.in_device = {"gain": 1}
+
+        async def apply(self, **changes: Any) -> None:
+            takes, self.takes = self.takes, 0.0
+            await asyncio.sleep(takes)
+            self.in_device.update(changes)
+
+        async def read(self) -> float:
+            return 1.0
+
+    camera = Camera()
+    user = esair.Behavior(
+        name="user", reads={"camera": esair.reads(float, configure=True)}
+    )
+    async with esair.Robot(resources=[camera], behaviors=[user]) as robot:
+        camera.takes = takes
+        changing = asyncio.create_task(user.camera.configure(gain=3))  # type: ignore[attr-defined]
+        await asyncio.sleep(0.01)
+        camera.report_lost(ConnectionError("cable"))
+
+        with pytest.raises(esair.DeviceLostError, match="cable"):
+            await changing
+        await asyncio.sleep(0.2)
+        assert robot.resources.query("camera").state is ResourceState.READY
+        assert camera.settings["gain"] == camera.in_device["gain"] == 2
+        await asyncio.sleep(2.0)
+        assert camera.settings["gain"] == camera.in_device["gain"] == 2
+
+
+@pytest.mark.promise("RS-4")
+@pytest.mark.fault("R12")
+async def test_a_change_of_settings_that_ignores_the_loss_does_not_reach_its_successor(
+    fake_sensor: Any,
+) -> None:
+    """The device is opened again only when the call has ended; nothing is recorded."""
+
+    class Stubborn(esair.Sensor[float]):
+        gain = esair.setting(1)
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.log: list[str] = []
+
+        async def open(self) -> None:
+            self.log.append("open")
+
+        async def apply(self, **changes: Any) -> None:
+            try:
+                await asyncio.sleep(0.5)
+            except asyncio.CancelledError:
+                await asyncio.sleep(0.4)
+            self.log.append("applied")
+
+        async def read(self) -> float:
+            return 1.0
+
+    stubborn = Stubborn()
+    user = esair.Behavior(
+        name="user", reads={"stubborn": esair.reads(float, configure=True)}
+    )
+    async with esair.Robot(resources=[stubborn], behaviors=[user]):
+        changing = asyncio.create_task(user.stubborn.configure(gain=3))  # type: ignore[attr-defined]
+        await asyncio.sleep(0.1)
+        stubborn.report_lost(ConnectionError("cable"))
+        with pytest.raises(esair.DeviceLostError):
+            await changing
+        await asyncio.sleep(1.0)
+
+    assert stubborn.log == ["open", "applied", "open"]
+    assert stubborn.settings["gain"] == 1
+
+
+@pytest.mark.promise("RS-4")
+@pytest.mark.parametrize("heeds", [True, False])
+async def test_a_change_of_settings_ends_with_the_replacement_of_its_resource(
+    heeds: bool,
+) -> None:
+    """Whoever configures the old one is told; the new one keeps its own settings."""
+
+    class Camera(esair.Sensor[float]):
+        gain = esair.setting(1)
+        takes = 0.0
+
+        async def apply(self, **changes: Any) -> None:
+            try:
+                await asyncio.sleep(self.takes)
+            except asyncio.CancelledError:
+                if heeds:
+                    raise
+                await asyncio.sleep(0.5)
+
+        async def read(self) -> float:
+            return 1.0
+
+    old, new = Camera(), Camera()
+    old.takes = 0.9
+    user = esair.Behavior(
+        name="user", reads={"camera": esair.reads(float, configure=True)}
+    )
+    async with esair.Robot(resources=[old], behaviors=[user]) as robot:
+        first, second = (
+            asyncio.create_task(user.camera.configure(gain=gain))  # type: ignore[attr-defined]
+            for gain in (3, 4)
+        )
+        await asyncio.sleep(0.01)
+        await robot.resources.replace("camera", new)
+
+        for change in (first, second):
+            with pytest.raises(esair.DeviceLostError, match="replaced"):
+                await change
+        assert (old.settings["gain"], new.settings["gain"]) == (1, 1)
+
+
+class Numbered(esair.Actuator[float]):
+    """A motor with a serial number; a test exchanges it."""
+
+    safe = 0.0
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.number: str | None = "A1"
+        self.log: list[object] = []
+
+    async def open(self) -> None:
+        self.log.append("open")
+
+    async def identify(self) -> str | None:
+        return self.number
+
+    async def write(self, command: float) -> None:
+        self.log.append((self.number, command))
+
+
+@pytest.mark.promise("RES-2")
+@pytest.mark.fault("D05")
+async def test_another_device_in_the_place_of_one_is_refused(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """It stays lost, and is told nothing, until the right one is back."""
+    motor = Numbered()
+    async with esair.Robot(resources=[motor]) as robot:
+        motor.number = "B2"
+        motor.report_lost(ConnectionError("cable"))
+        await asyncio.sleep(60.0)
+        status = robot.resources.query("numbered")
+        assert status.state is ResourceState.LOST
+        assert isinstance(status.error, esair.DeviceFaultError)
+        assert "'A1'" in str(status.error)
+        assert "'B2'" in str(status.error)
+        assert ("B2", 0.0) not in motor.log
+
+        motor.number = "A1"
+        await asyncio.sleep(6.0)
+        assert robot.resources.query("numbered").state is ResourceState.READY
+    warnings = [r.getMessage() for r in caplog.records if "identity" in r.getMessage()]
+    assert len(warnings) == 1
+
+
+@pytest.mark.fault("D05")
+async def test_a_declared_identity_holds_from_the_first_opening() -> None:
+    """What is required and another device refuses the start."""
+    with pytest.raises(ExceptionGroup) as caught:
+        async with esair.Robot(resources=[Numbered(identity="Z9", required=True)]):
+            pytest.fail("it started")
+
+    assert caught.group_contains(esair.DeviceFaultError, match="identity")
+
+
+@pytest.mark.fault("D05")
+async def test_a_device_that_cannot_tell_yet_is_remembered_later() -> None:
+    """The first answer counts, not the first opening."""
+    motor = Numbered()
+    motor.number = None
+    async with esair.Robot(resources=[motor]) as robot:
+        for number, state in (("A1", "ready"), ("B2", "lost")):
+            motor.number = number
+            motor.report_lost(ConnectionError("cable"))
+            await asyncio.sleep(1.0)
+            assert robot.resources.query("numbered").state.value == state
+
+
+@pytest.mark.fault("D05")
+async def test_an_identity_needs_somebody_who_asks_for_it(fake_sensor: Any) -> None:
+    """A resource whose class cannot identify its device is described wrongly."""
+    sonar = fake_sensor("sonar", 1.0, identity="A1")
+
+    with pytest.raises(ExceptionGroup) as caught:
+        async with esair.Robot(resources=[sonar]):
+            pytest.fail("it started")
+
+    assert caught.group_contains(esair.ConfigError, match="identity")
+
+
+@pytest.mark.fault("D05")
+async def test_a_behavior_waits_for_the_right_device() -> None:
+    """Another device in the place is not the behavior's failure: it is parked."""
+
+    class Drive(esair.Behavior):
+        numbered = esair.writes(float)
+
+        async def run(self) -> None:
+            async for _ in esair.every(0.05):
+                await self.numbered.write(1.0)
+
+    motor = Numbered()
+    async with esair.Robot(resources=[motor], behaviors=[Drive()]) as robot:
+        await asyncio.sleep(0.1)
+        motor.number = "B2"
+        motor.report_lost(ConnectionError("cable"))
+        await asyncio.sleep(60.0)
+        assert robot.behaviors.query("drive").state is esair.BehaviorState.PARKED
+        motor.number = "A1"
+        await asyncio.sleep(6.0)
+        status = robot.behaviors.query("drive")
+        assert (status.state, status.restarts) == (esair.BehaviorState.RUNNING, 0)
+
+
+@pytest.mark.promise("ROB-2")
+async def test_an_opening_that_ends_after_the_last_try_is_closed() -> None:
+    """The stop waits for it, and closes it."""
+
+    class Slow(esair.Actuator[float]):
+        safe = 0.0
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.log: list[object] = []
+            self.gone = False
+            self.is_slow = False
+
+        async def open(self) -> None:
+            if self.gone:
+                raise ConnectionError("not there")
+            if self.is_slow:
+                loop = asyncio.get_running_loop()
+                until = loop.time() + 0.7
+                while loop.time() < until:  # it heeds no cancellation
+                    with contextlib.suppress(asyncio.CancelledError):
+                        await asyncio.sleep(0.1)
+            self.log.append("open")
+
+        async def close(self) -> None:
+            self.log.append("close")
+
+        async def write(self, command: float) -> None:
+            self.log.append(command)
+
+    slow = Slow()
+    async with esair.Robot(resources=[slow], grace=2.0) as robot:
+        slow.gone = True
+        slow.report_lost(ConnectionError("cable"))
+        await asyncio.sleep(1.0)
+        slow.log.clear()
+        slow.gone, slow.is_slow = False, True
+
+    assert not robot.stopped[0].answered
+    await asyncio.sleep(5.0)
+    assert slow.log.count("open") == 1
+    assert slow.log[-1] == "close"
+
+
+@pytest.mark.promise("ROB-2")
+@pytest.mark.fault("D19")
+async def test_a_last_try_does_not_open_what_is_still_being_opened() -> None:
+    """An opening that ignores its end is not joined by a second one."""
+
+    class Deaf(esair.Actuator[float]):
+        safe = 0.0
+        at_once = 0
+        most = 0
+        gone = False
+        go: asyncio.Event
+
+        async def open(self) -> None:
+            self.at_once += 1
+            self.most = max(self.most, self.at_once)
+            while self.gone and not self.go.is_set():
+                try:
+                    await self.go.wait()
+                except asyncio.CancelledError:
+                    continue
+            self.at_once -= 1
+
+        async def write(self, command: float) -> None:
+            return None
+
+    deaf = Deaf()
+    deaf.go = asyncio.Event()
+    async with esair.Robot(resources=[deaf], grace=0.2) as robot:
+        deaf.gone = True
+        deaf.report_lost(ConnectionError("cable"))
+        await asyncio.sleep(0.15)
+    deaf.go.set()
+    await asyncio.sleep(0.1)
+
+    assert "stuck" in robot.stopped[0].error
+    assert deaf.most == 1
+
+
+@pytest.mark.promise("RS-4")
+@pytest.mark.fault("X01")
+@pytest.mark.parametrize("fails", [False, True])
+async def test_the_end_of_the_event_loop_ends_a_change_of_settings(fails: bool) -> None:
+    """Also while it is being undone: no setting is recorded that nobody confirmed."""
+
+    class Camera(esair.Sensor[float]):
+        gain = esair.setting(1)
+
+        async def apply(self, **changes: Any) -> None:
+            if fails and changes["gain"] == 3:
+                raise OSError("no")
+            await asyncio.sleep(0.5)
+
+        async def read(self) -> float:
+            return 1.0
+
+    camera = Camera()
+    user = esair.Behavior(
+        name="user", reads={"camera": esair.reads(float, configure=True)}
+    )
+    async with esair.Robot(resources=[camera], behaviors=[user]):
+        changing = asyncio.create_task(user.camera.configure(gain=3))  # type: ignore[attr-defined]
+        await asyncio.sleep(0.1)
+        for task in asyncio.all_tasks():  # as asyncio.run does at its end
+            if task.get_name() == "configure camera":
+                task.cancel()
+        await asyncio.wait({changing})
+
+        assert changing.cancelled()
+        assert camera.settings["gain"] == 1

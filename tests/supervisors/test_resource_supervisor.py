@@ -151,7 +151,7 @@ async def test_a_configure_that_hangs_is_given_up() -> None:
 
     async with esair.Robot(resources=[sensor], behaviors=[me]):
         sensor.slow = 1000.0
-        with pytest.raises(esair.DeviceFaultError):
+        with pytest.raises(esair.DriverStuckError):
             await me.gain.configure(gain=3)
         assert sensor.settings["gain"] == 1
 

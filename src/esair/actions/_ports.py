@@ -21,8 +21,8 @@ from esair.connections import (
     SensorChannel,
     check_duration,
 )
-from esair.exceptions import BehaviorRemovedError, EsairError
-from esair.loop import Bridge
+from esair.exceptions import BehaviorRemovedError, EsairError, NotRegisteredError
+from esair.loop import Bridge, speaks_for_nobody
 from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
 
 T = TypeVar("T")
@@ -153,6 +153,8 @@ class SensorPort(Generic[T]):
             AccessDeniedError: The port was not declared with ``configure=True``.
             BadValueError: A setting is unknown, or a value is not allowed.
         """
+        if speaks_for_nobody():
+            raise _run_ended(self.registration)
         await self._configure(self.registration, **settings)
 
     @property
@@ -254,6 +256,8 @@ class ActuatorPort(Generic[T]):
         """
         if hold is not None:
             check_duration(self.resource, "hold", hold)
+        if speaks_for_nobody():
+            raise _run_ended(self.registration)
         outcome = self._channel.begin(self.registration, command, hold)
         if isinstance(outcome, Answer):
             return outcome
@@ -274,6 +278,8 @@ class ActuatorPort(Generic[T]):
             AccessDeniedError: The port was not declared with ``configure=True``.
             BadValueError: A setting is unknown, or a value is not allowed.
         """
+        if speaks_for_nobody():
+            raise _run_ended(self.registration)
         await self._configure(self.registration, **settings)
 
     @property
@@ -364,6 +370,13 @@ class BlockingActuatorPort(Generic[T]):
     def settings(self) -> Mapping[str, Any]:
         """The current settings of the actuator."""
         return self._port.settings
+
+
+def _run_ended(registration: Registration) -> NotRegisteredError:
+    """Make the error for a task that outlived its run and finds the port of the next."""
+    return NotRegisteredError(
+        registration.behavior, registration.resource, "this run of it has ended"
+    )
 
 
 async def _next(values: AsyncIterator[T]) -> T:

@@ -29,6 +29,16 @@ class Reaction(ProfiledAction):
     rate: float | None = None
     """How often it runs, in Hz; None to run on every new reading."""
 
+    budget: float | None = None
+    """How long one step may take, in seconds; None if there is no limit.
+
+    A longer one is counted, and logged. In asyncio's debug mode there is always a
+    budget: the loop's ``slow_callback_duration``.
+    """
+
+    overrun_limit: int | None = None
+    """How many steps in a row may exceed the budget; one more is an error of it."""
+
     restart: Restart = Restart()
     """How often it is started again after an error."""
 
@@ -63,6 +73,19 @@ def mistakes_in_reaction(reaction: Reaction) -> list[ConfigError]:
     rate = reaction.rate
     if rate is not None and (type(rate) not in {int, float} or not 0 < rate <= 100_000):
         found.append(ConfigError(name, "rate", f"expected Hz > 0, not {rate!r:.80}"))
+    budget, limit = reaction.budget, reaction.overrun_limit
+    if budget is not None and (
+        type(budget) not in {int, float} or not 0 < budget < float("inf")
+    ):
+        found.append(
+            ConfigError(name, "budget", f"expected seconds > 0, not {budget!r:.80}")
+        )
+    if limit is not None and (type(limit) is not int or limit < 0):
+        found.append(
+            ConfigError(
+                name, "overrun_limit", f"expected a whole number, not {limit!r:.80}"
+            )
+        )
     if rate is None and not reaction.inputs:
         found.append(
             ConfigError(

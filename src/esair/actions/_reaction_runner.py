@@ -10,8 +10,13 @@ from typing import Any
 
 from esair.actions._reaction import Reaction
 from esair.connections import ActuatorChannel, Registration, SensorChannel
-from esair.exceptions import BadValueError, EsairError, describe
-from esair.loop import Spoke, Wheel, spawn
+from esair.exceptions import (
+    BadValueError,
+    BehaviorFailedError,
+    EsairError,
+    describe,
+)
+from esair.loop import Spoke, Step, Wheel, spawn
 from esair.messages import Reading, Refused, Written
 
 _FOR_EVER = float("inf")
@@ -107,12 +112,14 @@ class ReactionRunner:
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
+        "_budget",
         "_inputs",
         "_loop",
         "_on_crash",
         "_on_end",
         "_on_state",
         "_outputs",
+        "_overruns_in_row",
         "_react",
         "_settling",
         "_single",
@@ -122,6 +129,7 @@ class ReactionRunner:
         "conflated",
         "missing",
         "on_reading",
+        "overruns",
         "parked",
         "reaction",
         "refused",
@@ -154,8 +162,14 @@ class ReactionRunner:
         """How many commands were replaced by a newer one before they could leave."""
         self.stale_at = _FOR_EVER
         self.parked = True
-        self.spoke: Spoke = Wheel.of(asyncio.get_running_loop()).on_demand(self._step)
         self._loop = asyncio.get_running_loop()
+        self._budget = reaction.budget
+        if self._budget is None and self._loop.get_debug():
+            self._budget = self._loop.slow_callback_duration
+        self.overruns = 0
+        """How many steps have taken longer than their budget."""
+        self._overruns_in_row = 0
+        self.spoke: Spoke = Wheel.of(self._loop).on_demand(self._turn)
         self._react = reaction.react
         self._inputs: list[Input] = []
         self._outputs: dict[str, Output] = {}
@@ -192,7 +206,7 @@ class ReactionRunner:
         self.missing = len(self._inputs)
         if self.reaction.rate is not None:
             self.spoke = Wheel.of(self._loop).every(
-                1.0 / self.reaction.rate, self._step
+                1.0 / self.reaction.rate, self._turn
             )
         for each in self._inputs:
             each.channel.follow(each)
@@ -277,6 +291,31 @@ class ReactionRunner:
             self.park(names, missing=len(old))
 
     # Steps.
+
+    @property
+    def _turn(self) -> Step:
+        """What the wheel calls; only who has a budget pays for the clock."""
+        return self._step if self._budget is None else self._timed_step
+
+    def _timed_step(self, now: float) -> Awaitable[object] | None:
+        begin = self._loop.time()
+        rest = self._step(now)
+        took = self._loop.time() - begin
+        assert self._budget is not None
+        if took <= self._budget:
+            self._overruns_in_row = 0
+            return rest
+        self.overruns += 1
+        self._overruns_in_row += 1
+        reaction = self.reaction
+        text = f"step took {took:.3g} s, its budget is {self._budget:g} s"
+        if self.overruns == 1 or self.overruns % 1000 == 0:
+            _log.warning("%s: overrun %d: %s", reaction.name, self.overruns, text)
+        limit = reaction.overrun_limit
+        if limit is not None and self._overruns_in_row > limit and not self._stopped:
+            row = f"overrun {self._overruns_in_row} in a row: {text}"
+            self._crash(BehaviorFailedError(reaction.name, row))
+        return rest
 
     def _step(self, now: float) -> Awaitable[object] | None:
         if self.missing:

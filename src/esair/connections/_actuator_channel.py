@@ -62,6 +62,23 @@ class Told(NamedTuple):
         )
 
 
+class _Waiting:
+    """A write, or something of the channel itself, that waits until it may look again."""
+
+    __slots__ = ("registration", "withdrawn", "woken")
+
+    def __init__(
+        self, registration: Registration | None, woken: asyncio.Future[None]
+    ) -> None:
+        self.registration = registration
+        self.woken = woken
+        self.withdrawn = False
+
+    def wake(self) -> None:
+        if not self.woken.done():
+            self.woken.set_result(None)
+
+
 class ActuatorChannel:
     """Sends the commands of whoever holds the actuator, and the safe command.
 
@@ -138,11 +155,11 @@ class ActuatorChannel:
         self._last_write = 0.0
         self._accepts = False
         self._busy = False
-        self._waiters: list[asyncio.Future[None]] = []
+        self._waiters: list[_Waiting] = []
         self._dead_man: asyncio.TimerHandle | None = None
         self._safe_task: asyncio.Task[bool] | None = None
         self._safe_again = False
-        self._take_over_turn: asyncio.Future[bool] | None = None
+        self._take_over_turn: asyncio.Future[None] | None = None
         self._opening = 0
         """Grows when the device is gone: what it answers after that is no news."""
         self._told: Any = None
@@ -292,7 +309,7 @@ class ActuatorChannel:
             self._busy = False
             if not is_drivers(error):
                 raise
-            raise self._failed(error, self._opening) from error
+            raise self._interrupted(error, command, self._opening) from error
         self._told_error = "it has not answered yet"
         return self._finish(Suspended(call, waits_for), registration, command)
 
@@ -321,7 +338,7 @@ class ActuatorChannel:
         except BaseException as error:
             if not is_drivers(error):
                 raise
-            raise self._failed(error, opening) from error
+            raise self._interrupted(error, command, opening) from error
         finally:
             self._idle()
         self.writes += 1
@@ -342,23 +359,31 @@ class ActuatorChannel:
     async def _when_idle(
         self, registration: Registration, command: Any, hold: float | None
     ) -> Written[Any] | Refused:
-        while self._busy and self._accepts and registration.usable:
-            if len(self._waiters) >= WAITING_LIMIT:
-                raise BusyError(self.name, "number of waiting writes", WAITING_LIMIT)
-            woken: asyncio.Future[None] = self._loop.create_future()
-            self._waiters.append(woken)
-            try:
-                await woken
-            finally:
-                if woken in self._waiters:
-                    self._waiters.remove(woken)
+        if len(self._waiters) >= WAITING_LIMIT:
+            raise BusyError(self.name, "number of waiting writes", WAITING_LIMIT)
+        waiting = _Waiting(registration, self._loop.create_future())
+        self._waiters.append(waiting)
+        try:
+            while (
+                self._busy
+                and self._accepts
+                and registration.usable
+                and not waiting.withdrawn
+            ):
+                if waiting.woken.done():
+                    waiting.woken = self._loop.create_future()
+                await waiting.woken
+        finally:
+            self._waiters.remove(waiting)
+        if waiting.withdrawn and registration.usable:
+            return _withdrawn(registration, self._time())
         outcome = self.begin(registration, command, hold)
         return outcome if isinstance(outcome, Answer) else await outcome
 
     def _idle(self) -> None:
         turn = self._take_over_turn
         if turn is not None and not turn.done():
-            turn.set_result(True)  # the safe command is next, before any waiter
+            turn.set_result(None)  # the safe command is next, before any waiter
             return
         if self._safe_again:
             # This command may have overtaken the safe command: repeat that one.
@@ -372,10 +397,15 @@ class ActuatorChannel:
 
     def _wake(self) -> None:
         """Let those that wait look again whether they may go on."""
-        waiters, self._waiters = self._waiters, []
-        for woken in waiters:
-            if not woken.done():
-                woken.set_result(None)
+        for waiting in self._waiters:
+            waiting.wake()
+
+    def _withdraw(self, registration: Registration) -> None:
+        """Have the waiting writes of a registration end without a command."""
+        for waiting in self._waiters:
+            if waiting.registration is registration:
+                waiting.withdrawn = True
+                waiting.wake()
 
     def _failed(self, error: BaseException, opening: int) -> Exception:
         translated = translate(self.name, error)
@@ -384,19 +414,36 @@ class ActuatorChannel:
             self._on_error(translated)
         return translated
 
+    def _interrupted(
+        self, error: BaseException, command: Any, opening: int
+    ) -> Exception:
+        """Make the error for a command whose driver call has ended in an error."""
+        failed = self._failed(error, opening)
+        if not isinstance(failed, DeviceLostError):
+            return failed
+        doubt = f"it is unknown whether {command!r:.80} was applied, it is not repeated"
+        return DeviceLostError(
+            self.name, f"{failed.detail}; {doubt}" if failed.detail else doubt
+        )
+
     # Giving back.
 
     def release(self, registration: Registration) -> None:
         """Give the actuator back: lower priorities get through at once.
 
-        What it was told stays until somebody writes or the command times out.
+        What it was told stays until somebody writes or the command times out. A
+        write of this registration that still waits for its turn is withdrawn.
         """
+        self._withdraw(registration)
         if self.holder is registration:
             self.holder = None
 
     def drop(self, registration: Registration) -> None:
-        """Make the actuator safe if what it does now is this registration's will."""
-        self._wake()
+        """Make the actuator safe if what it does now is this registration's will.
+
+        Its writes that wait for their turn are withdrawn.
+        """
+        self._withdraw(registration)
         if self._writer is registration:
             self.make_safe()
         elif self.holder is registration:
@@ -434,7 +481,7 @@ class ActuatorChannel:
             else:  # the safe command has overtaken a write, and is repeated after it
                 await self._look_again(give_up)
 
-    async def _send_safe(self, turn: asyncio.Future[bool] | None) -> bool:
+    async def _send_safe(self, turn: asyncio.Future[None] | None) -> bool:
         mine = turn is None or await self._take_over(turn)
         try:
             for attempt in range(SAFE_TRIES):
@@ -462,14 +509,13 @@ class ActuatorChannel:
             elif self._busy:
                 self._safe_again = True
 
-    async def _take_over(self, turn: asyncio.Future[bool]) -> bool:
+    async def _take_over(self, turn: asyncio.Future[None]) -> bool:
         """Wait until the write in flight has ended, but not for ever."""
-        timer = self._loop.call_later(self._turn_within, _resolve, turn, False)
         try:
-            return await turn
+            await asyncio.wait({turn}, timeout=self._turn_within)
         finally:
-            timer.cancel()
             self._take_over_turn = None
+        return turn.done()
 
     async def _try_safe(self) -> bool:
         opening = self._opening
@@ -494,8 +540,6 @@ class ActuatorChannel:
 
     def _nobody_wrote(self) -> None:
         self._dead_man = None
-        if self.state is not ResourceState.READY or self._writer is None:
-            return
         due = self._last_write + self.command_timeout
         if self._time() + _EARLY < due:
             self._dead_man = self._loop.call_at(due, self._nobody_wrote)
@@ -530,9 +574,14 @@ class ActuatorChannel:
 
     async def _look_again(self, give_up: float) -> None:
         """Wait until something has ended, or until a moment."""
-        woken: asyncio.Future[None] = self._loop.create_future()
-        self._waiters.append(woken)
-        await asyncio.wait({woken}, timeout=max(0.0, give_up - self._time()))
+        waiting = _Waiting(None, self._loop.create_future())
+        self._waiters.append(waiting)
+        try:
+            await asyncio.wait(
+                {waiting.woken}, timeout=max(0.0, give_up - self._time())
+            )
+        finally:
+            self._waiters.remove(waiting)
 
     # What people ask.
 
@@ -586,6 +635,12 @@ def _rule(holder: Registration) -> str:
     )
 
 
-def _resolve(future: asyncio.Future[bool], result: bool) -> None:
-    if not future.done():
-        future.set_result(result)
+def _withdrawn(registration: Registration, now: float) -> Refused:
+    """Answer a write whose own sender gave the actuator back before its turn came."""
+    return Refused(
+        registration.behavior,
+        registration.priority,
+        f"{registration.behavior!r} gave it back before the turn of this command came",
+        now,
+        now,
+    )

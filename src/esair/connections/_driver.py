@@ -35,6 +35,7 @@ class Driver:
     def __init__(self, resource: Resource) -> None:
         self.resource = resource
         self._own_lane: Lane | None = None
+        self._stream_lane: Lane | None = None
 
     @property
     def lane(self) -> Lane:
@@ -53,9 +54,26 @@ class Driver:
         lane = self._own_lane if bus is None else bus.lane
         return lane is not None and lane.stuck_since is not None
 
+    async def stream_lane(self) -> Lane:
+        """Return the one thread that waits for the next value of a blocking stream.
+
+        Raises:
+            DriverStuckError: It still waits for a value of the stream before.
+        """
+        resource = self.resource
+        lane = self._stream_lane
+        if lane is None:
+            lane = self._stream_lane = Lane(f"{resource.name}_stream")
+        if lane.stuck_since is not None:  # and one more thread would not help
+            raise DriverStuckError(resource.name, "stream", resource.deadline)
+        await lane.call(_nothing, timeout=resource.deadline)
+        return lane
+
     async def end_lane(self, timeout: float) -> bool:
-        """End the resource's own thread; tells whether it has ended in time."""
-        return self._own_lane is None or await self._own_lane.join(timeout)
+        """End the resource's own threads; tells whether they have ended in time."""
+        lanes = [lane for lane in (self._own_lane, self._stream_lane) if lane]
+        ended = await asyncio.gather(*(lane.join(timeout) for lane in lanes))
+        return all(ended)
 
     def blocks(self, method: str) -> bool:
         """Tell whether a method is a plain function, which may block."""
@@ -86,6 +104,10 @@ class Driver:
             return await result if inspect.isawaitable(result) else result
 
         return on_lane
+
+
+def _nothing() -> None:
+    """Come after all calls that were made before."""
 
 
 def is_drivers(error: BaseException) -> bool:

@@ -20,7 +20,6 @@ from esair.exceptions import (
     StaleReadingError,
 )
 from esair.loop import (
-    Lane,
     Spoke,
     Suspended,
     Wheel,
@@ -85,6 +84,9 @@ class SensorChannel:
         self._followers: tuple[Follower, ...] = ()
         self._waiters: list[tuple[float, asyncio.Future[Reading[Any]]]] = []
         self._poll: Spoke | None = None
+        self._last: Any = None
+        self._repeats = 0
+        """How many times in a row the device has given the last value."""
         self._asking = False
         self._asked: asyncio.Task[None] | None = None
         self._polled: asyncio.Task[Any] | None = None
@@ -99,6 +101,7 @@ class SensorChannel:
             maxlen=sensor.history_size
         )
         self._wanted = checked_class(sensor.value_type)
+        self._max_repeat = sensor.max_repeat
         if sensor.can_be_asked:
             self._ask_device = self.driver.call("read")
         self.configured()
@@ -122,6 +125,7 @@ class SensorChannel:
         """The device is ready: begin to listen, and to ask if somebody follows."""
         self.state = ResourceState.READY
         self.error = None
+        self._repeats = 0
         if self.sensor.pushes:
             self._pump = spawn(self._loop, self._listen(), name=f"{self.name} stream")
         self._start_polling()
@@ -286,10 +290,8 @@ class SensorChannel:
         number = self.transactions
         try:
             value = first_step(self._ask_device())
-        except BaseException as error:
+        except BaseException as error:  # the driver's: nobody can cancel a first step
             self._asking = False
-            if not is_drivers(error):
-                raise
             self._fail(error, number)
             return None
         if type(value) is Suspended:
@@ -356,15 +358,12 @@ class SensorChannel:
 
     async def _listen_blocking(self, values: Iterator[Any]) -> None:
         # A thread of its own: waiting for the next value must not block the bus.
-        lane = Lane(f"{self.name}_stream")
+        lane = await self.driver.stream_lane()
         end = object()
-        try:
-            while (
-                value := await lane.call(next, values, end, timeout=math.inf)
-            ) is not end:
-                self.publish(value, math.inf)
-        finally:
-            lane.close()
+        while (
+            value := await lane.call(next, values, end, timeout=math.inf)
+        ) is not end:
+            self.publish(value, math.inf)
 
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""
@@ -381,6 +380,10 @@ class SensorChannel:
                 number,
             )
             return
+        if self._max_repeat is not None and self._repeated(value) > self._max_repeat:
+            frozen = f"frozen: it gave {value!r:.80} {self._repeats} times in a row"
+            self._fail(DeviceFaultError(self.name, frozen), number)
+            return
         self.sequence += 1
         reading = Reading(value, self.time(), self.sequence)
         self.newest = reading
@@ -389,6 +392,12 @@ class SensorChannel:
             self._resolve(reading, number)
         for follower in self._followers:
             follower.feed(reading)
+
+    def _repeated(self, value: Any) -> int:
+        if self._repeats == 0 or not _equal(value, self._last):
+            self._last, self._repeats = value, 0
+        self._repeats += 1
+        return self._repeats
 
     @staticmethod
     def _acceptable(value: Any, wanted: type) -> bool:
@@ -431,3 +440,11 @@ class SensorChannel:
     def removed(self) -> None:
         """Tell everybody that the user took the sensor away."""
         self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
+
+
+def _equal(one: Any, other: Any) -> bool:
+    try:
+        same = one == other
+        return bool(same.all()) if hasattr(same, "all") else bool(same)
+    except Exception:  # a value may be an object of any class
+        return False

@@ -32,6 +32,7 @@ class Resource(abc.Resource):
         name: The name; the class name in snake case unless given.
         bus: The bus that the device is on, if several devices share it.
         required: Whether the robot refuses to start without the device.
+        identity: What `identify` has to answer, if the class has one.
         **settings: First values of the settings that the class declares.
     """
 
@@ -44,6 +45,9 @@ class Resource(abc.Resource):
     fault_limit: int = 3
     """How many faults in a row before the device is closed and opened again."""
 
+    identity: Any = None
+    """What `identify` has to answer; None for whatever it answers first."""
+
     bus: Any = None
     """The `Bus` that the device is on, if it is on one; a driver narrows the type."""
 
@@ -55,6 +59,7 @@ class Resource(abc.Resource):
         name: str | None = None,
         bus: Bus | None = None,
         required: bool | None = None,
+        identity: Any = None,
         **settings: Any,
     ) -> None:
         super().__init__(name=name)
@@ -62,6 +67,8 @@ class Resource(abc.Resource):
             self.bus = bus
         if required is not None:
             self.required = required
+        if identity is not None:
+            self.identity = identity
         for key, value in check_settings(self, settings).items():
             setattr(self, key, value)
 
@@ -88,6 +95,11 @@ class Resource(abc.Resource):
         return Any
 
     @property
+    def identifies(self) -> bool:
+        """Whether the class has an ``identify``."""
+        return type(self).identify is not Resource.identify
+
+    @property
     def settings(self) -> Mapping[str, Any]:
         """The current value of each setting, by name (read only)."""
         return MappingProxyType(
@@ -98,6 +110,7 @@ class Resource(abc.Resource):
 
         def open(self) -> Awaitable[None] | None: ...
         def close(self) -> Awaitable[None] | None: ...
+        def identify(self) -> Awaitable[Any] | Any: ...
         def apply(self, *_: Any, **changes: Any) -> Awaitable[None] | None: ...
 
     else:  # the types above allow drivers to write either kind of method
@@ -107,6 +120,15 @@ class Resource(abc.Resource):
 
         async def close(self) -> None:
             """Let the device go. Called at the stop and after each loss."""
+
+        async def identify(self) -> Any:
+            """Ask the device who it is: its serial number, say.
+
+            Write it for a device that another one could take the place of. Called
+            after each `open`, before anything else is sent. The first answer is
+            remembered, unless `identity` declares it; while another device answers
+            this one stays lost. None says that the device cannot tell yet.
+            """
 
         async def apply(self, **changes: Any) -> None:
             """Send changed settings to the device; they are checked already.

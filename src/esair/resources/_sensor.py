@@ -36,6 +36,13 @@ class Sensor(Resource, Generic[T]):
     history_size: int = 64
     """How many readings are kept for ``port.history``."""
 
+    max_repeat: int | None = None
+    """How many equal values in a row it may give; None if there is no limit.
+
+    With more of them the device counts as frozen, which is a fault: the values are
+    not passed on, and after `fault_limit` of them it is closed and opened again.
+    """
+
     def read(self) -> Awaitable[T] | T:
         """Ask the device for one value."""
         raise NotImplementedError

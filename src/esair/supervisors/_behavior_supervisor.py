@@ -27,7 +27,7 @@ from esair.exceptions import (
     UnknownNameError,
     describe,
 )
-from esair.loop import current_owner
+from esair.loop import ProcessWatch, current_owner
 from esair.messages import (
     Access,
     BehaviorState,
@@ -301,6 +301,7 @@ class BehaviorSupervisor(abc.Supervisor):
             self._members[member.name] = member
         self.resources.on_change = self._resource_changed
         self.resources.on_up = self._resource_up
+        process = ProcessWatch(asyncio.get_running_loop())
         for member in members:
             try:
                 member.start()
@@ -309,6 +310,7 @@ class BehaviorSupervisor(abc.Supervisor):
         waits = [member.ready for member in members if member.ready is not None]
         if waits:
             await asyncio.wait(waits, timeout=START_TIMEOUT)
+            _warn_of(process, " or ".join(self._members))
         self._desk.initialized()
 
     def halt(self) -> None:
@@ -401,6 +403,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
     async def _begin(self, member: Member) -> None:
         self._adding = member
+        process = ProcessWatch(asyncio.get_running_loop())
         try:
             member.start()
             if member.ready is not None:
@@ -410,6 +413,7 @@ class BehaviorSupervisor(abc.Supervisor):
                     raise BehaviorFailedError(member.name, describe(error)) from error
         finally:
             self._adding = None
+            _warn_of(process, member.name)
 
     async def _end(self, member: Member) -> None:
         uses = {registration.resource for registration in member.uses()}
@@ -512,6 +516,18 @@ class BehaviorSupervisor(abc.Supervisor):
             except AccessDeniedError as error:
                 found.append(error)
         return found
+
+
+def _warn_of(process: ProcessWatch, names: str) -> None:
+    """Say who has changed what others rely on: the stop by a signal, say."""
+    changes = process.changes()
+    if changes:
+        _log.warning(
+            "%s: changed %s, which belongs to the whole process: put it back, or the "
+            "robot may neither end its tasks nor stop in order at a signal",
+            names,
+            ", ".join(changes),
+        )
 
 
 def _name(component: object) -> str:

@@ -34,7 +34,7 @@ from esair.supervisors._requests import (
 )
 
 if TYPE_CHECKING:
-    from esair.supervisors._member import Member
+    from esair.supervisors._mailbox import Mailbox
 
 LEDGER_SIZE = 256
 """How many outcomes the ledger remembers."""
@@ -54,7 +54,7 @@ class Mediator:
         members: The behaviors by name.
     """
 
-    def __init__(self, members: Mapping[str, Member]) -> None:
+    def __init__(self, members: Mapping[str, Mailbox]) -> None:
         self._members = members
         self._loop = asyncio.get_running_loop()
         self._pending = 0
@@ -121,7 +121,7 @@ class Mediator:
             timer.cancel()
             self._finish(request)
 
-    def admit(self, member: Member) -> None:
+    def admit(self, member: Mailbox) -> None:
         """Deliver what waits for a behavior that can receive again."""
         while member.senders.count and member.has_room:
             request = member.senders.pop()
@@ -186,7 +186,7 @@ class Mediator:
             if request.provider is not None:
                 request.provider.cancel()
 
-    def offered(self, member: Member, data: Any) -> bool:
+    def offered(self, member: Mailbox, data: Any) -> bool:
         """Hand offered data to whoever waits for it; tells whether somebody did."""
         while member.askers.count:
             request = member.askers.pop()
@@ -197,7 +197,7 @@ class Mediator:
             return True
         return False
 
-    def serve(self, member: Member) -> None:
+    def serve(self, member: Mailbox) -> None:
         """Have a behavior make the data that somebody waits for, one at a time."""
         if not member.can_provide or member.provider is not None or self.closed:
             return
@@ -217,7 +217,7 @@ class Mediator:
         )
 
     def _provided(
-        self, member: Member, request: Request, task: asyncio.Task[_Made]
+        self, member: Mailbox, request: Request, task: asyncio.Task[_Made]
     ) -> None:
         data, error = (
             (None, asyncio.CancelledError()) if task.cancelled() else task.result()
@@ -235,12 +235,12 @@ class Mediator:
 
     # What happens to the other side.
 
-    def peer_failed(self, member: Member, error: BaseException) -> None:
+    def peer_failed(self, member: Mailbox, error: BaseException) -> None:
         """End every request that waits for a behavior that has crashed."""
         for request in self._drain(member):
             self._fail(request, _failed(member, error), Outcome.PEER_FAILED)
 
-    def peer_removed(self, member: Member) -> None:
+    def peer_removed(self, member: Mailbox) -> None:
         """End every request that waits for a behavior that is removed."""
         for request in self._drain(member):
             self._fail(
@@ -249,7 +249,7 @@ class Mediator:
                 Outcome.PEER_REMOVED,
             )
 
-    def moved(self, old: Member, new: Member) -> None:
+    def moved(self, old: Mailbox, new: Mailbox) -> None:
         """Let what waits for a behavior wait for the one in its place."""
         for queue, other in ((old.senders, new.senders), (old.askers, new.askers)):
             for request in queue.drain():
@@ -268,12 +268,12 @@ class Mediator:
                     request, StoppingError("behaviors", "stopping"), Outcome.STOPPING
                 )
 
-    def _drain(self, member: Member) -> list[Request]:
+    def _drain(self, member: Mailbox) -> list[Request]:
         return [*member.senders.drain(), *member.askers.drain()]
 
     # Requests that wait.
 
-    def _check(self, peer: str, interval: object, data: Any = None) -> Member:
+    def _check(self, peer: str, interval: object, data: Any = None) -> Mailbox:
         if self.closed:
             raise StoppingError("behaviors", "stopping")
         member = self._members.get(peer)
@@ -329,7 +329,7 @@ class Mediator:
                 request.kind, request.sender, request.receiver, Outcome.WITHDRAWN
             )
 
-    def _expire(self, request: Request, interval: float, member: Member) -> None:
+    def _expire(self, request: Request, interval: float, member: Mailbox) -> None:
         what = "receive" if request.kind == "put" else "send"
         self._fail(
             request,
@@ -376,14 +376,14 @@ _LEAVING = frozenset({BehaviorState.STOPPING, BehaviorState.REMOVED})
 _Made = tuple[Any, BaseException | None]
 
 
-async def _make_data(member: Member) -> _Made:
+async def _make_data(member: Mailbox) -> _Made:
     try:
         return await member.make_data(), None
     except BaseException as error:  # contained: it is the other's code
         return None, error
 
 
-def _failed(member: Member, error: BaseException) -> BehaviorFailedError:
+def _failed(member: Mailbox, error: BaseException) -> BehaviorFailedError:
     failed = BehaviorFailedError(member.name, describe(error))
     failed.__cause__ = error
     return failed

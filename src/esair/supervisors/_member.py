@@ -6,11 +6,10 @@ import asyncio
 import inspect
 import logging
 import sys
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import (
-    NOTHING,
     ActuatorPort,
     Behavior,
     Need,
@@ -24,8 +23,9 @@ from esair.connections import ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import (
     BadValueError,
     BehaviorRemovedError,
-    BusyError,
+    DeviceFaultError,
     DeviceLostError,
+    DriverStuckError,
     EsairError,
     NotRegisteredError,
     ResourceRemovedError,
@@ -34,7 +34,7 @@ from esair.exceptions import (
 )
 from esair.loop import Bridge, Owner, spawn
 from esair.messages import Access, BehaviorState, BehaviorStatus
-from esair.supervisors._requests import FairQueue
+from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._restart_budget import RestartBudget
 
 if TYPE_CHECKING:
@@ -45,8 +45,8 @@ _log = logging.getLogger("esair")
 _BOUND = ("put", "get", "receive", "offer", "perform", "register")
 
 
-class Member:
-    """Owns one behavior or reaction: its registrations, its task, its boxes.
+class Member(Mailbox):
+    """Owns one behavior or reaction: its registrations, its task, its restarts.
 
     It is also the `Host` that the behavior talks to.
     """
@@ -54,30 +54,14 @@ class Member:
     __slots__ = (
         "_bridge",
         "_budget",
-        "_mediator",
-        "_state",
         "_supervisor",
         "_timer",
-        "action",
-        "alive",
-        "askers",
         "detail",
-        "dropped",
-        "error",
         "gate",
-        "inbox",
-        "name",
-        "outbox",
-        "owner",
         "performs",
-        "provider",
         "ready",
-        "receives",
         "registrations",
-        "room",
         "runner",
-        "senders",
-        "takers",
         "task",
         "zombies",
     )
@@ -85,20 +69,8 @@ class Member:
     def __init__(
         self, action: Behavior | Reaction, supervisor: BehaviorSupervisor, name: str
     ) -> None:
-        self.action = action
-        self.name = name
-        self.room = action.inbox_size if isinstance(action, Behavior) else 0
-        self.state = BehaviorState.STARTING
+        super().__init__(action, supervisor.mediator, name)
         self.detail = ""
-        self.error: BaseException | None = None
-        self.inbox: list[Any] = []
-        self.outbox: list[Any] = []
-        self.dropped = 0
-        self.senders = FairQueue()
-        self.askers = FairQueue()
-        self.provider: asyncio.Task[Any] | None = None
-        """Makes data for somebody who asks; one at a time."""
-        self.owner = Owner()
         self.registrations: list[Registration] = []
         self.runner: ReactionRunner | None = None
         self.performs: list[_Perform] = []
@@ -109,146 +81,11 @@ class Member:
         """If there is one, ``run`` begins only when it is done."""
         self.zombies: list[str] = []
         self._supervisor = supervisor
-        self._mediator = supervisor.mediator
         self._budget: RestartBudget | None = None
-        self.takers: list[asyncio.Future[None]] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._bridge: Bridge | None = None
 
-    @property
-    def state(self) -> BehaviorState:
-        """What it is doing."""
-        return self._state
-
-    @state.setter
-    def state(self, state: BehaviorState) -> None:
-        self._state = state
-        self.alive = state in _ALIVE
-        self.receives = state is BehaviorState.RUNNING and self.room > 0
-
-    # What the mediator asks.
-
-    @property
-    def has_room(self) -> bool:
-        """Whether the inbox can take another piece of data."""
-        if not self.receives:
-            return False
-        return len(self.inbox) < self.room or self.action.inbox_policy != "reject"  # type: ignore[union-attr]
-
-    @property
-    def can_receive(self) -> bool:
-        """Whether a put is delivered at once."""
-        return not self.senders.count and self.has_room
-
-    @property
-    def can_provide(self) -> bool:
-        """Whether the behavior makes data on demand, now."""
-        action = self.action
-        return (
-            isinstance(action, Behavior)
-            and action.provides
-            and self.state is BehaviorState.RUNNING
-        )
-
-    @property
-    def can_send(self) -> bool:
-        """Whether a get is answered without waiting for a change of state."""
-        return bool(self.outbox) or self.can_provide
-
-    def deliver(self, data: Any) -> None:
-        """Put data into the inbox; there is room, or a policy that makes some."""
-        inbox = self.inbox
-        if len(inbox) >= self.room:
-            drop = len(inbox) if self.action.inbox_policy == "latest" else 1  # type: ignore[union-attr]
-            del inbox[:drop]
-            self.dropped += drop
-        inbox.append(data)
-        self.wake()
-
-    def wake(self) -> None:
-        """Wake one of those that wait in `receive`."""
-        for taker in self.takers or ():
-            if not taker.done():
-                taker.set_result(None)
-                return
-
-    async def make_data(self) -> Any:
-        """Run the behavior's ``provide``, on a thread if it is a plain function."""
-        provide = self.action.provide  # type: ignore[union-attr]
-        if inspect.iscoroutinefunction(provide):
-            return await provide()
-        result: list[Any] = []
-        bridge = Bridge(f"{self.name}_provide", self.owner)
-        await bridge.run(lambda: result.append(provide()))
-        return result[0]
-
     # What the behavior asks (`Host`).
-
-    def hand(self, receiver: str, data: Any, interval: float) -> bool:
-        """Hand data over if that takes no wait; tells whether it did."""
-        return self.alive and self._mediator.hand(data, self.name, receiver, interval)
-
-    def take(self, sender: str, interval: float) -> Any:
-        """Take data that another has offered; `NOTHING` if that has to be waited for."""
-        return (
-            self._mediator.take(sender, self.name, interval) if self.alive else NOTHING
-        )
-
-    def put(
-        self, receiver: str, data: Any, interval: float
-    ) -> Coroutine[Any, Any, None]:
-        """Hand data to another behavior."""
-        if not self.alive:
-            raise BehaviorRemovedError(self.name)
-        return self._mediator.put(data, self.name, receiver, interval)
-
-    def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]:
-        """Ask another behavior for data."""
-        if not self.alive:
-            raise BehaviorRemovedError(self.name)
-        return self._mediator.get(sender, self.name, interval)
-
-    async def receive(self) -> Any:
-        """Wait for data in the inbox, and take it."""
-        while True:
-            if not self.alive:  # what lies in its inbox belongs to the remover
-                raise BehaviorRemovedError(self.name)
-            if self.inbox:
-                break
-            taker = asyncio.get_running_loop().create_future()
-            if self.takers is None:
-                self.takers = []
-            self.takers.append(taker)
-            try:
-                await taker
-            except asyncio.CancelledError:
-                if self.inbox and not taker.cancelled():
-                    self.wake()  # it was woken in the same tick: wake the next one
-                raise
-            finally:
-                self.takers.remove(taker)
-                if not self.takers:
-                    self.takers = None
-        data = self.inbox.pop(0)
-        if self.senders.count:
-            self._mediator.admit(self)
-        return data
-
-    def offer(self, data: Any) -> None:
-        """Lay data out for whoever asks for it."""
-        if not self.alive:
-            raise BehaviorRemovedError(self.name)
-        if self._mediator.offered(self, data):
-            return
-        action = self.action
-        assert isinstance(action, Behavior)
-        if len(self.outbox) >= action.outbox_size:
-            if action.outbox_policy == "reject":
-                raise BusyError(self.name, "outbox_size", action.outbox_size)
-            drop = len(self.outbox) if action.outbox_policy == "latest" else 1
-            del self.outbox[:drop]
-            self.dropped += drop
-        self.outbox.append(data)
 
     async def register(
         self,
@@ -259,8 +96,7 @@ class Member:
         max_age: float | None,
     ) -> SensorPort[Any] | ActuatorPort[Any]:
         """Register for a resource at run time."""
-        if not self.alive:
-            raise BehaviorRemovedError(self.name)
+        self.check_speaker()
         if max_age is not None:
             _check_seconds(self.name, f"{resource}.max_age", max_age)
         registration = self._grant(resource, access, priority, hold)
@@ -273,8 +109,7 @@ class Member:
         timeout: float | None,
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
-        if not self.alive:
-            raise BehaviorRemovedError(self.name)
+        self.check_speaker()
         if timeout is not None:
             _check_seconds(self.name, "timeout", timeout)
         self._supervisor.refuse_mistakes(reaction, performer=self.name)
@@ -322,6 +157,7 @@ class Member:
         self.owner = Owner()
         for task in survivors:  # they would not end with the run before
             self.owner.adopt(task)
+        self.haunted = bool(survivors)
         self.action._host = self  # noqa: SLF001 - the behavior's own supervisor
         if not inspect.iscoroutinefunction(self.action.run):
             self._bridge = Bridge(self.name, self.owner)
@@ -410,6 +246,7 @@ class Member:
         """Make safe what it held, and start it again unless its budget is spent."""
         self.error = error
         self.fence()
+        self.owner.over = self.haunted = True
         self._cancel_tasks()
         ready = self.ready
         if ready is not None and not ready.done() and self._supervisor.is_adding(self):
@@ -614,12 +451,8 @@ class Member:
 
     def _channel(self, resource: str) -> SensorChannel | ActuatorChannel:
         supervisor = self._supervisor
-        channel = supervisor.sensors.channels.get(
-            resource
-        ) or supervisor.actuators.channels.get(resource)
-        if channel is None:
-            raise UnknownNameError("resource", resource, supervisor.resources.names())
-        return channel
+        sensor = supervisor.sensors.channels.get(resource)
+        return sensor or supervisor.actuators.channels[resource]
 
     def _port(
         self, registration: Registration, max_age: float | None
@@ -689,6 +522,7 @@ class Member:
             runner.steps if runner is not None else 0,
             runner.late if runner is not None else 0,
             self.senders.count,
+            runner.overruns if runner is not None else 0,
         )
 
 
@@ -712,18 +546,14 @@ class _Perform:
             self.ended.exception()  # the behavior may be cancelled in this moment
 
 
-_ALIVE = frozenset(
-    {
-        BehaviorState.STARTING,
-        BehaviorState.RUNNING,
-        BehaviorState.PARKED,
-        BehaviorState.FINISHED,
-        BehaviorState.RESTARTING,
-    }
+_ABSENCE = (
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    ResourceRemovedError,
+    UnknownNameError,
 )
-
-
-_ABSENCE = (DeviceLostError, ResourceRemovedError, UnknownNameError)
+"""What a behavior meets where a resource that it uses is not there, or not ready."""
 
 
 def _check_seconds(component: str, field: str, value: object) -> None:

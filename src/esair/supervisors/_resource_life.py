@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
 from esair.connections import (
@@ -16,6 +16,7 @@ from esair.connections import (
     translate,
 )
 from esair.exceptions import (
+    DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
     EsairError,
@@ -60,6 +61,7 @@ class ResourceLife:
         self.tried: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         """Done when the device was tried for the first time."""
         self.configuring = asyncio.Lock()
+        """Held while settings are applied: one change at a time, none in an opening."""
         self._budget = RestartBudget(restart)
         self._loop = asyncio.get_running_loop()
         self._thread = threading.current_thread()
@@ -72,7 +74,12 @@ class ResourceLife:
         self._successes = 0
         self._is_open = False
         self._over = False
+        self._applying: asyncio.Timeout | None = None
+        """Bounds the call that applies changed settings, while there is one."""
+        self._identity: Any = resource.identity
+        """What the device answered when it was asked for the first time who it is."""
         self._task: asyncio.Task[None]
+        self._error_of_try: BaseException | None = None
         self._forget_bus: tuple[Callable[[], None], ...] = ()
 
     def start(self) -> None:
@@ -100,21 +107,80 @@ class ResourceLife:
         if self._faults_in_row >= self.resource.fault_limit:
             self._hear(error)
 
+    async def configure(self, changes: dict[str, Any]) -> None:
+        """Apply changed settings, all of them or none; ``configuring`` is held.
+
+        Raises:
+            DeviceLostError: The device went away meanwhile; it comes back with the
+                settings from before.
+            DeviceFaultError: It did not take them; it was put back.
+            DriverStuckError: It did not answer in time; it was put back.
+        """
+        resource = self.resource
+        before = {name: resource.settings[name] for name in changes}
+        try:
+            await self._apply(changes)
+        except BaseException as error:
+            if not is_drivers(error):
+                raise
+            self._check_ready(error)
+            try:
+                await self._apply(before)
+            except BaseException as second:
+                if not is_drivers(second):
+                    raise
+                # Nobody knows its settings now: close it and begin anew.
+                unknown = f"its settings are unknown: {describe(second)}"
+                self._hear(DeviceLostError(resource.name, unknown))
+            raise translate(resource.name, error) from error
+        self._check_ready(None)  # what opens it again does not know these changes
+        for name, value in changes.items():
+            setattr(resource, name, value)
+        self.channel.configured()
+
+    async def _apply(self, changes: dict[str, Any]) -> None:
+        limit = max(self.resource.deadline, 1.0)
+        try:
+            async with asyncio.timeout(limit) as self._applying:
+                await self.channel.driver.call("apply")(**changes)
+        except DriverStuckError:
+            raise
+        except TimeoutError as error:
+            raise DriverStuckError(self.resource.name, "apply", limit) from error
+        finally:
+            self._applying = None
+
+    def _check_ready(self, cause: BaseException | None) -> None:
+        if self._over or self.channel.state is not ResourceState.READY:
+            lost = self.channel.error or DeviceLostError(
+                self.resource.name, "it was replaced"
+            )
+            raise lost from cause
+
     async def last_try(self) -> None:
         """Open a device that is not there once more, for its safe command alone."""
-        channel = self.channel
+        name, channel = self.resource.name, self.channel
         assert isinstance(channel, ActuatorChannel)
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=LAST_TRY)
-        trying = spawn(
-            self._loop, self._try_to_open(), name=f"{self.resource.name} last try"
-        )
+        stuck = DriverStuckError(name, "open", LAST_TRY)
+        if not self._task.done():
+            channel.not_told(stuck)
+            return
+        trying = spawn(self._loop, self._open_once(), name=f"{name} last try")
+        self._task = trying  # whatever becomes of it, the stop waits and closes
         await asyncio.wait({trying}, timeout=LAST_TRY)
         if not trying.done():
             trying.cancel()
-            channel.not_told(DriverStuckError(self.resource.name, "open", LAST_TRY))
-        elif not trying.cancelled() and (error := trying.result()) is not None:
-            channel.not_told(error)
+            channel.not_told(stuck)
+        elif self._error_of_try is not None:
+            channel.not_told(self._error_of_try)
+
+    async def _open_once(self) -> None:
+        await self._close()
+        self._error_of_try = await self._try_to_open()
+        if self._over:  # its opening has ignored that it was cancelled
+            await self._close()
 
     async def stop(self, timeout: float) -> None:
         """Close the device, whatever it is doing."""
@@ -122,6 +188,7 @@ class ResourceLife:
         for forget in self._forget_bus:
             forget()
         self.resource._listener = None  # noqa: SLF001 - the resource's own supervisor
+        self._interrupt()
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=timeout)
         if not self.tried.done():
@@ -178,7 +245,7 @@ class ResourceLife:
             self._down(error)
             self._first_try(error)
             await self._close()
-            if is_loss(error) or isinstance(error, TimeoutError):
+            if is_loss(error) or isinstance(error, TimeoutError | _AnotherDeviceError):
                 pause: float | None = delay
                 delay = min(delay * 2, MAX_DELAY)
             else:
@@ -206,47 +273,62 @@ class ResourceLife:
     async def _wait_for_news(self, timeout: float | None) -> BaseException | None:
         news: asyncio.Future[BaseException | None] = self._loop.create_future()
         self._news = news
-        timer = None
-        if timeout is not None:
-            timer = self._loop.call_later(timeout, _arrive, news)
         try:
-            return await news
+            await asyncio.wait({news}, timeout=timeout)
         finally:
             self._news = None
-            if timer is not None:
-                timer.cancel()
+        return news.result() if news.done() else None
 
     async def _try_to_open(self) -> BaseException | None:
-        resource = self.resource
         try:
-            if isinstance(self.channel, ActuatorChannel):
-                await self.channel.quiet()
-            if resource.bus is not None:
-                await self._in_time("open the bus", resource.bus.open())
-            self._is_open = True
-            await self._in_time("open", self.channel.driver.call("open")())
-            changes = {
-                name: value
-                for name, value in resource.settings.items()
-                if value != settings_of(type(resource))[name].default
-            }
-            if changes:
-                await self._in_time(
-                    "apply", self.channel.driver.call("apply")(**changes)
-                )
-            if isinstance(self.channel, ActuatorChannel):
-                await self.channel.open_safe()
+            # A change of settings that the loss has interrupted has to be over.
+            await self._in_time("apply", self.configuring.acquire())
+            try:
+                await self._open()
+            finally:
+                self.configuring.release()
         except BaseException as error:
             if not is_drivers(error):
                 raise
             return error
         return None
 
-    async def _in_time(self, call: str, work: Any) -> None:
+    async def _open(self) -> None:
+        resource, driver = self.resource, self.channel.driver
+        if isinstance(self.channel, ActuatorChannel):
+            await self.channel.quiet()
+        if resource.bus is not None:
+            await self._in_time("open the bus", resource.bus.open())
+        self._is_open = True
+        await self._in_time("open", driver.call("open")())
+        if resource.identifies:
+            self._identify(await self._in_time("identify", driver.call("identify")()))
+        changes = {
+            name: value
+            for name, value in resource.settings.items()
+            if value != settings_of(type(resource))[name].default
+        }
+        if changes:
+            await self._in_time("apply", driver.call("apply")(**changes))
+        if isinstance(self.channel, ActuatorChannel):
+            await self.channel.open_safe()
+
+    def _identify(self, answer: Any) -> None:
+        """Remember who the device is, or refuse another one in its place."""
+        if self._identity is None:
+            self._identity = answer
+        elif answer != self._identity:
+            raise _AnotherDeviceError(
+                self.resource.name,
+                f"identity: expected {self._identity!r:.80}, {answer!r:.80} is there; "
+                "plug in the right device, or replace the resource",
+            )
+
+    async def _in_time(self, call: str, work: Awaitable[Any]) -> Any:
         limit = max(self.resource.deadline, 1.0)
         try:
             async with asyncio.timeout(limit):
-                await work
+                return await work
         except DriverStuckError:
             raise
         except TimeoutError as error:
@@ -260,9 +342,11 @@ class ResourceLife:
             _log.info("%s: back", self.resource.name)
 
     def _down(self, error: BaseException) -> None:
+        self._interrupt()
         if self.channel.state is ResourceState.LOST:
             return
-        first = self.channel.error is None
+        before = self.channel.error
+        first = before is None
         cause = translate(self.resource.name, error)
         if not isinstance(error, EsairError) and not isinstance(cause, DeviceLostError):
             # Whatever it was: the device is closed now, and nobody can use it.
@@ -272,6 +356,13 @@ class ResourceLife:
         if first:
             self.losses += 1
             _log.warning("%s: lost: %s", self.resource.name, describe(error))
+        elif type(error) is _AnotherDeviceError and type(before) is not type(error):
+            _log.warning("%s: still lost: %s", self.resource.name, describe(error))
+
+    def _interrupt(self) -> None:
+        """Give up a change of settings: the device is gone."""
+        if self._applying is not None and not self._applying.expired():
+            self._applying.reschedule(self._loop.time())
 
     async def _close(self) -> None:
         if not self._is_open:
@@ -285,10 +376,9 @@ class ResourceLife:
         self._is_open = False
 
 
+class _AnotherDeviceError(DeviceFaultError):
+    """Where the device was is another one now; waiting for the right one may help."""
+
+
 def _ignore(_name: str) -> None:
     """Tell nobody: the supervisor has not said whom."""
-
-
-def _arrive(news: asyncio.Future[BaseException | None]) -> None:
-    if not news.done():
-        news.set_result(None)

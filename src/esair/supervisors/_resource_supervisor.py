@@ -16,8 +16,6 @@ from esair.connections import (
     SensorChannel,
     SensorConnection,
     Told,
-    is_drivers,
-    translate,
 )
 from esair.connections._command_check import check_declaration
 from esair.exceptions import (
@@ -29,7 +27,6 @@ from esair.exceptions import (
     ResourceRemovedError,
     StoppingError,
     UnknownNameError,
-    describe,
 )
 from esair.loop import spawn
 from esair.messages import (
@@ -216,6 +213,7 @@ class ResourceSupervisor(abc.Supervisor):
                 component.value_type, old.value_type
             )
             if not keep:
+                self._leaving.add(name)  # nobody gets a right to what goes
                 for registration in self._registrations.of_resource(name):
                     self._registrations.revoke(
                         registration, lambda: ResourceRemovedError(name)
@@ -235,6 +233,7 @@ class ResourceSupervisor(abc.Supervisor):
             else:
                 self._forget(name, ResourceState.REMOVED)
                 self._deploy(component)
+                self._leaving.discard(name)
             await self._lives[name].tried
             self.on_change(name)
 
@@ -327,6 +326,7 @@ class ResourceSupervisor(abc.Supervisor):
                 mistake is named, nothing was changed.
             DeviceLostError: The device is not there.
             DeviceFaultError: The device did not take it; it was put back.
+            DriverStuckError: The device did not answer in time; it was put back.
         """
         life = self._configurable(registration)
         check_settings(life.resource, settings)
@@ -356,36 +356,11 @@ class ResourceSupervisor(abc.Supervisor):
     async def _configure(
         self, registration: Registration, settings: dict[str, Any]
     ) -> None:
-        life = self._life(registration.resource)
+        life = self._configurable(registration)
         async with life.configuring:
-            life = self._configurable(registration)
-            resource = life.resource
-            changes = check_settings(resource, settings)
-            before = {name: resource.settings[name] for name in changes}
-            apply = life.channel.driver.call("apply")
-            try:
-                async with asyncio.timeout(max(resource.deadline, 1.0)):
-                    await apply(**changes)
-            except BaseException as error:
-                if not is_drivers(error):
-                    raise
-                try:
-                    async with asyncio.timeout(max(resource.deadline, 1.0)):
-                        await apply(**before)
-                except BaseException as second:
-                    if not is_drivers(second):
-                        raise
-                    # Nobody knows its settings now: close it and begin anew.
-                    life.on_error(
-                        DeviceLostError(
-                            resource.name,
-                            f"its settings are unknown: {describe(second)}",
-                        )
-                    )
-                raise translate(resource.name, error) from error
-            for name, value in changes.items():
-                setattr(resource, name, value)
-            life.channel.configured()
+            if self._configurable(registration) is not life:
+                raise DeviceLostError(registration.resource, "it was replaced")
+            await life.configure(check_settings(life.resource, settings))
 
     # What the robot does at its start and stop.
 
@@ -401,15 +376,7 @@ class ResourceSupervisor(abc.Supervisor):
                 )
                 continue
             try:
-                name = resource.name
-                for field in ("deadline",):
-                    value = getattr(resource, field)
-                    if type(value) not in {int, float} or not 0 < value < float("inf"):
-                        found.append(
-                            ConfigError(
-                                name, field, f"expected seconds > 0, not {value!r}"
-                            )
-                        )
+                found.extend(_mistakes_in_bounds(resource))
             except EsairError as error:
                 found.append(error)
                 continue
@@ -418,13 +385,17 @@ class ResourceSupervisor(abc.Supervisor):
                 if type(resource).write is Actuator.write:
                     found.append(
                         ConfigError(
-                            name, "write", "an actuator must have a write method"
+                            resource.name,
+                            "write",
+                            "an actuator must have a write method",
                         )
                     )
             elif not (resource.can_be_asked or resource.pushes):
                 found.append(
                     ConfigError(
-                        name, "read", "a sensor must have a read or stream method"
+                        resource.name,
+                        "read",
+                        "a sensor must have a read or stream method",
                     )
                 )
         return found
@@ -562,6 +533,29 @@ class ResourceSupervisor(abc.Supervisor):
         if state is ResourceState.REMOVED:
             self._sensors.channels.pop(name, None)
             self._actuators.channels.pop(name, None)
+
+
+def _mistakes_in_bounds(resource: Resource) -> list[ConfigError]:
+    found = []
+    name, seconds = resource.name, resource.deadline
+    if type(seconds) not in {int, float} or not 0 < seconds < float("inf"):
+        found.append(
+            ConfigError(name, "deadline", f"expected seconds > 0, not {seconds!r:.80}")
+        )
+    if resource.identity is not None and not resource.identifies:
+        found.append(
+            ConfigError(
+                name, "identity", "its class has no identify to compare it with"
+            )
+        )
+    repeats = resource.max_repeat if isinstance(resource, Sensor) else None
+    if repeats is not None and (type(repeats) is not int or repeats < 1):
+        found.append(
+            ConfigError(
+                name, "max_repeat", f"expected a whole number > 0, not {repeats!r:.80}"
+            )
+        )
+    return found
 
 
 def _kind(resource: Resource) -> type:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 
 from esair.connections import Registrations
-from esair.exceptions import AccessDeniedError, ConfigError
+from esair.exceptions import AccessDeniedError, ConfigError, did_you_mean
 from esair.messages import Access, Policy
 
 Declared = Callable[[str, str], Access]
@@ -118,7 +118,7 @@ class Rules:
         self, resources: Mapping[str, object], behaviors: Iterable[str]
     ) -> list[ConfigError]:
         """Return what is wrong with the policies of a robot before it starts."""
-        known = {*behaviors, "*"}
+        known = sorted(behaviors)
         found = [
             ConfigError(
                 f"policy of {name!r}", "resource", "it has more than one policy"
@@ -143,13 +143,14 @@ class Rules:
                 for who, value in policy.max_priority.items()
                 if type(value) is not int
             )
+            # A name that is like no other may be that of a behavior added later.
             found.extend(
                 ConfigError(
                     f"policy of {name!r}",
                     f"allow.{who}",
-                    f"no behavior is named {who!r}",
+                    f"no behavior is named {who!r}{nearest}",
                 )
                 for who in policy.allow
-                if who not in known and behaviors
+                if who not in known and (nearest := did_you_mean(who, known))
             )
         return found

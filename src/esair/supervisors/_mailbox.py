@@ -1,0 +1,227 @@
+"""The mailbox of one behavior: what it can receive and give, and who waits for that."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from collections.abc import Coroutine
+from typing import TYPE_CHECKING, Any
+
+from esair.actions import NOTHING, Behavior, Reaction
+from esair.exceptions import BehaviorRemovedError, BusyError, NotRegisteredError
+from esair.loop import Bridge, Owner, speaks_for_nobody
+from esair.messages import BehaviorState
+from esair.supervisors._requests import FairQueue
+
+if TYPE_CHECKING:
+    from esair.supervisors._mediator import Mediator
+
+_ALIVE = frozenset(
+    {
+        BehaviorState.STARTING,
+        BehaviorState.RUNNING,
+        BehaviorState.PARKED,
+        BehaviorState.FINISHED,
+        BehaviorState.RESTARTING,
+    }
+)
+
+
+class Mailbox:
+    """Holds what was put for a behavior and what it offers; the mediator fills it.
+
+    Args:
+        action: The behavior; a reaction has no room for data.
+        mediator: Who hands data over.
+        name: The name of the behavior.
+    """
+
+    __slots__ = (
+        "_mediator",
+        "_state",
+        "action",
+        "alive",
+        "askers",
+        "dropped",
+        "error",
+        "haunted",
+        "inbox",
+        "is_quick",
+        "name",
+        "outbox",
+        "owner",
+        "provider",
+        "receives",
+        "room",
+        "senders",
+        "takers",
+    )
+
+    def __init__(
+        self, action: Behavior | Reaction, mediator: Mediator, name: str
+    ) -> None:
+        self.action = action
+        self.name = name
+        self.room = action.inbox_size if isinstance(action, Behavior) else 0
+        self.haunted = False
+        """Tasks of a run that has ended may be there; they must not speak for it."""
+        self.state = BehaviorState.STARTING
+        self.error: BaseException | None = None
+        self.inbox: list[Any] = []
+        self.outbox: list[Any] = []
+        self.dropped = 0
+        self.senders = FairQueue()
+        self.askers = FairQueue()
+        self.provider: asyncio.Task[Any] | None = None
+        """Makes data for somebody who asks; one at a time."""
+        self.takers: list[asyncio.Future[None]] | None = None
+        self.owner = Owner()
+        self._mediator = mediator
+
+    @property
+    def state(self) -> BehaviorState:
+        """What it is doing."""
+        return self._state
+
+    @state.setter
+    def state(self, state: BehaviorState) -> None:
+        self._state = state
+        self.alive = state in _ALIVE
+        self.is_quick = self.alive and not self.haunted
+        self.receives = state is BehaviorState.RUNNING and self.room > 0
+
+    def check_speaker(self) -> None:
+        """Pass if the code that runs now may act in the name of the behavior.
+
+        Raises:
+            BehaviorRemovedError: It was removed, or has failed for good.
+            NotRegisteredError: The run that the code belongs to has ended.
+        """
+        if not self.alive:
+            raise BehaviorRemovedError(self.name)
+        if speaks_for_nobody():
+            raise NotRegisteredError(self.name, "robot", "this run of it has ended")
+
+    # What the mediator asks.
+
+    @property
+    def has_room(self) -> bool:
+        """Whether the inbox can take another piece of data."""
+        if not self.receives:
+            return False
+        return len(self.inbox) < self.room or self.action.inbox_policy != "reject"  # type: ignore[union-attr]
+
+    @property
+    def can_receive(self) -> bool:
+        """Whether a put is delivered at once."""
+        return not self.senders.count and self.has_room
+
+    @property
+    def can_provide(self) -> bool:
+        """Whether the behavior makes data on demand, now."""
+        action = self.action
+        return (
+            isinstance(action, Behavior)
+            and action.provides
+            and self.state is BehaviorState.RUNNING
+        )
+
+    @property
+    def can_send(self) -> bool:
+        """Whether a get is answered without waiting for a change of state."""
+        return bool(self.outbox) or self.can_provide
+
+    def deliver(self, data: Any) -> None:
+        """Put data into the inbox; there is room, or a policy that makes some."""
+        inbox = self.inbox
+        if len(inbox) >= self.room:
+            drop = len(inbox) if self.action.inbox_policy == "latest" else 1  # type: ignore[union-attr]
+            del inbox[:drop]
+            self.dropped += drop
+        inbox.append(data)
+        self.wake()
+
+    def wake(self) -> None:
+        """Wake one of those that wait in `receive`."""
+        for taker in self.takers or ():
+            if not taker.done():
+                taker.set_result(None)
+                return
+
+    async def make_data(self) -> Any:
+        """Run the behavior's ``provide``, on a thread if it is a plain function."""
+        provide = self.action.provide  # type: ignore[union-attr]
+        if inspect.iscoroutinefunction(provide):
+            return await provide()
+        result: list[Any] = []
+        bridge = Bridge(f"{self.name}_provide", self.owner)
+        await bridge.run(lambda: result.append(provide()))
+        return result[0]
+
+    # What the behavior asks.
+
+    def hand(self, receiver: str, data: Any, interval: float) -> bool:
+        """Hand data over if that takes no wait; tells whether it did."""
+        return self.is_quick and self._mediator.hand(
+            data, self.name, receiver, interval
+        )
+
+    def take(self, sender: str, interval: float) -> Any:
+        """Take data that another has offered; `NOTHING` if that has to be waited for."""
+        return (
+            self._mediator.take(sender, self.name, interval)
+            if self.is_quick
+            else NOTHING
+        )
+
+    def put(
+        self, receiver: str, data: Any, interval: float
+    ) -> Coroutine[Any, Any, None]:
+        """Hand data to another behavior."""
+        self.check_speaker()
+        return self._mediator.put(data, self.name, receiver, interval)
+
+    def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]:
+        """Ask another behavior for data."""
+        self.check_speaker()
+        return self._mediator.get(sender, self.name, interval)
+
+    async def receive(self) -> Any:
+        """Wait for data in the inbox, and take it."""
+        while True:
+            self.check_speaker()  # what a removed one has belongs to the remover
+            if self.inbox:
+                break
+            taker = asyncio.get_running_loop().create_future()
+            if self.takers is None:
+                self.takers = []
+            self.takers.append(taker)
+            try:
+                await taker
+            except asyncio.CancelledError:
+                if self.inbox and not taker.cancelled():
+                    self.wake()  # it was woken in the same tick: wake the next one
+                raise
+            finally:
+                self.takers.remove(taker)
+                if not self.takers:
+                    self.takers = None
+        data = self.inbox.pop(0)
+        if self.senders.count:
+            self._mediator.admit(self)
+        return data
+
+    def offer(self, data: Any) -> None:
+        """Lay data out for whoever asks for it."""
+        self.check_speaker()
+        if self._mediator.offered(self, data):
+            return
+        action = self.action
+        assert isinstance(action, Behavior)
+        if len(self.outbox) >= action.outbox_size:
+            if action.outbox_policy == "reject":
+                raise BusyError(self.name, "outbox_size", action.outbox_size)
+            drop = len(self.outbox) if action.outbox_policy == "latest" else 1
+            del self.outbox[:drop]
+            self.dropped += drop
+        self.outbox.append(data)
