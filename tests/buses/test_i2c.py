@@ -1,240 +1,303 @@
-"""The I²C bus on fake masters."""
+"""The I²C bus: registers, transfers, transactions, and what of them is wrong."""
 
 from __future__ import annotations
 
 import asyncio
-import errno
-import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import pytest
+from smbus2 import i2c_msg
 
 from esair.buses import I2CBus, RegisterLink
 from esair.exceptions import (
     BadValueError,
+    BusyError,
     ConfigError,
     DeviceFaultError,
     DeviceLostError,
-    DriverStuckError,
 )
+from esair.testing import FakeI2c
+from esair.wires import Registers
 
 
-class Master:
-    """A master that selects the chip and transfers in two steps, as the kernel does."""
+class RegistersOnly:
+    """A link with the calls for registers, and no other."""
 
     def __init__(self) -> None:
-        self.address = 0
-        self.wrong = 0
-        self.calls = 0
-        self.failures: list[int] = []
-        self.blocks: threading.Event | None = None
-        self.threads: set[str] = set()
-        self.closed = False
-
-    def _transfer(self, address: int, register: int) -> int:
-        self.calls += 1
-        self.threads.add(threading.current_thread().name)
-        if self.failures:
-            code = self.failures.pop(0)
-            raise OSError(code, os.strerror(code))
-        if self.blocks is not None:
-            self.blocks.wait(5)
-        self.address = address
-        time.sleep(0)  # here another thread may select another chip
-        self.wrong += self.address != address
-        return (address + register) % 256
+        self.chip = Registers(bytes(range(256)))
 
     def read_byte_data(self, i2c_addr: int, register: int) -> int:
-        return self._transfer(i2c_addr, register)
+        return self.chip.read(register, 1)[0]
 
     def write_byte_data(self, i2c_addr: int, register: int, value: int) -> None:
-        self._transfer(i2c_addr, register)
+        self.chip.write(register, bytes([value]))
 
     def read_i2c_block_data(
         self, i2c_addr: int, register: int, length: int
     ) -> list[int]:
-        return [self._transfer(i2c_addr, register) for _ in range(length)]
+        return list(self.chip.read(register, length))
 
     def write_i2c_block_data(
         self, i2c_addr: int, register: int, data: Sequence[int]
     ) -> None:
-        self._transfer(i2c_addr, register)
+        self.chip.write(register, bytes(data))
 
     def close(self) -> None:
-        self.closed = True
+        """Nothing is open."""
 
 
-def bus_of(master: Master, **options: object) -> I2CBus:
-    """Make a bus whose link is a fake."""
-    opener: Callable[[], RegisterLink] = lambda: master  # noqa: E731 - typed
-    return I2CBus(name="body", opener=opener, **options)  # type: ignore[arg-type]
+class Short(RegistersOnly):
+    """A link that loses the last byte of a block."""
+
+    def read_i2c_block_data(
+        self, i2c_addr: int, register: int, length: int
+    ) -> list[int]:
+        return super().read_i2c_block_data(i2c_addr, register, length)[:-1]
 
 
-@pytest.mark.real_clock
-@pytest.mark.fault("I05")
-async def test_no_transfer_reaches_another_chip() -> None:
-    """Address and transfer are never torn apart, however many ask at once."""
-    master = Master()
-    bus = bus_of(master)
+async def test_registers_are_read_and_written(fake_i2c) -> None:
+    """One register and several, each in one transfer that starts at the register."""
+    bus = fake_i2c(chips={0x40: b""})
     await bus.open()
 
-    async def ask(address: int) -> None:
-        for register in range(250):
-            assert await bus.read(address, register) == bytes(
-                [(address + register) % 256]
-            )
+    await bus.write(0x40, 0x10, b"\x01")
+    await bus.write(0x40, 0x11, b"\x02\x03")
 
-    await asyncio.gather(*(ask(address) for address in (0x10, 0x20, 0x30, 0x40)))
-
-    assert master.wrong == 0
-    assert master.calls == 1000
-    assert len(master.threads) == 1
-    await bus.close()
-    assert master.closed
-
-
-@pytest.mark.real_clock
-@pytest.mark.fault("I07")
-async def test_a_transaction_is_not_interrupted() -> None:
-    """Transfers that belong together have nothing of anybody else in between."""
-    order: list[str] = []
-
-    class Noting(Master):
-        def read_byte_data(self, i2c_addr: int, register: int) -> int:
-            order.append(f"{i2c_addr:#x}")
-            time.sleep(0.001)
-            return 0
-
-    bus = bus_of(Noting())
-    await bus.open()
-
-    def thrice(link: RegisterLink, address: int) -> None:
-        for _ in range(3):
-            link.read_byte_data(address, 0)
-
-    await asyncio.gather(
-        bus.transaction(lambda link: thrice(link, 0x10)),
-        bus.transaction(lambda link: thrice(link, 0x20)),
-    )
-
-    assert order == ["0x10"] * 3 + ["0x20"] * 3
+    assert await bus.read(0x40, 0x10, 3) == b"\x01\x02\x03"
+    assert await bus.read(0x40, 0x12) == b"\x03"
+    assert [(each.written, each.read) for each in bus.log] == [
+        (b"\x10\x01", b""),
+        (b"\x11\x02\x03", b""),
+        (b"\x10", b"\x01\x02\x03"),
+        (b"\x12", b"\x03"),
+    ]
+    assert (bus.stats.sent, bus.stats.received, bus.stats.errors) == (2, 2, 0)
     await bus.close()
 
 
-@pytest.mark.virtual_clock
+async def test_a_transfer_writes_then_reads(fake_i2c) -> None:
+    """More than SMBus can do, in one piece; the chip's pointer goes on."""
+    content = bytes(range(256))
+    bus = fake_i2c(chips={0x50: content})
+    await bus.open()
+
+    assert await bus.transfer(0x50, b"\x20", read=40) == content[0x20:0x48]
+    assert await bus.transfer(0x50, read=2) == content[0x48:0x4A]
+    assert await bus.transfer(0x50, b"\x05" + bytes(40)) == b""
+    assert await bus.read(0x50, 0x2C, 2) == b"\x00\x2d"
+    assert await bus.transfer(0x50) == b""
+
+    assert (bus.stats.sent, bus.stats.received) == (3, 3)
+    await bus.close()
+
+
 @pytest.mark.parametrize(
-    ("code", "text"),
+    ("write", "read", "answer"),
     [
-        pytest.param(errno.ENXIO, "does not answer", marks=pytest.mark.fault("I01")),
-        pytest.param(
-            errno.EREMOTEIO, "does not answer", marks=pytest.mark.fault("I01")
-        ),
-        pytest.param(errno.EIO, "failed", marks=pytest.mark.fault("I02")),
-        pytest.param(errno.EBADMSG, "failed", marks=pytest.mark.fault("I02")),
-        pytest.param(errno.ETIMEDOUT, "failed", marks=pytest.mark.fault("I04")),
-        pytest.param(
-            errno.EBUSY, "driver of the kernel", marks=pytest.mark.fault("I06")
-        ),
+        (b"", 0, b""), (b"", 1, b"\x07"), (b"\x10", 0, b""), (b"\x10\x55", 0, b""),
+        (b"\x10\x55\x66", 0, b""), (b"\x10", 1, b"\x10"), (b"\x10", 32, bytes(range(16, 48))),
+        (bytes(33), 0, b""),
     ],
+)  # fmt: skip
+async def test_an_adapter_with_smbus_only_gets_the_call_that_means_the_same(
+    fake_i2c, write: bytes, read: int, answer: bytes
+) -> None:
+    """What is on the wire is what plain I²C would have put there."""
+    logs = []
+    for funcs in (0x0EFF0001, 0x0EFF0000):
+        bus = fake_i2c(chips={0x50: bytes(range(256))})
+        bus.link.funcs = funcs
+        await bus.open()
+        await bus.transfer(0x50, b"\x07")
+        assert await bus.transfer(0x50, write, read) == answer
+        logs.append(bus.log)
+        await bus.close()
+
+    assert logs[0] == logs[1]
+
+
+@pytest.mark.parametrize(
+    ("write", "read"), [(b"", 2), (b"\x01\x02", 1), (bytes(34), 0)]
 )
-async def test_a_failed_transfer_is_a_fault_of_the_device(code: int, text: str) -> None:
-    """It names the chip; it is not repeated, and the bus stays open."""
-    master = Master()
-    bus = bus_of(master, inline=True)
+async def test_what_smbus_cannot_do_is_not_done(fake_i2c, write, read) -> None:
+    """It is a fault that says so, and nothing is on the wire."""
+    bus = fake_i2c(chips={0x50: b""})
+    bus.link.funcs = 0x0EFF0000
     await bus.open()
-    master.failures = [code]
 
-    with pytest.raises(DeviceFaultError, match=text):
-        await bus.read(0x68, 0x75)
+    with pytest.raises(DeviceFaultError, match="SMBus only"):
+        await bus.transfer(0x50, write, read)
 
-    assert master.calls == 1
-    assert bus.is_open
+    assert bus.log == []
     await bus.close()
 
 
 @pytest.mark.virtual_clock
-@pytest.mark.fault("I03")
-async def test_a_lost_arbitration_is_repeated_a_few_times() -> None:
-    """Another master's transfer costs a pause, not the reading."""
-    master = Master()
-    bus = bus_of(master, inline=True)
+async def test_a_link_with_registers_only_has_no_transfers() -> None:
+    """Registers work; anything else names what is missing."""
+    bus = I2CBus(name="body", opener=RegistersOnly, inline=True)
     await bus.open()
 
-    master.failures = [errno.EAGAIN] * 3
-    assert await bus.read(0x68, 0x75) == bytes([0xDD])
-    assert bus.arbitrations == 3
-    master.failures = [errno.EAGAIN] * 9
-    with pytest.raises(DeviceFaultError):
-        await bus.read(0x68, 0x75)
+    assert await bus.read(0x50, 7) == b"\x07"
+    with pytest.raises(DeviceFaultError, match="registers only"):
+        await bus.transfer(0x50, b"\x07", read=1)
+    with pytest.raises(DeviceFaultError, match="registers only"):
+        await bus.scan()
 
-    assert len(master.failures) == 5
     await bus.close()
 
 
 @pytest.mark.virtual_clock
-async def test_an_adapter_that_is_gone_is_a_loss_of_the_bus() -> None:
-    """Everybody on the bus learns of it, not only who asked."""
-    master = Master()
-    bus = bus_of(master, inline=True)
-    told: list[BaseException] = []
-    bus.on_lost(told.append)
+@pytest.mark.fault("D26")
+async def test_a_reading_that_is_too_short_is_a_fault() -> None:
+    """It says how many bytes came."""
+    bus = I2CBus(name="body", opener=Short, inline=True)
     await bus.open()
-    master.failures = [errno.ENODEV]
 
-    with pytest.raises(DeviceLostError):
-        await bus.read(0x68, 0x75)
+    with pytest.raises(DeviceFaultError, match="3 bytes instead of 4"):
+        await bus.read(0x50, 0, 4)
 
-    assert len(told) == 1
-    with pytest.raises(DeviceLostError, match="not open"):
-        await bus.read(0x68, 0x75)
-    await bus.open()
-    assert await bus.read(0x68, 0x75) == bytes([0xDD])
+    assert bus.stats.errors == 1
     await bus.close()
 
 
-@pytest.mark.real_clock
-async def test_a_transfer_that_hangs_costs_its_deadline() -> None:
-    """The event loop goes on; who asked gets an error in time."""
-    master = Master()
-    bus = bus_of(master, timeout=0.05)
+async def test_a_transaction_may_use_messages_of_smbus2(fake_i2c) -> None:
+    """The link is what smbus2's documentation says; two reads, one transaction."""
+    bus = fake_i2c(chips={0x50: bytes(range(256))})
     await bus.open()
-    master.blocks = threading.Event()
-    loop = asyncio.get_running_loop()
-    begin = loop.time()
 
-    with pytest.raises(DriverStuckError):
-        await bus.read(0x68, 0x75)
+    def both(link) -> bytes:
+        first, second = i2c_msg.read(0x50, 2), i2c_msg.read(0x50, 1)
+        link.i2c_rdwr(
+            i2c_msg.write(0x50, [0x30]), first, i2c_msg.write(0x50, [0x60]), second
+        )
+        return bytes(first) + bytes(second)
 
-    assert loop.time() - begin < 0.5
-    master.blocks.set()
+    assert await bus.transaction(both) == b"\x30\x31\x60"
     await bus.close()
 
 
-@pytest.mark.virtual_clock
 @pytest.mark.parametrize(
     ("address", "register", "length", "field"),
     [(0x02, 0, 1, "address"), (0x78, 0, 1, "address"), (0x68, 256, 1, "register"),
-     (0x68, 0, 0, "length"), (0x68, 0, 33, "length")],
+     (0x68, -1, 1, "register"), (0x68, 0, 0, "length"), (0x68, 0, 33, "length")],
 )  # fmt: skip
 async def test_what_is_no_transfer_is_not_made(
-    address: int, register: int, length: int, field: str
+    fake_i2c, address: int, register: int, length: int, field: str
 ) -> None:
     """The error names the part that is wrong."""
-    master = Master()
-    bus = bus_of(master, inline=True)
+    bus = fake_i2c(chips={address: b""})
     await bus.open()
 
     with pytest.raises(BadValueError) as caught:
         await bus.read(address, register, length)
+    assert caught.value.field == field
+    with pytest.raises(BadValueError):
+        await bus.write(address, register, bytes(length))
+
+    assert bus.log == []
+    await bus.close()
+
+
+@pytest.mark.parametrize(
+    ("address", "write", "read", "field"),
+    [(0x02, b"", 1, "address"), (0x50, bytes(8193), 0, "write"), (0x50, b"", -1, "read"),
+     (0x50, b"", 8193, "read")],
+)  # fmt: skip
+async def test_a_transfer_has_an_address_and_a_length(
+    fake_i2c, address, write, read, field
+) -> None:
+    """The error names the part that is wrong."""
+    bus = fake_i2c(chips={address: b""})
+    await bus.open()
+
+    with pytest.raises(BadValueError) as caught:
+        await bus.transfer(address, write, read)
 
     assert caught.value.field == field
-    assert master.calls == 0
     await bus.close()
 
 
 @pytest.mark.real_clock
+@pytest.mark.fault("D21")
+async def test_what_waits_is_bounded() -> None:
+    """One transfer more than the lane takes is refused at once, and counted."""
+    bus = FakeI2c(chips={0x40: b""}, timeout=5.0)
+    await bus.open()
+    bus.stall()
+    waiting = [asyncio.ensure_future(bus.read(0x40, 0)) for _ in range(300)]
+    await asyncio.sleep(0)
+
+    refused = [each for each in waiting if each.done()]
+    assert bus.waiting <= bus.lane.limit
+    bus.resume()
+    done = await asyncio.gather(*waiting, return_exceptions=True)
+
+    busy = [each for each in done if isinstance(each, BusyError)]
+    assert len(refused) == len(busy) == bus.stats.refused > 0
+    assert done.count(b"\x00") + len(busy) == 300
+    assert bus.waiting == 0
+    await bus.close()
+
+
+@pytest.mark.real_clock
+async def test_direct_transfers_are_for_the_buss_own_thread(fake_i2c) -> None:
+    """A plain method of a driver is there; nobody else may go past the queue."""
+    bus = fake_i2c(chips={0x40: {7: 42}})
+    await bus.open()
+
+    def plain() -> Any:
+        return bus.direct(lambda link: link.read_byte_data(0x40, 7))
+
+    assert await bus.lane.call(plain, timeout=5.0) == 42
+    with pytest.raises(RuntimeError, match="thread of the bus"):
+        plain()
+    with pytest.raises(RuntimeError, match="thread of the bus"):
+        await asyncio.to_thread(plain)
+
+    await bus.close()
+    with pytest.raises(DeviceLostError):
+        await bus.lane.call(plain, timeout=5.0)
+    await bus.close()
+    bus.lane.close()
+
+
+@pytest.mark.real_clock
+async def test_a_direct_transfer_that_finds_the_adapter_gone_tells_all(
+    fake_i2c,
+) -> None:
+    """The loss is told in the event loop, whichever thread has found it."""
+    bus = fake_i2c(chips={0x40: {7: 42}})
+    told = asyncio.Event()
+    threads = []
+
+    def hear(_error: BaseException) -> None:
+        threads.append(threading.current_thread())
+        told.set()
+
+    bus.on_lost(hear)
+    await bus.open()
+    bus.unplug(noticed=False)
+
+    def plain() -> Any:
+        return bus.direct(lambda link: link.read_byte_data(0x40, 7), address=0x40)
+
+    with pytest.raises(DeviceLostError):
+        await bus.lane.call(plain, timeout=5.0)
+    async with asyncio.timeout(5.0):
+        await told.wait()
+
+    assert threads == [threading.main_thread()]
+    assert not bus.is_open
+    assert bus.stats.lost == 1
+    await bus.close()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D03")
 async def test_a_bus_that_is_not_there_is_lost() -> None:
     """The kernel's bus is opened in the thread; its error names the bus."""
     bus = I2CBus(name="body", bus=250)
@@ -243,7 +306,40 @@ async def test_a_bus_that_is_not_there_is_lost() -> None:
     await bus.close()
 
 
-def test_a_bus_has_a_number() -> None:
+@pytest.mark.parametrize("place", [-1, "i2c-1", "name:", 1.0, True, None])
+def test_a_bus_has_a_place(place) -> None:
     """Nothing is opened to find out."""
     with pytest.raises(ConfigError, match="dev/i2c"):
-        I2CBus(name="body", bus=-1)
+        I2CBus(name="body", bus=place)
+
+
+@pytest.mark.parametrize("timeout", [0, -1.0, float("inf"), float("nan")])
+def test_a_bus_has_a_deadline(timeout: float) -> None:
+    """Without one, a stuck wire would be waited for."""
+    with pytest.raises(ConfigError, match="timeout"):
+        I2CBus(name="body", timeout=timeout)
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("I07")
+async def test_a_transaction_is_not_interrupted() -> None:
+    """A counter of two registers is never torn, however many advance it."""
+    bus = FakeI2c(chips={0x40: b""}, timeout=5.0)
+    await bus.open()
+
+    def advance(link: RegisterLink) -> int:
+        high, low = (link.read_byte_data(0x40, register) for register in (0, 1))
+        time.sleep(0)
+        value = (high << 8 | low) + 1
+        link.write_byte_data(0x40, 0, value >> 8)
+        link.write_byte_data(0x40, 1, value & 0xFF)
+        return value
+
+    async def work() -> list[int]:
+        return [await bus.transaction(advance, address=0x40) for _ in range(60)]
+
+    found = await asyncio.gather(*(work() for _ in range(5)))
+
+    assert sorted(value for values in found for value in values) == list(range(1, 301))
+    assert await bus.read(0x40, 0, 2) == (300).to_bytes(2, "big")
+    await bus.close()

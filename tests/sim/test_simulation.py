@@ -10,7 +10,6 @@ import pytest
 
 from esair.buses import CanBus, Inbox, SerialBus
 from esair.drivers.mpu6050 import GRAVITY, Mpu6050
-from esair.drivers.nmea import SentenceError, decode_sentence, encode_sentence
 from esair.drivers.wheel_motor import (
     LEFT,
     RIGHT,
@@ -21,6 +20,7 @@ from esair.drivers.wheel_motor import (
     feedback_id,
 )
 from esair.exceptions import ConfigError, DeviceLostError
+from esair.framing import SentenceError, decode_sentence, encode_sentence
 from esair.sim import SimCanBus, SimI2CBus, SimSerialBus, Simulation
 
 Check = Callable[[Simulation], Awaitable[None]]
@@ -28,7 +28,7 @@ Check = Callable[[Simulation], Awaitable[None]]
 
 async def ask(bus: SerialBus, answer: bytes, *question: str | int) -> list[str]:
     """Say a sentence and return the answer."""
-    inbox = bus.lines(answer)
+    inbox = bus.frames(answer)
     await bus.write(encode_sentence(*question))
     fields = decode_sentence(await inbox.take(timeout=1))
     inbox.close()
@@ -49,7 +49,7 @@ async def check_range_finder(simulation: Simulation) -> None:
     assert await ask(bus, b"$RFIAM", "RFWHO") == ["RFIAM", "fan41", "1.0"]
     assert await ask(bus, b"$RFACK", "RFRTE", 20) == ["RFACK", "RTE", "20"]
     assert await ask(bus, b"$RFNAK", "RFRTE", 21) == ["RFNAK", "RFRTE"]
-    inbox = bus.lines(b"$RFSWP")
+    inbox = bus.frames(b"$RFSWP")
     first = decode_sentence(await inbox.take(timeout=1))
     second = decode_sentence(await inbox.take(timeout=1))
 
@@ -66,7 +66,7 @@ async def check_bumper(simulation: Simulation) -> None:
     """It speaks ten times a second, and at once when something is touched."""
     bus = SimSerialBus(name="skirt", line="skirt")
     await bus.open()
-    inbox = bus.lines(b"$BMSTA")
+    inbox = bus.frames(b"$BMSTA")
 
     assert await ask(bus, b"$BMIAM", "BMWHO") == ["BMIAM", "skirt2", "1.0"]
     assert decode_sentence(await inbox.take(timeout=1))[2:] == ["0", "0"]
@@ -129,7 +129,7 @@ async def check_unplug(simulation: Simulation) -> None:
     """A pulled cable is a loss; the same bus finds the device when it is back."""
     bus = SimSerialBus(name="front")
     await bus.open()
-    inbox = bus.lines()
+    inbox = bus.frames()
     told: list[BaseException] = []
     bus.on_lost(told.append)
     await inbox.take(timeout=1)

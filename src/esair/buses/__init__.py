@@ -11,19 +11,27 @@ from esair.buses._bus import Bus
 from esair.buses._stats import BusStats
 
 if TYPE_CHECKING:
-    from esair.buses._can import CanBus, Frame, FrameLink, python_can
-    from esair.buses._i2c import I2CBus, RegisterLink
+    from esair.buses._can import CanBus
+    from esair.buses._can_errors import CanState
+    from esair.buses._can_frame import Frame, FrameKind, FrameLink
+    from esair.buses._i2c import I2CBus
+    from esair.buses._i2c_link import MessageLink, RegisterLink
     from esair.buses._inbox import Inbox
-    from esair.buses._serial import SerialBus, SerialLink
+    from esair.buses._python_can import python_can
+    from esair.buses._serial import SerialBus
+    from esair.buses._serial_line import SerialLink
 
 __all__ = [
     "Bus",
     "BusStats",
     "CanBus",
+    "CanState",
     "Frame",
+    "FrameKind",
     "FrameLink",
     "I2CBus",
     "Inbox",
+    "MessageLink",
     "RegisterLink",
     "SerialBus",
     "SerialLink",
@@ -32,14 +40,17 @@ __all__ = [
 
 _HOME = {
     "CanBus": "_can",
-    "Frame": "_can",
-    "FrameLink": "_can",
+    "CanState": "_can_errors",
+    "Frame": "_can_frame",
+    "FrameKind": "_can_frame",
+    "FrameLink": "_can_frame",
     "I2CBus": "_i2c",
     "Inbox": "_inbox",
-    "RegisterLink": "_i2c",
+    "MessageLink": "_i2c_link",
+    "RegisterLink": "_i2c_link",
     "SerialBus": "_serial",
-    "SerialLink": "_serial",
-    "python_can": "_can",
+    "SerialLink": "_serial_line",
+    "python_can": "_python_can",
 }
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import abc
 import asyncio
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Hashable
 from typing import TypeVar
 
 from esair.buses._stats import BusStats
@@ -14,6 +15,9 @@ from esair.messages import check_name
 
 T = TypeVar("T")
 
+LOOK_TIMEOUT = 1.0
+"""How long a bus looks what is there before it opens it, in seconds."""
+
 
 class Bus(abc.ABC):
     """A wire that several devices share.
@@ -22,9 +26,18 @@ class Bus(abc.ABC):
     and, if it can know it, `arrived` when it is there again. Everything else (opening
     once for all, reopening when a device asks for it after a loss) is here.
 
+    A subclass that can say what is there now, without opening it, sets ``_presence``
+    to a function that does: it returns None if nothing is there, and another value
+    for another arrival. It blocks, and is called in threads. While the wire is gone
+    and a device waits for it, `esair.discovery.watch` looks, and `arrived` is called
+    as soon as something new is there. A wire that is there but cannot be opened, being
+    busy, is no arrival; that its permissions have changed is one, if the value says so.
+
     Args:
         name: The name of the bus in errors, threads and the configuration.
     """
+
+    _presence: Callable[[], Hashable | None] | None = None
 
     def __init__(self, *, name: str) -> None:
         self.name = check_name("bus", name)
@@ -38,6 +51,11 @@ class Bus(abc.ABC):
         self._opening: asyncio.Task[None] | None = None
         self._on_lost: list[Callable[[BaseException], None]] = []
         self._on_arrival: list[Callable[[], None]] = []
+        self._seen_first: Hashable | None = None
+        """What was there before the newest opening."""
+        self._is_missed = False
+        """Whether it is to be opened again: it was lost, or could not be opened."""
+        self._end_of_watch: Callable[[], None] | None = None
 
     @abc.abstractmethod
     async def _open(self) -> None:
@@ -58,22 +76,55 @@ class Bus(abc.ABC):
         await asyncio.shield(self._opening)
 
     async def _open_once(self) -> None:
+        task = asyncio.current_task()
+        assert task is not None
         try:
+            self._seen_first = await self._look_first()
             await self._open()
         except Exception as error:
             self._note(error)
+            self._is_missed = not task.cancelling()
             raise
         else:
             self.is_open = True
             self.error = None
+            self._is_missed = False
             self.stats.opened += 1
         finally:
             self._opening = None
+            self._keep_watch()
+
+    async def _look_first(self) -> Hashable | None:
+        """Look what is there, before it is opened: what comes later is an arrival."""
+        if self._presence is None or self.lane.stuck_since is not None:
+            return None
+        try:
+            return await self.lane.call(self._presence, timeout=LOOK_TIMEOUT)
+        except Exception:  # what it cannot see is not there
+            return None
+
+    def _keep_watch(self) -> None:
+        """Look out for the wire while somebody waits for it, and only then."""
+        presence = self._presence
+        if presence is None or not self._is_missed or not self._on_arrival:
+            end, self._end_of_watch = self._end_of_watch, None
+            if end is not None:
+                end()
+        elif self._end_of_watch is None:
+            from esair.discovery import watch  # only when something is missing
+
+            # Without a thread or a descriptor left the devices still try by themselves.
+            with contextlib.suppress(OSError, RuntimeError):
+                self._end_of_watch = watch(
+                    presence, self.arrived, seen=self._seen_first
+                )
 
     async def close(self) -> None:
         """Close the bus and end its thread."""
         if self._opening is not None:
             self._opening.cancel()
+        self._is_missed = False
+        self._keep_watch()
         was_open, self.is_open = self.is_open, False
         if was_open or self.error is not None:
             await self._close()
@@ -93,15 +144,24 @@ class Bus(abc.ABC):
 
         Returns how to stop that.
         """
-        return _listen(self._on_arrival, listener)
+        forget = _listen(self._on_arrival, listener)
+        self._keep_watch()
+
+        def forget_and_rest() -> None:
+            forget()
+            self._keep_watch()
+
+        return forget_and_rest
 
     def lost(self, error: BaseException) -> None:
-        """Tell everybody on the bus, once, that the wire is gone."""
+        """Tell everybody on the bus, once, that the wire is gone. In the event loop."""
         if not self.is_open:
             return
         self.is_open = False
+        self._is_missed = True
         self.stats.lost += 1
         self._note(error)
+        self._keep_watch()
         for listener in tuple(self._on_lost):
             listener(error)
 

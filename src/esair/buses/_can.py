@@ -1,68 +1,51 @@
-"""CAN buses. The only module that knows python-can."""
+"""CAN buses, whatever package or wire is behind them."""
 
 from __future__ import annotations
 
 import asyncio
-import collections
-import contextlib
-import threading
-from collections.abc import Awaitable, Callable
-from typing import Any, NamedTuple, Protocol
+import functools
+from collections.abc import Callable, Hashable
+from typing import Any, Final, Literal
 
 from esair.buses._bus import Bus
+from esair.buses._can_errors import CanState, ErrorFrame, decode_error
+from esair.buses._can_frame import (
+    EXTENDED,
+    Frame,
+    FrameKind,
+    FrameLink,
+    FrameOpener,
+    check_data,
+    key_of,
+)
+from esair.buses._can_inbox import FrameInbox, NewestInbox
 from esair.buses._inbox import Inbox
 from esair.exceptions import (
     BadValueError,
     BusyError,
     ConfigError,
+    DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
+    EsairError,
     describe,
 )
-from esair.loop import Lane
-
-OPEN_TIMEOUT = 5.0
-"""How long opening an interface may take, in seconds."""
-
-POLL_PERIOD = 0.1
-"""How often a reading thread looks whether it should end, in seconds."""
 
 RETRY_PERIOD = 0.001
 """The first pause before a frame is offered again to a full queue, in seconds."""
 
-_BUS_OFF = 0x40  # the class of an error frame, linux/can/error.h
+LONGEST_RETRY_PERIOD = 0.02
+"""The longest pause before a frame is offered again, in seconds."""
 
+WAITING_LIMIT = 256
+"""How many frames, each with another id, may wait for room."""
 
-class Frame(NamedTuple):
-    """One CAN frame.
-
-    Attributes:
-        id: The arbitration id.
-        data: 0 to 8 bytes; up to 64 with CAN FD.
-        extended: Whether the id has 29 bits.
-        time: When it was received, on the event loop's clock; 0.0 if it is sent.
-    """
-
-    id: int
-    data: bytes
-    extended: bool = False
-    time: float = 0.0
-
-
-class FrameLink(Protocol):
-    """One node on a CAN bus."""
-
-    async def send(self, frame: Frame) -> bool:
-        """Hand a frame to the bus; False if its queue is full just now."""
-
-    async def close(self) -> None:
-        """Leave the bus; takes a limited time."""
-
-
-FrameOpener = Callable[
-    [Callable[[Frame], None], Callable[[Exception], None]], Awaitable[FrameLink]
-]
-"""Opens a node; gets a function for each frame and one for the loss of the bus."""
+_LOST_WHEN: Final = {
+    "warning": CanState.WARNING,
+    "passive": CanState.PASSIVE,
+    "bus_off": CanState.BUS_OFF,
+}
+_DATA = FrameKind.DATA
 
 
 class CanBus(Bus):
@@ -73,20 +56,26 @@ class CanBus(Bus):
     controller's queue has no room for is offered again until its deadline, or until
     a newer frame with the same id makes it obsolete.
 
+    Only frames that somebody listens to reach this process, where the interface can
+    choose (SocketCAN); the others cost nothing and are not counted.
+
+    A controller that goes bus-off is a loss, and one that has been restarted is too,
+    whoever did that (``restart-ms``): what is on the bus must be opened again, and gets
+    no command but a fresh one. There is no way to have the kernel or python-can repeat
+    a frame by itself: it would keep the last motion alive while this process hangs.
+
     Args:
         name: The name of the bus.
         interface: What python-can calls it, such as ``socketcan`` or ``virtual``.
         channel: Which of them, such as ``can0``.
         send_timeout: How long a frame may wait for room unless it says otherwise,
             in seconds.
+        fd: Whether frames may have up to 64 bytes, which the interface must be set
+            up for.
+        lost_when: At which state of the controller the bus counts as lost. Short of
+            bus-off it works on; `on_state` tells.
         opener: Opens something else than an interface, such as a wire in memory.
         **options: Further options of ``can.Bus``, such as ``bitrate=500_000``.
-
-    Attributes:
-        unheard: How many frames nobody listened to.
-        errors: How many error frames came.
-        overrun: How many frames were thrown away because they came too fast.
-        obsolete: How many frames were not sent because a newer one was there.
     """
 
     def __init__(
@@ -96,6 +85,8 @@ class CanBus(Bus):
         interface: str = "socketcan",
         channel: str = "",
         send_timeout: float = 0.1,
+        fd: bool = False,
+        lost_when: Literal["warning", "passive", "bus_off"] = "bus_off",
         opener: FrameOpener | None = None,
         **options: Any,
     ) -> None:
@@ -104,40 +95,91 @@ class CanBus(Bus):
             raise ConfigError(
                 name, "channel", "expected the name of a channel, such as 'can0'"
             )
+        if lost_when not in _LOST_WHEN:
+            raise ConfigError(
+                name,
+                "lost_when",
+                f"expected 'warning', 'passive' or 'bus_off', not {lost_when!r:.80}",
+            )
         self.interface = interface
         self.channel = channel
         self.send_timeout = send_timeout
-        self.unheard = 0
-        self.errors = 0
-        self.overrun = 0
-        self.obsolete = 0
-        self._opener = opener or python_can(
-            interface, channel, lane=self.lane, owner=self, **options
-        )
+        self.fd = fd
+        self._lost_when = _LOST_WHEN[lost_when]
+        self._state = CanState.ACTIVE
+        self._on_state: list[Callable[[CanState], None]] = []
+        self._opener = opener or functools.partial(self._open_interface, options)
+        self._of_kernel = opener is None and interface == "socketcan"
+        if self._of_kernel:
+            self._presence = self._look
         self._link: FrameLink | None = None
+        self._leaving: asyncio.Task[None] | None = None
         self._epoch = 0
-        self._by_id: dict[int, tuple[Inbox[Frame], ...]] = {}
-        self._newest: dict[int, int] = {}
-        self._sent = 0
+        self._lost_in_opening: Exception | None = None
+        self._by_key: dict[int, tuple[FrameInbox, ...]] = {}
+        self._waiting: dict[int, _Waiting] = {}
+        self._unacknowledged = False
 
-    def frames(self, *ids: int, limit: int = 16) -> Inbox[Frame]:
-        """Listen to the frames with some ids.
+    @property
+    def state(self) -> CanState:
+        """The state of the controller, as it was told last."""
+        return self._state
+
+    @property
+    def waiting(self) -> int:
+        """How many frames wait for room."""
+        return len(self._waiting) + self.lane.waiting
+
+    def on_state(self, listener: Callable[[CanState], None]) -> Callable[[], None]:
+        """Call a function when the controller enters another state.
+
+        Returns how to stop that.
+        """
+        self._on_state.append(listener)
+
+        def forget() -> None:
+            if listener in self._on_state:
+                self._on_state.remove(listener)
+
+        return forget
+
+    def frames(
+        self,
+        *ids: int,
+        extended: bool = False,
+        length: int | None = None,
+        limit: int = 16,
+        newest: bool = False,
+    ) -> Inbox[Frame]:
+        """Listen to the data frames with some ids.
 
         Args:
             *ids: Arbitration ids.
+            extended: Whether these are ids of 29 bits; a standard id with the same
+                number is another one.
+            length: How many bytes they must have; others are counted as bad frames.
             limit: How many are kept until they are taken; then the newest win.
+            newest: Whether to keep only the newest frame of each id, instead.
 
         Raises:
             DeviceLostError: The bus is not open.
+            BadValueError: There is no id, or one that is none.
         """
         self._connected()
-        if not ids:
+        keys = [key_of(self.name, each, extended=extended) for each in ids]
+        keys = list(dict.fromkeys(keys))
+        if not keys:
             raise BadValueError(
                 self.name, "ids", "expected at least one id to listen to"
             )
-        inbox: Inbox[Frame] = Inbox(limit, self._forget)
-        for number in ids:
-            self._by_id[number] = (*self._by_id.get(number, ()), inbox)
+        inbox = (
+            NewestInbox(len(keys), self._forget, stats=self.stats, length=length)
+            if newest
+            else FrameInbox(limit, self._forget, stats=self.stats, length=length)
+        )
+        for key in keys:
+            self._by_key[key] = (*self._by_key.get(key, ()), inbox)
+        self._choose()
         return inbox
 
     async def send(
@@ -148,66 +190,105 @@ class CanBus(Bus):
         extended: bool = False,
         timeout: float | None = None,
     ) -> None:
-        """Send a frame.
+        """Send a frame: hand it to the controller, which sends it when the bus is free.
 
         Args:
             id: The arbitration id.
-            data: Its 0 to 8 bytes.
+            data: Its 0 to 8 bytes; up to 64 with CAN FD.
             extended: Whether the id has 29 bits.
             timeout: How long to wait for room, in seconds; ``send_timeout`` if None.
 
         Raises:
             BadValueError: The id or the data are not those of a frame.
             DeviceLostError: The bus is gone.
-            BusyError: A newer frame with this id is waiting; this one was not sent.
+            BusyError: A newer frame with this id was given, or too many frames wait;
+                this one was not sent.
+            DeviceFaultError: There was no room in time, and no other node acknowledges;
+                it was not sent. Or the interface does not take such a frame.
             DriverStuckError: There was no room in time; it was not sent.
         """
         link = self._connected()
-        if not 0 <= id < (1 << 29 if extended else 1 << 11):
-            raise BadValueError(self.name, "id", f"expected a CAN id, not {id!r:.80}")
-        if len(data) > 64:
-            raise BadValueError(
-                self.name, "data", f"expected 64 bytes at most, not {len(data)}"
-            )
-        self._sent += 1
-        mine = self._newest[id] = self._sent
-        frame = Frame(id, bytes(data), extended)
+        key = key_of(self.name, id, extended=extended)
+        if type(data) is not bytes or len(data) > 8:
+            check_data(self.name, data, fd=self.fd)
+            data = bytes(data)
+        frame = Frame(id, data, extended)
+        seconds = self.send_timeout if timeout is None else timeout
+        if self._waiting:
+            older = self._waiting.pop(key, None)
+            if older is not None:
+                older.obsolete = True
         try:
-            if await link.send(frame):
-                return
-            await self._send_again(link, frame, mine, timeout)
+            if not await link.send(frame, seconds):
+                await self._send_again(link, key, frame, seconds)
+        except EsairError as error:
+            self._count(error)
+            raise
         except OSError as error:
-            if isinstance(error, DeviceLostError | DriverStuckError):
-                raise
             loss = DeviceLostError(self.name, describe(error))
-            self._gone(self._epoch, loss)
+            loss.__cause__ = error
+            if self._link is link:
+                self._gone(self._epoch, loss)
             raise loss from error
-        finally:
-            if self._newest.get(id) == mine:
-                del self._newest[id]
+        self.stats.sent += 1
 
     async def _send_again(
-        self, link: FrameLink, frame: Frame, mine: int, timeout: float | None
+        self, link: FrameLink, key: int, frame: Frame, seconds: float
     ) -> None:
+        if len(self._waiting) >= WAITING_LIMIT:
+            raise BusyError(
+                f"bus {self.name}", "number of waiting frames", WAITING_LIMIT
+            )
+        older = self._waiting.get(key)
+        if older is not None:
+            older.obsolete = True
+        mine = self._waiting[key] = _Waiting()
+        heard = self.stats.received
         loop = asyncio.get_running_loop()
-        seconds = self.send_timeout if timeout is None else timeout
         give_up = loop.time() + seconds
         pause = RETRY_PERIOD
-        while loop.time() < give_up:
-            await asyncio.sleep(min(pause, max(0.0, give_up - loop.time())))
-            pause = min(2 * pause, 0.02)
-            if self._newest.get(frame.id) != mine:
-                self.obsolete += 1
-                raise BusyError(
-                    f"bus {self.name}", f"frames waiting with id {frame.id:#x}", 1
-                )
-            if self._link is not link:
-                raise DeviceLostError(
-                    self.name, "the bus was lost while a frame waited"
-                )
-            if await link.send(frame):
-                return
+        try:
+            while (left := give_up - loop.time()) > 0:
+                await asyncio.sleep(min(pause, left))
+                pause = min(2 * pause, LONGEST_RETRY_PERIOD)
+                if mine.obsolete:
+                    raise BusyError(
+                        f"bus {self.name}", f"frames waiting with id {frame.id:#x}", 1
+                    )
+                if self._link is not link:
+                    raise DeviceLostError(
+                        self.name, "the bus was lost while a frame waited"
+                    )
+                left = give_up - loop.time()
+                if left <= 0:
+                    break
+                self.stats.retries += 1
+                if await link.send(frame, max(RETRY_PERIOD, left)):
+                    return
+        finally:
+            if self._waiting.get(key) is mine:
+                del self._waiting[key]
+        self.stats.discarded += 1
+        if self._unacknowledged:
+            raise DeviceFaultError(
+                self.name,
+                f"no other node acknowledges, for {seconds:g} s: is one on the bus, "
+                "switched on, with the same bit rate?",
+            )
+        if self.stats.received == heard:
+            raise DeviceFaultError(
+                self.name,
+                f"no frame was sent for {seconds:g} s, and none came: no other node "
+                "acknowledges; is one on the bus, switched on, with the same bit rate?",
+            )
         raise DriverStuckError(self.name, "send", seconds)
+
+    def _count(self, error: EsairError) -> None:
+        if isinstance(error, BusyError):
+            self.stats.refused += 1
+        elif isinstance(error, DeviceFaultError | DriverStuckError):
+            self.stats.errors += 1
+            self.stats.last_error = describe(error)
 
     def _connected(self) -> FrameLink:
         if not self.is_open or self._link is None:
@@ -215,245 +296,182 @@ class CanBus(Bus):
         return self._link
 
     def _forget(self, inbox: Inbox[Frame]) -> None:
-        for number, inboxes in tuple(self._by_id.items()):
+        for key, inboxes in tuple(self._by_key.items()):
             rest = tuple(other for other in inboxes if other is not inbox)
             if rest:
-                self._by_id[number] = rest
+                self._by_key[key] = rest
             else:
-                del self._by_id[number]
+                del self._by_key[key]
+        self._choose()
+
+    def _choose(self) -> None:
+        if self._link is None:
+            return
+        try:
+            self._link.listen(self._by_key.keys())
+        except OSError as error:
+            self._gone(self._epoch, error)
 
     async def _open(self) -> None:
         await self._close()  # what a loss has left behind
         self._epoch += 1
         epoch = self._epoch
+        self._lost_in_opening = None
+        self._unacknowledged = False
         try:
-            self._link = await self._opener(
+            link = await self._opener(
                 self._received, lambda error: self._gone(epoch, error)
             )
+        except EsairError:
+            raise
         except OSError as error:
             where = f"{self.interface} {self.channel}".strip()
             detail = f"{where} cannot be opened: {describe(error)}"
             raise DeviceLostError(self.name, detail) from error
+        lost = self._lost_in_opening
+        if lost is None and link.state >= self._lost_when:
+            lost = self._in_bad_state(link.state)
+        if lost is not None:
+            self._epoch += 1
+            await link.close()
+            raise lost
+        self._link = link
+        self._enter(link.state)
+
+    async def _open_interface(
+        self,
+        options: dict[str, Any],
+        received: Callable[[Frame], None],
+        gone: Callable[[Exception], None],
+    ) -> FrameLink:
+        from esair.buses._python_can import python_can
+
+        opener = python_can(
+            self.interface,
+            self.channel,
+            lane=self.lane,
+            stats=self.stats,
+            fd=self.fd,
+            **options,
+        )
+        return await opener(received, gone)
 
     async def _close(self) -> None:
         self._epoch += 1
         link, self._link = self._link, None
         self._fail_listeners(DeviceLostError(self.name, "the bus was closed"))
+        if self._leaving is not None:
+            await asyncio.wait({self._leaving})
         if link is not None:
             await link.close()
 
     def _received(self, frame: Frame) -> None:
-        inboxes = self._by_id.get(frame.id)
-        if inboxes is None:
-            self.unheard += 1
+        inboxes = self._by_key.get(frame.id | EXTENDED if frame.extended else frame.id)
+        if frame.kind is not _DATA or inboxes is None:
+            self._unusual(frame, heard=inboxes is not None)
             return
+        self.stats.received += 1
+        self._unacknowledged = False
         for inbox in inboxes:
             inbox.offer(frame)
+
+    def _unusual(self, frame: Frame, *, heard: bool) -> None:
+        if frame.kind is FrameKind.ERROR:
+            self._heed(decode_error(frame.id, frame.data))
+            return
+        self.stats.received += 1
+        self._unacknowledged = False
+        if heard:  # a remote frame where data are expected
+            self.stats.bad_frames += 1
+        else:
+            self.stats.unheard += 1
+
+    def _heed(self, error: ErrorFrame) -> None:
+        stats = self.stats
+        stats.errors += 1
+        stats.last_error = error.text
+        if error.overflow:
+            stats.dropped += 1
+        if error.unacknowledged:
+            self._unacknowledged = True
+        if error.state is None:
+            return
+        self._enter(error.state)
+        if error.restarted:
+            self._gone(self._epoch, DeviceLostError(self.name, error.text))
+        elif error.state >= self._lost_when:
+            self._gone(self._epoch, self._in_bad_state(error.state))
+
+    def _enter(self, state: CanState) -> None:
+        if state is self._state:
+            return
+        self._state = state
+        for listener in tuple(self._on_state):
+            try:
+                listener(state)
+            except Exception as error:  # it must not take the bus down
+                asyncio.get_running_loop().call_exception_handler(
+                    {
+                        "message": f"a listener of bus {self.name} failed",
+                        "exception": error,
+                    }
+                )
+
+    def _in_bad_state(self, state: CanState) -> DeviceLostError:
+        if state is CanState.BUS_OFF:
+            set_up = f"ip link set {self.channel} down; ip link set {self.channel} up"
+            how = f" ({set_up})" if self._of_kernel else ""
+            return DeviceLostError(
+                self.name, f"the controller is bus-off: it must be started again{how}"
+            )
+        word = state.name.lower()
+        return DeviceLostError(
+            self.name, f"the controller is error-{word}, as lost_when says"
+        )
 
     def _gone(self, epoch: int, error: Exception) -> None:
         if epoch != self._epoch:
             return
-        self._epoch += 1
         loss = error
         if not isinstance(error, DeviceLostError):
             loss = DeviceLostError(self.name, describe(error))
             loss.__cause__ = error
+        if not self.is_open:
+            self._lost_in_opening = self._lost_in_opening or loss
+            return
+        self._epoch += 1
+        link, self._link = self._link, None
+        if link is not None:  # hear nothing more, hold nothing any longer
+            self._leaving = asyncio.get_running_loop().create_task(
+                self._leave(link), name=f"leave bus {self.name}"
+            )
         self._fail_listeners(loss)
         self.lost(loss)
 
+    async def _leave(self, link: FrameLink) -> None:
+        try:
+            await link.close()
+        except Exception as error:  # it is gone anyway
+            self.stats.last_error = describe(error)
+        finally:
+            self._leaving = None
+
     def _fail_listeners(self, error: Exception) -> None:
-        by_id, self._by_id = self._by_id, {}
-        for inboxes in by_id.values():
+        by_key, self._by_key = self._by_key, {}
+        for inboxes in by_key.values():
             for inbox in inboxes:
                 inbox.fail(error)
 
+    def _look(self) -> Hashable | None:
+        from esair.buses._can_interface import is_there
 
-def python_can(
-    interface: str,
-    channel: str,
-    *,
-    lane: Lane,
-    owner: CanBus | None = None,
-    **options: Any,
-) -> FrameOpener:
-    """Return what opens a node of one of python-can's interfaces.
-
-    Args:
-        interface: What python-can calls it.
-        channel: Which of them.
-        lane: The thread for the calls that may block.
-        owner: The bus that counts error frames and frames thrown away.
-        **options: Further options of ``can.Bus``.
-    """
-
-    async def opener(
-        received: Callable[[Frame], None], gone: Callable[[Exception], None]
-    ) -> FrameLink:
-        node = _Node(lane, owner, received, gone)
-        await node.open(interface, channel, options)
-        return node
-
-    return opener
+        return is_there(self.channel)
 
 
-class _Node:
-    """A node of python-can.
+class _Waiting:
+    """A frame that waits for room, until a newer one makes it obsolete."""
 
-    Where the interface has a descriptor, the event loop watches it and frames are
-    sent from the loop, without waiting. Where it has none (``virtual``, ``pcan``) one
-    thread reads, the bus's lane sends, and neither is python-can's own Notifier,
-    which goes silent after an error (python-can#1865).
-    """
+    __slots__ = ("obsolete",)
 
-    inbox_limit = 1024
-
-    def __init__(
-        self,
-        lane: Lane,
-        owner: CanBus | None,
-        received: Callable[[Frame], None],
-        gone: Callable[[Exception], None],
-    ) -> None:
-        self._lane = lane
-        self._owner = owner
-        self._received = received
-        self._gone = gone
-        self._loop = asyncio.get_running_loop()
-        self._bus: Any = None
-        self._fd = -1
-        self._closed = False
-        self._incoming: collections.deque[Frame] = collections.deque(
-            maxlen=self.inbox_limit
-        )
-        self._announced = False
-        self._reader: threading.Thread | None = None
-
-    async def open(self, interface: str, channel: str, options: dict[str, Any]) -> None:
-        try:
-            self._bus = await self._lane.call(
-                self._make, interface, channel, options, timeout=OPEN_TIMEOUT
-            )
-        except BaseException:
-            self._closed = True  # a bus that opens later is shut again
-            raise
-        with contextlib.suppress(Exception):  # several interfaces have none
-            self._fd = self._bus.fileno()
-        if self._fd >= 0:
-            self._loop.add_reader(self._fd, self._readable)
-            return
-        self._reader = threading.Thread(
-            target=self._read, name=f"esair-{self._lane.name}-reader", daemon=True
-        )
-        self._reader.start()
-
-    async def send(self, frame: Frame) -> bool:
-        if self._closed:
-            raise ConnectionError("the node is closed")
-        if self._fd >= 0:
-            return self._send(frame)
-        return await self._lane.call(self._send, frame, timeout=1.0)
-
-    async def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        if self._fd >= 0:
-            self._loop.remove_reader(self._fd)
-            self._fd = -1
-        with contextlib.suppress(DriverStuckError, BusyError):
-            await self._lane.call(self._shut, timeout=1.0)
-
-    def _make(self, interface: str, channel: str, options: dict[str, Any]) -> Any:
-        import can
-
-        try:
-            bus = can.Bus(channel=channel, interface=interface, **options)
-        except (can.CanError, OSError, ImportError) as error:
-            raise ConnectionError(describe(error)) from error
-        if self._closed:
-            bus.shutdown()
-        return bus
-
-    def _send(self, frame: Frame) -> bool:
-        import can
-
-        message = can.Message(
-            arbitration_id=frame.id,
-            data=frame.data,
-            is_extended_id=frame.extended,
-            is_fd=len(frame.data) > 8,
-        )
-        try:
-            self._bus.send(message, timeout=0)
-        except can.CanError as error:
-            # ENOBUFS has a number; "Transmit buffer full" and a full queue have none.
-            if error.error_code in {None, 11, 105}:
-                return False
-            raise ConnectionError(describe(error)) from error
-        return True
-
-    def _readable(self) -> None:
-        for _ in range(64):  # a flood must not keep the loop
-            try:
-                message = self._bus.recv(timeout=0)
-            except Exception as error:
-                self._loop.remove_reader(self._fd)
-                self._gone(error)
-                return
-            if message is None:
-                return
-            frame = self._checked(message)
-            if frame is not None:
-                self._received(frame)
-
-    def _read(self) -> None:
-        while not self._closed:
-            try:
-                message = self._bus.recv(timeout=POLL_PERIOD)
-                frame = None if message is None else self._checked(message)
-            except Exception as error:
-                self._call(self._gone_in_loop, error)
-                return
-            if frame is None:
-                continue
-            if len(self._incoming) == self.inbox_limit and self._owner is not None:
-                self._owner.overrun += 1
-            self._incoming.append(frame)
-            if not self._announced:
-                self._announced = True
-                self._call(self._take)
-
-    def _take(self) -> None:
-        self._announced = False
-        while self._incoming and not self._closed:
-            self._received(self._incoming.popleft())
-
-    def _gone_in_loop(self, error: Exception) -> None:
-        if not self._closed:
-            self._gone(error)
-
-    def _checked(self, message: Any) -> Frame | None:
-        if message.is_error_frame:
-            if self._owner is not None:
-                self._owner.errors += 1
-            if message.arbitration_id & _BUS_OFF:
-                raise ConnectionError("the controller went bus-off")
-            return None
-        if message.is_remote_frame:
-            return None
-        return Frame(
-            message.arbitration_id,
-            bytes(message.data),
-            message.is_extended_id,
-            self._loop.time(),
-        )
-
-    def _call(self, function: Callable[..., None], *args: Any) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop is closed
-            self._loop.call_soon_threadsafe(function, *args)
-
-    def _shut(self) -> None:
-        if self._reader is not None:
-            self._reader.join(2 * POLL_PERIOD)
-        with contextlib.suppress(Exception):  # whatever it says, nobody can act on it
-            self._bus.shutdown()
+    def __init__(self) -> None:
+        self.obsolete = False

@@ -1,84 +1,70 @@
-"""Serial lines. The only module that knows pyserial and pyserial-asyncio."""
+"""Serial lines: framed messages that several devices share."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import os
-import select
-import threading
-import time
-from collections.abc import Awaitable, Callable
-from typing import Any, Protocol
+import logging
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from esair.buses._bus import Bus
+from esair.buses._framing import make_framing, resync_bytes
 from esair.buses._inbox import Inbox, within
+from esair.buses._serial_line import Line, SerialLink, SerialOpener
+from esair.buses._serial_port import Opening, Port, SerialPlace, close_port, open_link
+from esair.buses._turns import Turns
 from esair.exceptions import (
     BusyError,
     ConfigError,
+    DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
     describe,
 )
+from esair.framing import Framing
+from esair.loop import spawn
 
-OPEN_TIMEOUT = 2.0
-"""How long opening a port may take, in seconds."""
+ASK_LIMIT = 32
+"""How many exchanges may wait for their turn on one line."""
 
-DRAIN_TIMEOUT = 0.2
-"""How long a close waits for bytes that the kernel still holds, in seconds."""
-
-
-class SerialLink(Protocol):
-    """One end of a serial line; pyserial-asyncio's transport is one."""
-
-    def write(self, data: bytes) -> None:
-        """Take bytes and send them when the line takes them; never waits."""
-
-    def get_write_buffer_size(self) -> int:
-        """Return how many bytes the line has not taken yet."""
-
-    def set_write_buffer_limits(
-        self, high: int | None = None, low: int | None = None
-    ) -> None:
-        """Say above and below how many bytes the protocol is told."""
-
-    def flush(self) -> None:
-        """Throw the bytes away that the line has not taken yet."""
-
-    def is_closing(self) -> bool:
-        """Return whether the line was let go."""
-
-    def abort(self) -> None:
-        """Let the line go at once; what it has not taken is thrown away."""
-
-
-SerialOpener = Callable[[asyncio.Protocol], Awaitable[SerialLink]]
+_log = logging.getLogger("esair")
 
 
 class SerialBus(Bus):
-    """A serial line, and the lines of text or frames on it.
+    """A serial line, and the messages on it.
 
     Several devices may share it: each listens with a prefix of its own and writes
     whole messages, which are never mixed. Nothing here ever blocks the event loop:
     the port is opened and closed on the bus's thread, exclusively, and a device that
-    stops taking bytes costs the writer its deadline and nobody else anything.
+    stops taking bytes costs the writer its deadline and nobody else anything. After a
+    message that was cut, because time was up or the line was lost, the next one begins
+    with a delimiter if the framing has one, so that it is not taken for the rest.
+
+    In ``bus.stats`` what is sent and received is counted in bytes, ``bad_frames``,
+    ``dropped`` and ``unheard`` in messages, ``refused`` in writes, ``discarded`` in
+    bytes. How many bytes were noise between messages is ``bus.framing.discarded``.
 
     Args:
         name: The name of the bus.
-        port: The device file, such as ``/dev/ttyUSB0``.
+        port: ``usb:VID:PID[:SERIAL]`` for the port of a USB device, wherever it is
+            plugged in; the path of a device file, such as one of those in
+            ``/dev/serial/by-id`` (``/dev/ttyUSB0`` may be another device tomorrow); or
+            a URL of pyserial, such as ``socket://host:2217`` or ``loop://``.
         baudrate: Bits per second.
-        delimiter: What ends a message on the line.
-        max_line: The longest message in bytes; a longer one is thrown away.
+        framing: What a message is in the stream of bytes: a `Framing`, its name
+            (``"lines"``, ``"nmea"``, ``"cobs"``, ``"length-crc"``, ``"raw"``), or a
+            table with its ``type`` and its parameters.
         out_limit: How many bytes may wait to be sent; more is refused.
         write_timeout: How long a write may take unless it says otherwise, in s.
+        bad_limit: After how many damaged messages in a row everybody who listens is
+            told that the device is at fault.
         opener: Opens something else than a port, such as a wire in memory.
         **options: Further settings of ``serial.Serial``, such as ``parity="E"``.
 
     Attributes:
-        overlong: How many bytes were thrown away because no delimiter came.
-        unheard: How many messages nobody listened to.
-        discarded: How many bytes were thrown away because a write took too long.
-        refused: How many writes were refused because too many bytes waited.
+        framing: What the bytes are cut into messages with.
+        path: What was opened last: the device file, or the URL.
     """
 
     def __init__(
@@ -87,43 +73,55 @@ class SerialBus(Bus):
         name: str,
         port: str = "",
         baudrate: int = 115200,
-        delimiter: bytes = b"\n",
-        max_line: int = 4096,
+        framing: Framing | str | Mapping[str, Any] = "lines",
         out_limit: int = 4096,
         write_timeout: float = 0.5,
+        bad_limit: int = 100,
         opener: SerialOpener | None = None,
         **options: Any,
     ) -> None:
         super().__init__(name=name)
-        if not port and opener is None:
-            raise ConfigError(name, "port", "expected the path of a device file")
-        if "://" in port or port.startswith("usb:"):
-            raise ConfigError(
-                name, "port", f"expected the path of a device file, not {port!r:.80}"
-            )
         if type(baudrate) is not int or baudrate < 1:
             raise ConfigError(
                 name, "baudrate", f"expected bits per second, not {baudrate!r:.80}"
             )
-        if not delimiter:
-            raise ConfigError(name, "delimiter", "expected at least one byte")
+        for field, limit in (("out_limit", out_limit), ("bad_limit", bad_limit)):
+            if type(limit) is not int or limit < 1:
+                raise ConfigError(name, field, f"expected 1 or more, not {limit!r:.80}")
+        if not 0 < write_timeout < math.inf:
+            raise ConfigError(
+                name,
+                "write_timeout",
+                f"expected seconds > 0, not {write_timeout!r:.80}",
+            )
         self.port = port
         self.baudrate = baudrate
-        self.delimiter = delimiter
-        self.max_line = max_line
+        self.framing = make_framing(name, framing)
         self.out_limit = out_limit
         self.write_timeout = write_timeout
-        self.overlong = 0
-        self.unheard = 0
-        self.discarded = 0
-        self.refused = 0
+        self.bad_limit = bad_limit
+        self.path = ""
         self._options = options
+        if opener is None:
+            place = SerialPlace(name, port)
+            self._presence = None if place.is_url else place.look
         self._opener = opener or self._open_port
-        self._line: _Line | None = None
+        self._open_device: Port | None = None
+        self._letting_go: asyncio.Task[None] | None = None
+        self._line: Line | None = None
         self._inboxes: list[tuple[bytes, Inbox[bytes]]] = []
+        self._bad_in_row = 0
+        self._is_cut = False
+        """Whether only the beginning of the message before was sent."""
+        self._turns = Turns()
 
-    def lines(self, prefix: bytes = b"", *, limit: int = 64) -> Inbox[bytes]:
-        """Listen to the messages that begin with a prefix, without their delimiter.
+    @property
+    def waiting(self) -> int:
+        """How many bytes wait to be sent."""
+        return 0 if self._line is None else self._line.link.get_write_buffer_size()
+
+    def frames(self, prefix: bytes = b"", *, limit: int = 64) -> Inbox[bytes]:
+        """Listen to the messages that begin with a prefix.
 
         Args:
             prefix: What they begin with; every message if empty.
@@ -141,41 +139,120 @@ class SerialBus(Bus):
         """Send bytes in one piece and wait until the kernel has taken them.
 
         Args:
-            data: A whole message.
+            data: One or several whole messages, as they go over the wire.
             timeout: How long to wait, in seconds; ``write_timeout`` if None.
 
         Raises:
             DeviceLostError: The line is gone. Nobody knows how much was sent.
             BusyError: Too many bytes wait already; nothing was sent.
             DriverStuckError: The device took no bytes in time. All bytes that
-                waited are thrown away, so that none of them comes late.
+                waited are thrown away, so that none of them comes late. The same
+                happens if the writer is cancelled and nobody else waits.
         """
         line = self._connected()
         link = line.link
+        if self._is_cut:
+            data = resync_bytes(self.framing) + data
         if link.get_write_buffer_size() + len(data) > self.out_limit:
-            self.refused += 1
+            self.stats.refused += 1
             raise BusyError(
                 f"bus {self.name}", "number of bytes to send", self.out_limit
             )
-        link.write(data)
-        if not link.get_write_buffer_size():
-            return
-        seconds = self.write_timeout if timeout is None else timeout
-        sent: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        line.writers.append(sent)
-        try:
-            await within(sent, seconds)
-        except TimeoutError:
-            stuck = DriverStuckError(self.name, "write", seconds)
-            self.discarded += link.get_write_buffer_size()
-            link.flush()
-            line.settle(stuck)
-            raise stuck from None
-        finally:
-            if sent in line.writers:
-                line.writers.remove(sent)
+        self._is_cut = False
+        if not line.write(data):
+            await self._sent(line, self.write_timeout if timeout is None else timeout)
+        self.stats.sent += len(data)
 
-    def _connected(self) -> _Line:
+    async def send(self, payload: bytes, *, timeout: float | None = None) -> None:
+        """Send a message, framed. Args and errors are those of `write`."""
+        await self.write(self.framing.encode(payload), timeout=timeout)
+
+    async def ask(
+        self,
+        payload: bytes,
+        *,
+        prefix: bytes = b"",
+        timeout: float | None = None,
+        answers: Callable[[bytes], bool] | None = None,
+    ) -> bytes:
+        """Send a message and return the next one that answers it.
+
+        Exchanges of several devices on the line never overlap: each waits for its
+        turn. What came before the request was sent is no answer to it. An answer
+        that comes after its time-out is thrown away if nobody asks by then; it could
+        be mistaken for the answer to the next request, unless the prefix or *answers*
+        (a sequence number, an echo of the request) tells the two apart.
+
+        Args:
+            payload: The request, not framed yet.
+            prefix: What the answer begins with.
+            timeout: How long to wait, for the turn, the sending and the answer
+                together, in seconds; ``write_timeout`` if None.
+            answers: Tells whether a message with the prefix is the answer.
+
+        Raises:
+            DeviceLostError: The line is gone.
+            DeviceFaultError: Only damaged messages come.
+            BusyError: Too many wait for their turn; nothing was sent.
+            DriverStuckError: No answer in time, or the device took no bytes.
+        """
+        self._connected()
+        if self._turns.waiting > ASK_LIMIT:
+            self.stats.refused += 1
+            raise BusyError(f"bus {self.name}", "number of requests", ASK_LIMIT)
+        seconds = self.write_timeout if timeout is None else timeout
+        now = asyncio.get_running_loop().time
+        deadline = now() + seconds
+        try:
+            await self._turns.take(seconds)
+            try:
+                inbox = self.frames(prefix)
+                try:
+                    await self.send(payload, timeout=deadline - now())
+                    while True:
+                        message = await inbox.take(timeout=deadline - now())
+                        if answers is None or answers(message):
+                            return message
+                finally:
+                    inbox.close()
+            finally:
+                self._turns.give()
+        except DriverStuckError:
+            raise
+        except TimeoutError:
+            raise self._stuck(f"answer to {payload!r:.40}", seconds) from None
+
+    async def _sent(self, line: Line, seconds: float) -> None:
+        writer = line.wait()
+        try:
+            await within(writer, seconds)
+        except TimeoutError:
+            stuck = self._stuck("write", seconds)
+            self._discard(line, stuck)
+            raise stuck from None
+        except asyncio.CancelledError as cancelled:
+            if line.waiting == 1:  # nobody's bytes wait behind these
+                self._discard(line, cancelled)
+            raise
+        finally:
+            line.forget(writer)
+
+    def _discard(self, line: Line, error: BaseException) -> None:
+        self.stats.discarded += line.link.get_write_buffer_size()
+        self._is_cut = self._is_cut or line.ends_in_a_message()
+        line.settle(error)  # first: the link tells who waits then that all is sent
+        line.link.flush()
+
+    def _stuck(self, call: str, seconds: float) -> DriverStuckError:
+        error = DriverStuckError(self.name, call, seconds)
+        self._count(error)
+        return error
+
+    def _count(self, error: BaseException) -> None:
+        self.stats.errors += 1
+        self.stats.last_error = describe(error)
+
+    def _connected(self) -> Line:
         if not self.is_open or self._line is None:
             raise DeviceLostError(self.name, "the line is not open")
         return self._line
@@ -185,238 +262,87 @@ class SerialBus(Bus):
 
     async def _open(self) -> None:
         await self._close()  # what a loss has left behind
-        line = _Line(self, self._received, self._gone)
+        self.framing.reset()
+        self._bad_in_row = 0
+        line = Line(self._received, self._gone)
         line.link = await self._opener(line)
         line.link.set_write_buffer_limits(high=0)
         self._line = line
 
     async def _close(self) -> None:
         line, self._line = self._line, None
-        inboxes, self._inboxes = self._inboxes, []
         gone = DeviceLostError(self.name, "the line was closed")
-        for _, inbox in inboxes:
-            inbox.fail(gone)
-        if line is None:
-            return
-        line.bus = None
-        line.settle(gone)
-        if not line.link.is_closing():  # first, so that nobody watches the descriptor
-            line.link.abort()
-        port = getattr(line.link, "port", None)
+        self._fail_all(gone)
+        if line is not None:
+            self._discard(line, gone)
+            line.end()  # first, so that nobody watches the descriptor
+        letting_go, self._letting_go = self._letting_go, None
+        if letting_go is not None:
+            await asyncio.wait({letting_go})
+        port, self._open_device = self._open_device, None
         if port is not None:
-            with contextlib.suppress(DriverStuckError, BusyError):
-                await self.lane.call(port.shut, timeout=DRAIN_TIMEOUT + 0.3)
+            await close_port(port, self.lane)
 
     async def _open_port(self, protocol: asyncio.Protocol) -> SerialLink:
-        attempt = _Attempt(self.port, self.baudrate, self._options)
-        try:
-            port = await self.lane.call(attempt.open, timeout=OPEN_TIMEOUT)
-        except OSError as error:
-            if isinstance(error, DriverStuckError):
-                attempt.abandon()
-            detail = f"{self.port} cannot be opened: {describe(error)}"
-            raise DeviceLostError(self.name, detail) from error
-        except BaseException:
-            attempt.abandon()
-            raise
-        import serial_asyncio
-
-        line = protocol
-        assert isinstance(line, _Line)
-        port.failed = line.connection_lost
-        transport = serial_asyncio.SerialTransport(
-            asyncio.get_running_loop(), protocol, port
-        )
-        transport.port = port
-        link: SerialLink = transport
+        place = SerialPlace(self.name, self.port)
+        opening = Opening(place, self.baudrate, self._options)
+        link, self._open_device = await open_link(opening, protocol, self.lane)
+        self.path = self._open_device.path
+        advice = self._open_device.advice
+        if advice and self.stats.opened == 0:
+            _log.warning("%s: %s", self.name, advice)
         return link
 
-    def _received(self, message: bytes) -> None:
+    def _received(self, data: bytes) -> None:
+        framing = self.framing
+        self.stats.received += len(data)
+        bad_before = framing.bad_frames
+        messages = framing.feed(data)
+        for message in messages:
+            self._deliver(message)
+        bad = framing.bad_frames - bad_before
+        self.stats.bad_frames += bad
+        self._bad_in_row = 0 if messages else self._bad_in_row + bad
+        if self._bad_in_row >= self.bad_limit:
+            fault = DeviceFaultError(
+                self.name,
+                f"{self._bad_in_row} damaged messages in a row: "
+                "check the baud rate, the parity and the framing",
+            )
+            self._bad_in_row = 0
+            self._count(fault)
+            self._fail_all(fault)
+
+    def _deliver(self, message: bytes) -> None:
         heard = False
         for prefix, inbox in self._inboxes:
             if message.startswith(prefix):
+                dropped = inbox.dropped
                 inbox.offer(message)
+                self.stats.dropped += inbox.dropped - dropped
                 heard = True
         if not heard:
-            self.unheard += 1
+            self.stats.unheard += 1
 
-    def _gone(self, line: _Line, error: Exception | None) -> None:
-        line.bus = None
+    def _fail_all(self, error: BaseException) -> None:
+        inboxes, self._inboxes = self._inboxes, []
+        for _, inbox in inboxes:
+            inbox.fail(error)
+
+    def _gone(self, line: Line, error: Exception | None) -> None:
         if line is not self._line:
             return
         detail = describe(error) if error is not None else "the other end hung up"
         loss = DeviceLostError(self.name, detail)
         loss.__cause__ = error
-        line.settle(loss)
-        if not line.link.is_closing():
-            line.link.abort()
-        inboxes, self._inboxes = self._inboxes, []
-        for _, inbox in inboxes:
-            inbox.fail(loss)
+        self._discard(line, loss)
+        line.end()
+        self._fail_all(loss)
+        port, self._open_device = self._open_device, None
+        if port is not None:  # held, it keeps its number: it would return as another
+            self._letting_go = spawn(
+                asyncio.get_running_loop(),
+                close_port(port, self.lane),
+                name=f"let go {self.name}",
+            )
         self.lost(loss)
-
-
-class _Line(asyncio.Protocol):
-    """One opening of the line: cuts bytes into messages and knows who waits."""
-
-    link: SerialLink
-
-    def __init__(
-        self,
-        bus: SerialBus,
-        received: Callable[[bytes], None],
-        gone: Callable[[_Line, Exception | None], None],
-    ) -> None:
-        self.bus: SerialBus | None = bus
-        self._received = received
-        self._gone = gone
-        self.writers: list[asyncio.Future[None]] = []
-        self._buffer = bytearray()
-        self._skipping = False
-
-    def data_received(self, data: bytes) -> None:
-        bus = self.bus
-        if bus is None:
-            return
-        buffer = self._buffer
-        buffer += data
-        begin = 0
-        while (end := buffer.find(bus.delimiter, begin)) >= 0:
-            if self._skipping:
-                bus.overlong += end - begin
-                self._skipping = False
-            elif end - begin > bus.max_line:
-                bus.overlong += end - begin
-            else:
-                self._received(bytes(buffer[begin:end]))
-            begin = end + len(bus.delimiter)
-        del buffer[:begin]
-        if len(buffer) > bus.max_line:  # the end of an endless message may be cut
-            keep = len(bus.delimiter) - 1
-            bus.overlong += len(buffer) - keep
-            del buffer[: len(buffer) - keep]
-            self._skipping = True
-
-    def resume_writing(self) -> None:
-        self.settle(None)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self.bus is not None:
-            self._gone(self, exc)
-
-    def settle(self, error: BaseException | None) -> None:
-        """Tell all writers that wait how it ended."""
-        writers, self.writers = self.writers, []
-        for writer in writers:
-            if writer.done():
-                continue
-            if error is None:
-                writer.set_result(None)
-            else:
-                writer.set_exception(error)
-
-
-class _Attempt:
-    """One attempt to open a port, in a thread that nobody may wait for any more."""
-
-    def __init__(self, path: str, baudrate: int, options: dict[str, Any]) -> None:
-        self._path = path
-        self._baudrate = baudrate
-        self._options = options
-        self._lock = threading.Lock()
-        self._abandoned = False
-        self._port: _Port | None = None
-
-    def open(self) -> _Port:
-        import serial
-
-        device = serial.Serial(
-            self._path,
-            self._baudrate,
-            timeout=0,
-            write_timeout=0,
-            exclusive=True,
-            **self._options,
-        )
-        with self._lock:
-            self._port = _Port(device)
-            if self._abandoned:
-                self._port.shut()
-            return self._port
-
-    def abandon(self) -> None:
-        """Close the port as soon as it is open: nobody will use it."""
-        with self._lock:
-            self._abandoned = True
-            if self._port is not None:
-                self._port.shut()
-
-
-class _Port:
-    """The port as the transport sees it: pyserial's, but nothing in it waits.
-
-    pyserial's own ``read`` uses select(), which fails from descriptor 1024 on; its
-    ``write`` repeats EAGAIN without end, which stops the event loop (pyserial#280);
-    its ``flush``, which the transport calls at its end, waits for a device that may
-    never take another byte.
-    """
-
-    timeout: float | None = 0
-    write_timeout: float | None = 0
-
-    def __init__(self, device: Any) -> None:
-        self._device = device
-        self._fd: int = device.fileno()
-        self.failed: Callable[[Exception | None], None] = lambda _error: None
-
-    def fileno(self) -> int:
-        return self._fd
-
-    def read(self, size: int = 1) -> bytes:
-        try:
-            data = os.read(self._fd, size)
-        except (BlockingIOError, InterruptedError):
-            return b""
-        except OSError as error:
-            self._fail(error)
-            return b""
-        if not data and _hung_up(self._fd):
-            self._fail(None)
-        return data
-
-    def write(self, data: bytes) -> int:
-        try:
-            return os.write(self._fd, data)
-        except (BlockingIOError, InterruptedError):
-            return 0
-        except OSError as error:
-            self._fail(error)
-            return 0
-
-    def _fail(self, error: Exception | None) -> None:
-        # Later: in the middle of its own work the transport cannot be aborted.
-        asyncio.get_running_loop().call_soon(self.failed, error)
-
-    def flush(self) -> None:
-        """Do not wait: `shut` does it, in a thread and for a limited time."""
-
-    def close(self) -> None:
-        """Leave the closing, which can block, to `shut`."""
-
-    def shut(self) -> None:
-        """Give the kernel a moment for what it holds, throw away the rest, close."""
-        give_up = time.monotonic() + DRAIN_TIMEOUT
-        with contextlib.suppress(Exception):  # termios.error of a device that is gone
-            while self._device.out_waiting:
-                if time.monotonic() > give_up:
-                    self._device.reset_output_buffer()
-                    break
-                time.sleep(0.005)
-        with contextlib.suppress(OSError):
-            self._device.close()
-
-
-def _hung_up(fd: int) -> bool:
-    poll = select.poll()
-    poll.register(fd, select.POLLIN)
-    return bool(poll.poll(0))

@@ -12,10 +12,9 @@ from esair.buses import (
     I2CBus,
     SerialBus,
     SerialLink,
-    python_can,
 )
 from esair.sim._simulation import Simulation
-from esair.wires import MemoryCan, MemoryLine
+from esair.wires import ChipBus, MemoryCan, MemoryLine
 
 
 class SimSerialBus(SerialBus):
@@ -67,18 +66,18 @@ class SimCanBus(CanBus):
     ) -> FrameLink:
         self._simulation = await Simulation.join(self)
         wire = self._simulation.drive
+        wire.on_plug(self.arrived)
         if isinstance(wire, MemoryCan):
             return await wire.node(received, gone)
         self.channel = wire.channel
-        opener = python_can("virtual", wire.channel, lane=self.lane, owner=self)
-        return await opener(received, gone)
+        return await wire.node(received, gone, lane=self.lane, stats=self.stats)
 
 
 class SimI2CBus(I2CBus):
     """The I²C bus, with the inertial unit of the simulation on it."""
 
     def __init__(self, *, name: str) -> None:
-        super().__init__(name=name)
+        super().__init__(name=name, opener=self._reach)
         self._simulation: Simulation | None = None
 
     async def close(self) -> None:
@@ -87,9 +86,12 @@ class SimI2CBus(I2CBus):
         if self._simulation is not None:
             await self._simulation.leave(self)
 
+    def _reach(self) -> ChipBus:
+        assert self._simulation is not None
+        return self._simulation.body
+
     async def _open(self) -> None:
         simulation = self._simulation = await Simulation.join(self)
         # A thread's part in the order of things is chance, which a virtual clock bars.
         self._inline = simulation.in_memory
-        self._opener = lambda: simulation.body
         await super()._open()

@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable
 from typing import Protocol
 
-from esair.drivers.nmea import SentenceError, decode_sentence, encode_sentence
+from esair.framing import SentenceError, decode_sentence, encode_sentence
 from esair.sim._world import World
 
 BEAMS = 41

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections.abc import AsyncIterator, Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import pytest_asyncio
@@ -19,7 +19,12 @@ from esair.testing._clock import VirtualLoop
 from esair.testing._fakes import FakeActuator, FakeSensor
 from esair.testing._leaks import Leaks
 
-_FIXTURES = frozenset({"fake_sensor", "fake_actuator"})
+if TYPE_CHECKING:
+    from esair.testing import FakeCan, FakeI2c, FakeSerial
+
+_FIXTURES = frozenset(
+    {"fake_sensor", "fake_actuator", "fake_serial", "fake_can", "fake_i2c"}
+)
 
 LoopFactory = Callable[[], asyncio.AbstractEventLoop]
 
@@ -101,3 +106,27 @@ def fake_sensor() -> Callable[..., FakeSensor[Any]]:
 def fake_actuator() -> Callable[..., FakeActuator[Any]]:
     """Hand out the class `FakeActuator`, to be called like a function."""
     return FakeActuator
+
+
+@pytest.fixture
+def fake_serial() -> Callable[..., FakeSerial]:
+    """Hand out the class `FakeSerial`, to be called like a function."""
+    from esair.testing import FakeSerial
+
+    return FakeSerial
+
+
+@pytest.fixture
+def fake_can() -> Callable[..., FakeCan]:
+    """Hand out the class `FakeCan`, to be called like a function."""
+    from esair.testing import FakeCan
+
+    return FakeCan
+
+
+@pytest.fixture
+def fake_i2c() -> Callable[..., FakeI2c]:
+    """Hand out the class `FakeI2c`, to be called like a function."""
+    from esair.testing import FakeI2c
+
+    return FakeI2c

@@ -6,7 +6,7 @@ bytes, frames and registers are the same.
 """
 
 from esair.wires._can import CanWire, MemoryCan, VirtualCan
-from esair.wires._i2c import Chip, ChipBus
+from esair.wires._i2c import Chip, ChipBus, Registers
 from esair.wires._serial import MemoryLine, PtyLine
 
 __all__ = [
@@ -16,5 +16,6 @@ __all__ = [
     "MemoryCan",
     "MemoryLine",
     "PtyLine",
+    "Registers",
     "VirtualCan",
 ]

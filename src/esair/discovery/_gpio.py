@@ -1,0 +1,58 @@
+"""GPIO chips: who they are and how many lines they have."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+from esair.discovery._device import Device
+from esair.discovery._sysfs import entries, read
+
+ROOT = Path("/")
+
+
+def gpio_chips(root: Path = ROOT) -> list[Device]:
+    """Return the GPIO chips that are there, by their numbers."""
+    ask = _ask if root == ROOT and importlib.util.find_spec("gpiod") else _look
+    known = {
+        place.name: ask(place, root)
+        for place in entries(root / "sys/bus/gpio/devices")
+        if place.name.startswith("gpiochip") and (root / "dev" / place.name).exists()
+    }
+    labels = [label for label, _, _ in known.values()]
+    return [
+        Device(
+            kind="gpio",
+            path=f"/dev/{name}",
+            # Numbers depend on the order in which drivers come.
+            address=label if label and labels.count(label) == 1 else f"/dev/{name}",
+            description=label,
+            state=state,
+            lines=lines,
+        )
+        for name, (label, lines, state) in known.items()
+    ]
+
+
+def _ask(place: Path, root: Path) -> tuple[str, int | None, str]:
+    import gpiod
+
+    try:
+        with gpiod.Chip(str(root / "dev" / place.name)) as chip:
+            info = chip.get_info()
+    except PermissionError:
+        return "", None, "no permission"
+    except OSError:  # it is just being unplugged
+        return "", None, ""
+    label = "".join(each if each.isprintable() else "?" for each in info.label)
+    return label, info.num_lines, ""
+
+
+def _look(place: Path, root: Path) -> tuple[str, int | None, str]:
+    """Look into the old class of GPIO, which says it without opening the chip."""
+    parent = place.resolve().parent
+    for old in entries(root / "sys/class/gpio"):
+        if (old / "ngpio").exists() and (old / "device").resolve() == parent:
+            lines = read(old / "ngpio")
+            return read(old / "label"), int(lines) if lines.isdecimal() else None, ""
+    return "", None, ""

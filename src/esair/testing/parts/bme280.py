@@ -1,0 +1,145 @@
+"""A BME280, as its registers look from the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from esair.drivers.bme280 import (
+    CALIBRATION_00,
+    CALIBRATION_26,
+    CONFIG,
+    CTRL_HUM,
+    CTRL_MEAS,
+    DATA,
+    ID,
+    IDENTITY,
+    MEASURING,
+    SKIPPED,
+    SKIPPED_HUMIDITY,
+    STATUS,
+    Calibration,
+    Climate,
+    fine_temperature,
+    humidity_of,
+    pressure_of,
+)
+
+INDOORS = Climate(temperature=21.0, humidity=0.45, pressure=101325.0)
+"""What the chip feels unless it is told otherwise."""
+
+CALIBRATION = Calibration(
+    (27504, 26435, -1000),
+    (36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000),
+    (75, 362, 0, 315, 50, 30),
+)
+"""Temperature and pressure from the data sheet of the BMP280, section 3.12."""
+
+_RESET = 0xE0
+_NOTHING = SKIPPED, SKIPPED, SKIPPED_HUMIDITY
+
+
+class FakeBme280:
+    """The register map: asleep after power-up, with nothing measured.
+
+    Args:
+        climate: What it feels.
+        calibration: What its maker has measured of it.
+
+    Attributes:
+        climate: What it feels; measured when it is told to.
+        raw: Pressure, temperature and humidity as raw numbers, if they are to be
+            these; None for what the climate gives.
+        busy: How often it says that it is still measuring.
+        measurements: How often it has measured.
+    """
+
+    def __init__(
+        self, climate: Climate = INDOORS, calibration: Calibration = CALIBRATION
+    ) -> None:
+        self.climate = climate
+        self.calibration = calibration
+        self.raw: tuple[int, int, int] | None = None
+        self.busy = 1
+        self.measurements = 0
+        self._registers = bytearray(256)
+        self._busy = 0
+        self._samples_humidity = False
+        self._reset()
+
+    def read(self, register: int, length: int) -> bytes:
+        """Return registers that follow one another."""
+        if register <= STATUS < register + length:
+            self._registers[STATUS] = MEASURING if self._busy > 0 else 0
+            self._busy -= 1
+        return bytes(self._registers[(register + each) % 256] for each in range(length))
+
+    def write(self, register: int, data: bytes) -> None:
+        """Set one register; more come as pairs of register and value."""
+        self._set(register, data[0])
+        for number, value in zip(data[1::2], data[2::2], strict=True):
+            self._set(number, value)
+
+    def _set(self, register: int, value: int) -> None:
+        if register == _RESET and value == 0xB6:
+            self._reset()
+        elif register in {CTRL_HUM, CONFIG}:
+            self._registers[register] = value
+        elif register == CTRL_MEAS:
+            # What was written to CTRL_HUM counts from here on.
+            self._samples_humidity = bool(self._registers[CTRL_HUM] & 7)
+            self._registers[register] = value
+            if value & 3:
+                self._measure(bool(value >> 5), bool(value >> 2 & 7))
+                if value & 3 != 3:
+                    self._registers[register] = value & ~3
+
+    def _measure(self, temperature: bool, pressure: bool) -> None:
+        self.measurements += 1
+        self._busy = self.busy
+        p, t, h = self.raw or self._raw_of(self.climate)
+        self._show(
+            p if pressure else SKIPPED,
+            t if temperature else SKIPPED,
+            h if self._samples_humidity else SKIPPED_HUMIDITY,
+        )
+
+    def _show(self, pressure: int, temperature: int, humidity: int) -> None:
+        self._registers[DATA : DATA + 8] = (
+            (pressure << 4).to_bytes(3, "big")
+            + (temperature << 4).to_bytes(3, "big")
+            + humidity.to_bytes(2, "big")
+        )
+
+    def _raw_of(self, climate: Climate) -> tuple[int, int, int]:
+        known = self.calibration
+        t = _first(
+            1 << 20,
+            lambda raw: fine_temperature(raw, known) >= climate.temperature * 5120,
+        )
+        fine = fine_temperature(t, known)
+        p = _first(
+            1 << 20, lambda raw: pressure_of(raw, fine, known) <= climate.pressure
+        )
+        h = _first(
+            1 << 16, lambda raw: humidity_of(raw, fine, known) >= climate.humidity
+        )
+        return p, t, h
+
+    def _reset(self) -> None:
+        self._registers[:] = bytes(256)
+        self._registers[ID] = IDENTITY
+        first, second = self.calibration.encode()
+        self._registers[CALIBRATION_00 : CALIBRATION_00 + 26] = first
+        self._registers[CALIBRATION_26 : CALIBRATION_26 + 7] = second
+        self._samples_humidity = False
+        self._busy = 0
+        self._show(*_NOTHING)
+
+
+def _first(end: int, reached: Callable[[int], bool]) -> int:
+    """Return the first number for which something is reached, by halving."""
+    low, high = 0, end - 1
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if reached(middle) else (middle + 1, high)
+    return low

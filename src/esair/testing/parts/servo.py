@@ -1,0 +1,205 @@
+"""Dynamixel servos that answer packets of protocol 2.0, in memory or on any line."""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+import threading
+from collections.abc import Iterable
+
+from dynamixel_sdk import Protocol2PacketHandler  # type: ignore[import-untyped]
+
+from esair.drivers.servo import (
+    CENTER,
+    GOAL_POSITION,
+    HARDWARE_ERROR,
+    PRESENT_POSITION,
+    TORQUE_ENABLE,
+    ServoLink,
+)
+
+PING, READ, WRITE, STATUS = 0x01, 0x02, 0x03, 0x55
+HEADER = b"\xff\xff\xfd\x00"
+BROADCAST = 0xFE
+
+ALERT = 0x80
+"""The bit of an answer that says that the servo has shut down."""
+
+ACCESS_ERROR = 7
+"""What a servo answers to a request beyond its control table."""
+
+TABLE_SIZE = 147
+
+_crc = Protocol2PacketHandler().updateCRC
+
+
+def packet(servo: int, instruction: int, parameters: bytes) -> bytes:
+    """Return a packet: header, id, length, instruction, parameters, checksum."""
+    body = bytes([instruction]) + parameters
+    body = body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+    head = HEADER + struct.pack("<BH", servo, len(body) + 2)
+    return head + body + struct.pack("<H", _crc(0, head + body, len(head + body)))
+
+
+class FakeServo:
+    """One servo: a control table, and a shaft that is at its goal at once.
+
+    Attributes:
+        model: The model number; 1060 is an XL430-W250.
+        table: The control table, as bytes.
+        shut_down: The bits of its hardware error; 0 while it works.
+    """
+
+    def __init__(self, *, model: int = 1060, steps: int = CENTER) -> None:
+        self.model = model
+        self.table = bytearray(TABLE_SIZE)
+        self.shut_down = 0
+        self.put(GOAL_POSITION, steps)
+        self.put(PRESENT_POSITION, steps)
+
+    @property
+    def torque(self) -> bool:
+        """Whether it holds its goal."""
+        return bool(self.table[TORQUE_ENABLE])
+
+    def get(self, address: int) -> int:
+        """Return an entry of four bytes, signed."""
+        return int.from_bytes(self.table[address : address + 4], "little", signed=True)
+
+    def put(self, address: int, value: int) -> None:
+        """Change an entry of four bytes."""
+        self.table[address : address + 4] = value.to_bytes(4, "little", signed=True)
+
+    def obey(self, instruction: int, parameters: bytes) -> bytes:
+        """Return what stands in the answer: the error, and what was asked for."""
+        self.table[HARDWARE_ERROR] = self.shut_down
+        error = ALERT if self.shut_down else 0
+        if instruction == PING:
+            return struct.pack("<BHB", error, self.model, 45)
+        address = int.from_bytes(parameters[:2], "little")
+        if instruction == READ:
+            size = int.from_bytes(parameters[2:4], "little")
+            if address + size > TABLE_SIZE:
+                return bytes([error | ACCESS_ERROR])
+            return bytes([error]) + self.table[address : address + size]
+        if instruction != WRITE or address + len(parameters) - 2 > TABLE_SIZE:
+            return bytes([error | ACCESS_ERROR])
+        self.table[address : address + len(parameters) - 2] = parameters[2:]
+        if self.torque and not self.shut_down:
+            self.put(PRESENT_POSITION, self.get(GOAL_POSITION))
+        return bytes([error])
+
+
+class FakeServos:
+    """Servos on one line; ``open`` is the opener of a `ServoBus`.
+
+    Args:
+        servos: Them, by id.
+
+    Attributes:
+        servos: Them, by id; take one out and it is silent.
+        written: The packets that came for them: id, instruction, parameters.
+    """
+
+    def __init__(self, servos: dict[int, FakeServo] | Iterable[int] = (1,)) -> None:
+        self.servos: dict[int, FakeServo] = (
+            servos
+            if isinstance(servos, dict)
+            else {number: FakeServo() for number in servos}
+        )
+        self.written: list[tuple[int, int, bytes]] = []
+        self.plugged = True
+        self._garble = 0
+        self._stalled = False
+        self._rest = b""
+
+    def unplug(self) -> None:
+        """Be gone, from this moment on."""
+        self.plugged = False
+
+    def plug(self) -> None:
+        """Be there again."""
+        self.plugged = True
+
+    def stall(self) -> None:
+        """Answer nothing until `resume`."""
+        self._stalled = True
+
+    def resume(self) -> None:
+        """Answer again."""
+        self._stalled = False
+
+    def garble(self, count: int = 1) -> None:
+        """Damage the next answers on their way."""
+        self._garble = count
+
+    def open(self) -> ServoLink:
+        """Open the robot's end.
+
+        Raises:
+            OSError: They are unplugged.
+        """
+        self.check()
+        self._rest = b""
+        return _MemoryLink(self)
+
+    def check(self) -> None:
+        """Raise what the kernel says about a line that is gone."""
+        if not self.plugged:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def heard(self, data: bytes) -> bytes:
+        """Take bytes from the line; return the answers of the servos."""
+        data = self._rest + data
+        answers = b""
+        while (begin := data.find(HEADER)) >= 0 and len(data) >= begin + 7:
+            end = begin + 7 + int.from_bytes(data[begin + 5 : begin + 7], "little")
+            if len(data) < end:
+                break
+            answers += self._answer(data[begin:end])
+            data = data[end:]
+        self._rest = data[-1024:]
+        return answers
+
+    def _answer(self, request: bytes) -> bytes:
+        number, instruction = request[4], request[7]
+        parameters = request[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+        if _crc(0, request, len(request) - 2) != int.from_bytes(request[-2:], "little"):
+            return b""
+        self.written.append((number, instruction, parameters))
+        if self._stalled or number not in self.servos:
+            return b""
+        answer = packet(
+            number, STATUS, self.servos[number].obey(instruction, parameters)
+        )
+        if self._garble:
+            self._garble -= 1
+            answer = answer[:-1] + bytes([answer[-1] ^ 0x55])
+        return answer
+
+
+class _MemoryLink:
+    """The robot's end, for the thread of the bus."""
+
+    def __init__(self, servos: FakeServos) -> None:
+        self._servos = servos
+        self._answers = b""
+        self._never = threading.Event()
+
+    def write(self, data: bytes, seconds: float) -> None:
+        self._servos.check()
+        self._answers += self._servos.heard(data)
+
+    def read(self, size: int, seconds: float) -> bytes:
+        self._servos.check()
+        if not self._answers:
+            self._never.wait(seconds)  # as a line on which nothing comes
+        data, self._answers = self._answers[:size], self._answers[size:]
+        return data
+
+    def discard(self) -> None:
+        self._answers = b""
+
+    def close(self) -> None:
+        """Have nothing to let go."""

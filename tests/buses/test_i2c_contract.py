@@ -1,0 +1,33 @@
+"""What every bus promises, kept by the I²C bus on fakes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from esair.testing import BusContract, FakeI2c
+
+
+class TestFakeI2c(BusContract):
+    """On the virtual clock, in the event loop."""
+
+    def make(self) -> FakeI2c:
+        return FakeI2c(chips={0x68: {0x75: 0x68}, 0x40: b""}, timeout=0.1)
+
+    async def use(self, bus: Any) -> None:
+        await bus.write(0x40, 0x06, b"\x12\x34")
+        assert await bus.read(0x40, 0x06, 2) == b"\x12\x34"
+        assert await bus.transfer(0x68, b"\x75", read=1) == b"\x68"
+
+
+class TestUnnoticedLoss(TestFakeI2c):
+    """Nobody tells that the adapter has gone: the next transfer finds out."""
+
+    async def unplug(self, bus: Any) -> None:
+        bus.unplug(noticed=False)
+
+
+@pytest.mark.real_clock
+class TestFakeI2cOnItsThread(TestFakeI2c):
+    """On the real clock, through the bus's thread."""

@@ -1,0 +1,559 @@
+"""Messages, exchanges and faults of a serial line, on the virtual clock."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+
+from esair.buses import Inbox
+from esair.exceptions import (
+    BusyError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
+from esair.testing import FakeSerial
+
+Make = Callable[..., FakeSerial]
+
+
+@pytest.fixture
+def line(fake_serial: Make) -> FakeSerial:
+    return fake_serial("front")
+
+
+async def test_send_frames_and_write_does_not(line: FakeSerial) -> None:
+    """A payload gets what the framing adds; bytes go as they are."""
+    await line.open()
+
+    await line.send(b"one")
+    await line.write(b"two\nthree\n")
+    await line.until(b"three")
+
+    assert line.written == b"one\ntwo\nthree\n"
+    assert list(line.sent) == [b"one", b"two", b"three"]
+    await line.close()
+
+
+@pytest.mark.parametrize(
+    ("framing", "wire"),
+    [
+        ("lines", b"hello\n"),
+        ("nmea", b"$hello*62\r\n"),
+        ("raw", b"hello"),
+        ({"type": "lines", "delimiter": ";"}, b"hello;"),
+    ],
+)
+async def test_a_framing_is_named_or_described(
+    fake_serial: Make, framing: object, wire: bytes
+) -> None:
+    """As a configuration file does it: by its name, or as a table with parameters."""
+    line = fake_serial("front", framing=framing)
+    line.on_frame = lambda message: message
+    await line.open()
+
+    assert await line.ask(b"hello") == b"hello"
+    assert line.written == wire
+    await line.close()
+
+
+async def test_each_opening_begins_with_a_clean_decoder(line: FakeSerial) -> None:
+    """Half a message from before a loss is not joined with what comes after it."""
+    await line.open()
+    inbox = line.frames()
+    line.feed(b"half a mess")
+    await asyncio.sleep(0.01)
+    line.unplug()
+    with pytest.raises(DeviceLostError):
+        await inbox.take()
+    line.plug()
+    await line.open()
+    inbox = line.frames()
+
+    line.feed(b"whole\n")
+
+    assert await inbox.take() == b"whole"
+    await line.close()
+
+
+# Exchanges.
+
+
+async def test_exchanges_never_overlap(line: FakeSerial) -> None:
+    """Each request is sent when the answer to the one before has come."""
+    times: list[tuple[float, bytes]] = []
+    loop = asyncio.get_running_loop()
+
+    def hear(message: bytes) -> None:
+        times.append((loop.time(), message))
+        loop.call_later(0.1, line.say, b"re " + message)
+
+    line.on_frame = hear
+    await line.open()
+
+    answers = await asyncio.gather(*(line.ask(b"%d" % n) for n in range(3)))
+
+    assert answers == [b"re 0", b"re 1", b"re 2"]
+    assert [message for _, message in times] == [b"0", b"1", b"2"]
+    assert [time for time, _ in times] == pytest.approx([0.0, 0.1, 0.2], abs=1e-6)
+    await line.close()
+
+
+async def test_the_deadline_includes_the_wait_for_the_turn(line: FakeSerial) -> None:
+    """Who waits behind a slow exchange gives up in time, and has sent nothing."""
+    loop = asyncio.get_running_loop()
+    await line.open()
+    slow = asyncio.create_task(line.ask(b"slow", timeout=1.0))
+    await asyncio.sleep(0)
+
+    with pytest.raises(DriverStuckError, match="quick"):
+        await line.ask(b"quick", timeout=0.3)
+
+    assert loop.time() == pytest.approx(0.3)
+    assert list(line.sent) == [b"slow"]
+    line.say(b"at last")
+    assert await slow == b"at last"
+    await line.close()
+
+
+async def test_a_turn_that_nobody_wants_any_more_is_passed_on(line: FakeSerial) -> None:
+    """Cancelled and timed-out requests leave the line to those behind them."""
+    line.answer(b"last", b"fine")
+    await line.open()
+    first = asyncio.create_task(line.ask(b"first", timeout=1.0))
+    await asyncio.sleep(0)
+    cancelled = asyncio.create_task(line.ask(b"cancelled", timeout=5.0))
+    late = asyncio.create_task(line.ask(b"late", timeout=0.5))
+    last = asyncio.create_task(line.ask(b"last", timeout=5.0))
+    await asyncio.sleep(0.1)
+
+    cancelled.cancel()
+
+    assert await last == b"fine"
+    done = await asyncio.gather(first, late, cancelled, return_exceptions=True)
+    assert [type(each) for each in done] == [
+        DriverStuckError, DriverStuckError, asyncio.CancelledError,
+    ]  # fmt: skip
+    assert list(line.sent) == [b"first", b"last"]
+    assert await line.ask(b"last") == b"fine"
+    await line.close()
+
+
+@pytest.mark.fault("X07")
+@pytest.mark.parametrize("when", ["before", "with", "after"])
+async def test_cancelled_in_the_tick_its_turn_comes(
+    line: FakeSerial, when: str
+) -> None:
+    """The turn is not lost with the one who got it."""
+    line.answer(b"first", b"one")
+    line.answer(b"third", b"three")
+
+    def cancel(_answer: bytes) -> bool:
+        if when == "before":
+            second.cancel()
+        elif when == "with":
+            asyncio.get_running_loop().call_soon(second.cancel)
+        return True
+
+    await line.open()
+    first = asyncio.create_task(line.ask(b"first", answers=cancel))
+    second = asyncio.create_task(line.ask(b"second"))
+    third = asyncio.create_task(line.ask(b"third"))
+    if when == "after":
+        first.add_done_callback(lambda _: second.cancel())
+
+    assert await third == b"three"
+
+    assert await first == b"one"
+    assert second.cancelled()
+    assert (b"second" in line.sent) == (when == "after")
+    await line.close()
+
+
+@pytest.mark.fault("X01", "X07")
+@pytest.mark.parametrize("step", range(8))
+@pytest.mark.parametrize("stalled", [False, True])
+async def test_cancelled_at_any_step(
+    line: FakeSerial, step: int, stalled: bool
+) -> None:
+    """The turn is given back, nobody listens any more, and the next request works."""
+    line.answer(b"one", b"first")
+    line.answer(b"two", b"second")
+    await line.open()
+    if stalled:
+        line.stall()
+    asking = asyncio.create_task(line.ask(b"one"))
+    waiting = asyncio.create_task(line.ask(b"two", prefix=b"s", timeout=9.0))
+    for _ in range(step):
+        await asyncio.sleep(0)
+
+    asking.cancel()
+    await asyncio.wait({asking})
+    line.resume()
+
+    assert asking.cancelled() or asking.result() == b"first"
+    assert await waiting == b"second"
+    assert await line.ask(b"two", prefix=b"s") == b"second"
+    assert line._turns.waiting == 0
+    assert line._inboxes == []
+    await line.close()
+
+
+async def test_requests_that_wait_are_bounded(line: FakeSerial) -> None:
+    """Beyond the bound a request is refused at once."""
+    await line.open()
+    asking = [asyncio.create_task(line.ask(b"x", timeout=1.0)) for _ in range(33)]
+    await asyncio.sleep(0)
+
+    with pytest.raises(BusyError, match="32"):
+        await line.ask(b"x")
+
+    assert line.stats.refused == 1
+    await asyncio.wait(asking)
+    assert all(isinstance(each.exception(), DriverStuckError) for each in asking)
+    await line.close()
+
+
+async def test_what_came_before_the_request_is_no_answer(line: FakeSerial) -> None:
+    """A late answer to a request that was given up is thrown away."""
+    await line.open()
+    with pytest.raises(DriverStuckError):
+        await line.ask(b"range?", timeout=0.1)
+    line.say(b"range=1")
+    await asyncio.sleep(0.1)
+    line.answer(b"range?", b"range=2")
+
+    assert await line.ask(b"range?") == b"range=2"
+    assert line.stats.unheard == 1
+    await line.close()
+
+
+async def test_a_sequence_number_tells_late_answers_apart(line: FakeSerial) -> None:
+    """Even if the late answer comes in the middle of the next exchange."""
+
+    def late_and_right(_request: bytes) -> bytes:
+        line.say(b"1 late")
+        return b"2 right"
+
+    await line.open()
+    with pytest.raises(DriverStuckError):
+        await line.ask(b"get 1", prefix=b"1 ", timeout=0.1)
+    line.answer(b"get 2", late_and_right)
+
+    answer = await line.ask(b"get 2", answers=lambda message: message[:1] == b"2")
+
+    assert answer == b"2 right"
+    await line.close()
+
+
+async def test_a_loss_ends_every_exchange(line: FakeSerial) -> None:
+    """The one on the line and those that wait for their turn."""
+    await line.open()
+    asking = [asyncio.create_task(line.ask(b"x", timeout=9.0)) for _ in range(3)]
+    await asyncio.sleep(0.1)
+
+    line.unplug()
+
+    await asyncio.wait(asking, timeout=0.1)
+    assert [type(each.exception()) for each in asking] == [DeviceLostError] * 3
+    await line.close()
+
+
+# Faults.
+
+
+@pytest.mark.fault("D02")
+@pytest.mark.parametrize("taken", range(len(b"forward 1.0\n")))
+async def test_unplugged_in_the_middle_of_a_write(line: FakeSerial, taken: int) -> None:
+    """The writer is told that it is unknown; what was left is never sent."""
+    await line.open()
+    line.stall(after=taken)
+    writing = asyncio.create_task(line.write(b"forward 1.0\n", timeout=9.0))
+    await asyncio.sleep(0.1)
+
+    line.unplug()
+
+    with pytest.raises(DeviceLostError):
+        await writing
+    line.plug()
+    line.resume()
+    await line.open()
+    await asyncio.sleep(1.0)
+    assert line.written == b"forward 1.0\n"[:taken]
+    await line.close()
+
+
+@pytest.mark.fault("D16")
+async def test_what_waits_when_the_deadline_passes_is_never_sent(
+    line: FakeSerial,
+) -> None:
+    """A command that is late is not obeyed later."""
+    await line.open()
+    line.stall(after=3)
+
+    with pytest.raises(DriverStuckError, match=r"0\.5 s"):
+        await line.write(b"forward\n")
+
+    assert line.stats.discarded == 5
+    assert line.waiting == 0
+    line.resume()
+    await asyncio.sleep(1.0)
+    assert line.written == b"for"
+    await line.close()
+
+
+@pytest.mark.fault("D16", "D02")
+@pytest.mark.parametrize("how", ["stuck", "unplugged"])
+@pytest.mark.parametrize(
+    ("framing", "message"), [("lines", b"forward"), ("cobs", b"fo\0ward")]
+)
+async def test_a_message_that_was_cut_does_not_take_the_next_one_with_it(
+    fake_serial: Make, framing: str, message: bytes, how: str
+) -> None:
+    """The next one is the safe command, as a rule."""
+    line = fake_serial("front", framing=framing)
+    await line.open()
+    line.stall(after=3)
+    writing = asyncio.create_task(line.send(message))
+    await asyncio.sleep(0.1)
+    if how == "unplugged":
+        line.unplug()
+        line.plug()
+    await asyncio.wait({writing})
+    assert writing.exception() is not None
+    line.resume()
+    if how == "unplugged":
+        await line.open()
+
+    await line.send(b"stop")
+    await line.send(b"stop again")
+    await line.until(b"stop again")
+
+    assert list(line.sent)[-2:] == [b"stop", b"stop again"]
+    assert line.written.endswith(b"stop again" + line.written[-1:])
+    assert line.stats.discarded > 0
+    await line.close()
+
+
+@pytest.mark.fault("D16", "X01")
+async def test_a_write_that_is_cancelled_is_taken_back(line: FakeSerial) -> None:
+    """Nobody wants it any more: it does not come late."""
+    await line.open()
+    line.stall()
+    writing = asyncio.create_task(line.write(b"forward\n"))
+    await asyncio.sleep(0.1)
+
+    writing.cancel()
+    await asyncio.wait({writing})
+
+    assert line.waiting == 0
+    line.resume()
+    await line.write(b"stop\n")
+    await line.until(b"stop")
+    assert line.written == b"stop\n"
+    await line.close()
+
+
+@pytest.mark.fault("D16", "X01")
+async def test_a_cancelled_write_takes_nobody_elses_bytes_back(
+    line: FakeSerial,
+) -> None:
+    """What waits behind it goes out, in order."""
+    await line.open()
+    line.stall()
+    one = asyncio.create_task(line.write(b"one\n"))
+    two = asyncio.create_task(line.write(b"two\n"))
+    await asyncio.sleep(0.1)
+
+    one.cancel()
+    await asyncio.sleep(0.1)
+    line.resume()
+
+    await two
+    await line.until(b"two")
+    assert line.written == b"one\ntwo\n"
+    await line.close()
+
+
+@pytest.mark.fault("D16")
+async def test_a_request_that_cannot_be_sent_waits_no_longer_than_it_may(
+    line: FakeSerial,
+) -> None:
+    """And none of it comes late."""
+    await line.open()
+    line.stall()
+
+    with pytest.raises(DriverStuckError):
+        await line.ask(b"range?", timeout=0.2)
+
+    assert asyncio.get_running_loop().time() == pytest.approx(0.2)
+    assert line.waiting == 0
+    line.resume()
+    await asyncio.sleep(1.0)
+    assert line.written == b""
+    await line.close()
+
+
+@pytest.mark.fault("D08")
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 7, 11])
+async def test_pieces_make_no_difference(line: FakeSerial, size: int) -> None:
+    """Messages are the same whatever the pieces in which their bytes come."""
+    await line.open()
+    inbox = line.frames()
+    line.split(size)
+
+    line.feed(b"one\ntwo two\n\nfour\n")
+
+    got = [await inbox.take(timeout=1) for _ in range(4)]
+    assert got == [b"one", b"two two", b"", b"four"]
+    await line.close()
+
+
+@pytest.mark.fault("D09")
+@pytest.mark.parametrize("seed", range(20))
+async def test_the_message_after_garbage_is_heard(fake_serial: Make, seed: int) -> None:
+    """Noise is counted, raises nothing, and costs at most the message it touches."""
+    line = fake_serial("front", framing="nmea")
+    await line.open()
+    inbox = line.frames(b"RF")
+    line.garbage(seed, 500)
+    line.say(b"RFSWP,0")
+
+    line.say(b"RFSWP,1")
+
+    first = await inbox.take(timeout=1)
+    assert b"RFSWP,1" in [first, *await rest(inbox)]
+    assert line.stats.received > 500
+    await line.close()
+
+
+@pytest.mark.fault("D10")
+async def test_nothing_but_damage_is_a_fault(fake_serial: Make) -> None:
+    """A wrong baud rate does not look like a silent device for ever."""
+    line = fake_serial("front", framing="nmea", bad_limit=10)
+    await line.open()
+    inbox = line.frames()
+
+    line.feed(b"$GPGGA,1*00\r\n" * 10)
+
+    with pytest.raises(DeviceFaultError, match="check the baud rate"):
+        await inbox.take(timeout=1)
+    assert line.stats.bad_frames == 10
+    assert line.is_open
+    again = line.frames()
+    line.say(b"GPGGA,2")
+    assert await again.take(timeout=1) == b"GPGGA,2"
+    await line.close()
+
+
+@pytest.mark.fault("D10")
+async def test_damage_now_and_then_is_only_counted(fake_serial: Make) -> None:
+    """One good message begins the count anew."""
+    line = fake_serial("front", framing="nmea", bad_limit=10)
+    await line.open()
+    inbox = line.frames()
+
+    for _ in range(5):
+        line.feed(b"$GPGGA,1*00\r\n" * 9)
+        line.say(b"GPGGA,2")
+
+    assert [await inbox.take(timeout=1) for _ in range(5)] == [b"GPGGA,2"] * 5
+    assert line.stats.bad_frames == 45
+    await line.close()
+
+
+@pytest.mark.fault("D13")
+async def test_a_flood_is_cut_to_the_newest(line: FakeSerial) -> None:
+    """A million messages cost no memory, and each is counted."""
+    await line.open()
+    inbox = line.frames(b"n", limit=8)
+
+    for _ in range(100):
+        line.feed(b"n\n" * 10_000)
+        await asyncio.sleep(0.001)
+    line.feed(b"newest\n")
+    await asyncio.sleep(0.001)
+
+    assert len(inbox) == 8
+    assert line.stats.dropped == 1_000_001 - 8
+    assert (await rest(inbox))[-1] == b"newest"
+    await line.close()
+
+
+@pytest.mark.fault("D11")
+async def test_a_stream_without_an_end_takes_no_memory(line: FakeSerial) -> None:
+    """A hundred megabytes without a delimiter are counted and thrown away."""
+    await line.open()
+    inbox = line.frames()
+    piece = b"x" * 50_000
+
+    for _ in range(2000):
+        line.feed(piece)
+        await asyncio.sleep(0.001)
+    line.feed(b"\nwhole\n")
+
+    assert await inbox.take(timeout=1) == b"whole"
+    assert line.stats.received == 100_000_007
+    assert line.framing.discarded >= 99_000_000
+    await line.close()
+
+
+@pytest.mark.fault("D14")
+async def test_a_silent_device_costs_its_asker_the_deadline(line: FakeSerial) -> None:
+    """The line stays open, and others on it go on."""
+    line.answer(b"b?", b"b=1")
+    await line.open()
+
+    with pytest.raises(DriverStuckError, match=r"answer to b'a\?'"):
+        await line.ask(b"a?", timeout=0.2)
+
+    assert await line.ask(b"b?") == b"b=1"
+    assert line.is_open
+    assert line.stats.errors == 1
+    await line.close()
+
+
+@pytest.mark.fault("D23")
+@pytest.mark.parametrize("after", range(3))
+async def test_a_write_that_fails_once(line: FakeSerial, after: int) -> None:
+    """The error of the kernel ends the line; the next opening works."""
+    line.fail(OSError(5, "Input/output error"), after=after)
+    await line.open()
+
+    for _ in range(after):
+        await line.send(b"good")
+    with pytest.raises(DeviceLostError, match="Input/output error"):
+        await line.send(b"bad")
+
+    assert not line.is_open
+    await line.open()
+    await line.send(b"good again")
+    await line.until(b"good again")
+    assert b"bad" not in line.sent
+    await line.close()
+
+
+@pytest.mark.fault("D01")
+@pytest.mark.parametrize("heard", range(len(b"range=1.25\n")))
+async def test_unplugged_at_each_byte_of_a_message(
+    line: FakeSerial, heard: int
+) -> None:
+    """Whoever waits is told at once; a half message is none."""
+    await line.open()
+    waiting = asyncio.create_task(line.frames().take(timeout=60))
+    line.feed(b"range=1.25\n"[:heard])
+    await asyncio.sleep(0.1)
+
+    line.unplug()
+
+    with pytest.raises(DeviceLostError):
+        await waiting
+    assert asyncio.get_running_loop().time() == pytest.approx(0.1)
+    await line.close()
+
+
+async def rest(inbox: Inbox[bytes]) -> list[bytes]:
+    """Take everything that is there."""
+    return [await inbox.take() for _ in range(len(inbox))]
