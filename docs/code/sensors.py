@@ -39,6 +39,6 @@ class RangeFinder(esair.Sensor[float]):
     bus: SerialBus
 
     async def stream(self) -> AsyncIterator[float]:
-        with contextlib.closing(self.bus.lines(b"R ")) as lines:
+        with contextlib.closing(self.bus.frames(b"R ")) as lines:
             async for line in lines:
                 yield float(line[2:])

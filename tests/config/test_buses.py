@@ -14,7 +14,7 @@ from esair.exceptions import ConfigError
             'type = "serial"\nport = "/dev/ttyS0"\nparity = "E"\nstopbits = 2',
             "SerialBus",
         ),
-        ('type = "serial"\nport = "/dev/ttyS0"\ndelimiter = ";"', "SerialBus"),
+        ('type = "serial"\nport = "/dev/ttyS0"\nframing = "nmea"', "SerialBus"),
         ('type = "can"\ninterface = "socketcan"\nchannel = "can0"', "CanBus"),
         ('type = "can"\nchannel = "can0"\nbitrate = 500000', "CanBus"),
         ('type = "can"\nchannel = "a"\noptions = {{ app_name = "x" }}', "CanBus"),
@@ -32,9 +32,12 @@ def test_the_three_buses_need_no_module_name(project, table, kind) -> None:
 
 def test_bytes_are_written_as_strings(project) -> None:
     """TOML has no bytes."""
-    text = '[bus.x]\ntype = "serial"\nport = "/dev/ttyS0"\ndelimiter = "\\r\\n"\n'
+    text = (
+        '[bus.x]\ntype = "serial"\nport = "/dev/ttyS0"\n'
+        'framing = {{ type = "lines", delimiter = "\\r\\n" }}\n'
+    )
 
-    assert config.load(project.write(text)).buses["x"].delimiter == b"\r\n"
+    assert config.load(project.write(text)).buses["x"].framing.delimiter == b"\r\n"
 
 
 @pytest.mark.parametrize(
@@ -43,6 +46,16 @@ def test_bytes_are_written_as_strings(project) -> None:
         ('type = "serial"\nport = "x"\nbaudrte = 1', "bus.x.baudrte", "'baudrate'?"),
         ('type = "serial"\nport = "x"\nparity = "X"', "bus.x.parity", "one of 'N'"),
         ('type = "serial"', "bus.x.port", "expected the path"),
+        (
+            'type = "serial"\nport = "x"\nframing = "cob"',
+            "bus.x.framing",
+            "did you mean 'cobs'?",
+        ),
+        (
+            'type = "serial"\nport = "x"\nframing = {{ type = "lines", max = 3 }}',
+            "bus.x.framing",
+            "lines has no 'max'",
+        ),
         ('type = "can"\nchannel = "can0"\nbitrate = "fast"', "bus.x.bitrate", "whole"),
         ('type = "can"\nchannel = "a"\noptions = 3', "bus.x.options", "a table"),
         (

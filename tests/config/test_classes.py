@@ -42,7 +42,7 @@ def test_an_installed_driver_is_found_by_its_name(installed) -> None:
     [
         ("sonra-x", "'sonra-x' is not installed; did you mean 'sonar-x'?"),
         ("broken", "'broken' cannot be imported: AttributeError"),
-        ("zzz", "'zzz' is not installed; there are broken, none, sonar-x"),
+        ("zzz", "'zzz' is not installed; there are adafruit, "),
     ],
 )
 def test_an_installed_name_that_is_wrong_is_told(installed, name, told) -> None:
@@ -109,3 +109,75 @@ async def test_a_loaded_robot_runs(project, fake_sensor) -> None:
 
     assert sent[-1] == wheels.safe
     assert any(command.linear == 0.5 for command in sent)
+
+
+@pytest.fixture
+def parts(project, monkeypatch):
+    """Install a package whose drivers are modules."""
+    names = {
+        "both": "from {m} import Sonar, Wheels\n__all__ = ['Sonar', 'Wheels', 'COUNT']\nCOUNT = 1",
+        "own": "from {m} import Sonar\n\nclass Ping(Sonar): ...\n\nclass _Hidden(Sonar): ...",
+        "two": "from {m} import Sonar, FakeSonar\n__all__ = ['Sonar', 'FakeSonar']",
+        "empty": "import math",
+        "needy": "import package_that_is_nowhere",
+    }
+    module = f"{project.module}_parts"
+    package = project.folder / module
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    for name, text in names.items():
+        (package / f"{name}.py").write_text(text.format(m=project.module) + "\n")
+    info = project.folder / "parts-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: parts\nVersion: 1.0\nProvides-Extra: needy\n"
+    )
+    lines = "".join(f"{name} = {module}.{name}\n" for name in names)
+    (info / "entry_points.txt").write_text(f"[esair.drivers]\n{lines}")
+    monkeypatch.syspath_prepend(str(project.folder))
+    return project
+
+
+def test_an_installed_driver_may_be_a_module(parts) -> None:
+    """Then its class is the only public one of the kind that the table asks for."""
+    described = config.load(
+        parts.write(
+            '[sensor.s]\ndriver = "both"\n[sensor.t]\ndriver = "own"\n'
+            '[actuator.a]\ndriver = "both"\nsafe = {{ linear = 0.0 }}\n'
+        )
+    )
+
+    names = {name: type(each).__name__ for name, each in described.resources.items()}
+    assert names == {"s": "Sonar", "t": "Ping", "a": "Wheels"}
+
+
+@pytest.mark.fault("G05")
+@pytest.mark.parametrize(
+    ("kind", "name", "told"),
+    [
+        ("sensor", "two", "'two' has several; expected one of '{m}_parts.two:Sonar', "),
+        (
+            "actuator",
+            "own",
+            "expected an Actuator, 'own' ({m}_parts.own) has only Ping",
+        ),
+        (
+            "behavior",
+            "both",
+            "expected a Behavior or Reaction, 'both' ({m}_parts.both) has",
+        ),
+        ("sensor", "empty", "expected a Sensor, 'empty' ({m}_parts.empty) has none"),
+        (
+            "sensor",
+            "needy",
+            "'needy' needs 'package_that_is_nowhere', which is not installed: "
+            "pip install 'parts[needy]'",
+        ),
+    ],
+)
+def test_a_module_without_the_one_class_is_told(parts, kind, name, told) -> None:
+    """With the classes that it has, or with what it needs."""
+    parts.write(f'[{kind}.x]\ndriver = "{name}"\n')
+
+    error = parts.mistakes()[f"{kind}.x.driver"]
+    assert told.format(m=parts.module) in error

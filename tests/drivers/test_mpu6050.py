@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from esair.buses import I2CBus
 from esair.drivers.mpu6050 import (
     GRAVITY,
     GYRO_CONFIG,
@@ -18,10 +17,8 @@ from esair.drivers.mpu6050 import (
     encode_motion,
 )
 from esair.exceptions import ConfigError, DeviceFaultError
-from esair.sim import SimMpu6050, World
-from esair.wires import ChipBus
-
-pytestmark = pytest.mark.virtual_clock
+from esair.testing import FakeI2c, SensorContract
+from esair.testing.parts.mpu6050 import AT_REST, FakeMpu6050
 
 
 def test_registers_are_big_endian_counts_of_the_data_sheet() -> None:
@@ -56,69 +53,85 @@ def test_a_motion_beyond_the_range_is_cut_off() -> None:
     assert block[:4] == b"\x7f\xff\x80\x00"
 
 
-async def sensor_on(chip: SimMpu6050, **settings: Any) -> Mpu6050:
+async def sensor_on(chip: FakeMpu6050, **settings: Any) -> Mpu6050:
     """Make a sensor on a bus with one chip."""
-    bus = I2CBus(name="body", opener=lambda: ChipBus({0x68: chip}), inline=True)
+    bus = FakeI2c(chips={0x68: chip})
     await bus.open()
     return Mpu6050(bus=bus, **settings)
 
 
+class TestMpu6050(SensorContract):
+    """What every sensor must do."""
+
+    def make(self) -> Mpu6050:
+        return Mpu6050(bus=FakeI2c(chips={0x68: FakeMpu6050()}))
+
+    async def unplug(self, device: Any) -> None:
+        device.bus.unplug()
+
+
+@pytest.mark.virtual_clock
 async def test_opening_wakes_the_chip_and_sets_its_ranges() -> None:
     """After power-up it sleeps, and measures nothing."""
-    world = World()
-    chip = SimMpu6050(world)
-    chip.step()
+    chip = FakeMpu6050()
+    assert chip.asleep
     assert chip.read(0x3B, 14) == bytes(14)
     imu = await sensor_on(chip, gyro_range=1000, accel_range=8)
 
     await imu.open()
-    world.step(0.01)
-    chip.step()
     motion = await imu.read()
 
     assert chip.read(PWR_MGMT_1, 1)[0] & 0x40 == 0
     assert chip.read(GYRO_CONFIG, 2) == bytes([2 << 3, 2 << 3])
-    assert motion.acceleration[2] == pytest.approx(GRAVITY, abs=0.5)
+    assert motion.acceleration[2] == pytest.approx(GRAVITY, abs=0.003)
 
 
+@pytest.mark.virtual_clock
 async def test_a_changed_range_changes_the_scale_too() -> None:
-    """The same turn is read the same before and after."""
-    world = World()
-    chip = SimMpu6050(world)
+    """The same motion is read the same before and after."""
+    felt = Motion((1.0, -2.0, 9.5), (0.5, -1.0, 2.0), 30.0)
+    imu = await sensor_on(FakeMpu6050(felt))
+    await imu.open()
+    before = await imu.read()
+
+    await imu.apply(gyro_range=2000, accel_range=16)
+    after = await imu.read()
+
+    assert before.turn_rate == pytest.approx(felt.turn_rate, abs=0.001)
+    assert after.turn_rate == pytest.approx(felt.turn_rate, abs=0.002)
+    assert after.acceleration == pytest.approx(felt.acceleration, abs=0.003)
+
+
+@pytest.mark.virtual_clock
+async def test_a_chip_that_has_lost_its_power_is_at_fault() -> None:
+    """It sleeps and gives zeros, which would look like free fall at rest."""
+    chip = FakeMpu6050()
     imu = await sensor_on(chip)
     await imu.open()
-    world.target[:] = [-4.0, 4.0]
-    for _ in range(100):
-        world.step(0.01)
-    chip.step()
-    chip.step()
-    before = (await imu.read()).turn_rate[2]
+    await imu.read()
 
-    await imu.apply(gyro_range=2000)
-    chip.step()
+    chip.write(PWR_MGMT_1, b"\x80")
+    with pytest.raises(DeviceFaultError, match="lost its power"):
+        await imu.read()
 
-    assert before == pytest.approx(world.turn_rate, abs=0.05)
-    assert (await imu.read()).turn_rate[2] == pytest.approx(before, abs=0.05)
+    await imu.open()
+    assert (await imu.read()).temperature == pytest.approx(25.0, abs=0.01)
 
 
+@pytest.mark.virtual_clock
 @pytest.mark.fault("D05")
 async def test_another_chip_at_the_address_is_refused() -> None:
-    """WHO_AM_I tells, and the error says what was found."""
-
-    class Other:
-        def read(self, register: int, length: int) -> bytes:
-            return b"\x71" * length
-
-        def write(self, register: int, data: bytes) -> None:
-            raise AssertionError("nothing may be written to a chip that is not known")
-
-    bus = I2CBus(name="body", opener=lambda: ChipBus({0x68: Other()}), inline=True)
+    """WHO_AM_I tells, the error says what was found, and nothing is written to it."""
+    bus = FakeI2c(chips={0x68: {0x75: 0x71}})
     await bus.open()
 
     with pytest.raises(DeviceFaultError, match="0x71"):
         await Mpu6050(bus=bus).open()
 
+    assert [each.written for each in bus.log] == [b"\x75"]
 
+
+@pytest.mark.virtual_clock
 async def test_it_needs_an_i2c_bus_and_one_of_its_addresses() -> None:
     """Both mistakes are named before anything is sent."""
     with pytest.raises(ConfigError, match="I2CBus"):
@@ -129,7 +142,7 @@ async def test_it_needs_an_i2c_bus_and_one_of_its_addresses() -> None:
 
 def test_a_reset_puts_the_chip_to_sleep_again() -> None:
     """DEVICE_RESET clears every register but the identity."""
-    chip = SimMpu6050(World())
+    chip = FakeMpu6050()
     chip.write(GYRO_CONFIG, b"\x18")
     chip.write(0x75, b"\x00")
 
@@ -138,3 +151,18 @@ def test_a_reset_puts_the_chip_to_sleep_again() -> None:
     assert chip.read(GYRO_CONFIG, 1) == b"\x00"
     assert chip.read(PWR_MGMT_1, 1) == b"\x40"
     assert chip.read(0x75, 1) == b"\x68"
+
+
+def test_a_fake_that_is_awake_measures_what_it_is_told() -> None:
+    """And at the range that it is set to."""
+    chip = FakeMpu6050()
+    chip.write(PWR_MGMT_1, b"\x01")
+    assert decode_motion(chip.read(0x3B, 14)).acceleration[2] == pytest.approx(GRAVITY)
+
+    chip.write(GYRO_CONFIG, b"\x18\x18")
+    chip.motion = Motion((50.0, 0.0, 0.0), (20.0, 0.0, 0.0), 25.0)
+
+    motion = decode_motion(chip.read(0x3B, 14), 3, 3)
+    assert motion.acceleration[0] == pytest.approx(50.0, abs=0.01)
+    assert motion.turn_rate[0] == pytest.approx(20.0, abs=0.01)
+    assert chip.motion is not AT_REST

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from esair.actions import Behavior, Reaction, mistakes_in_needs, mistakes_in_reaction
+from esair.actions import (
+    Behavior,
+    Reaction,
+    adapt_action,
+    mistakes_in_needs,
+    mistakes_in_reaction,
+)
 from esair.actions._needs import ProfiledAction
 from esair.config._construct import construct
 from esair.config._draft import Draft
@@ -36,6 +42,7 @@ def make_behavior(
     )
     if made is None:
         return None
+    made = adapt_action(made)
     if not table.keys().isdisjoint(FLOWS):
         set_profile(made, table, keys, source)
     errors = mistakes_in_needs(made)

@@ -1,17 +1,24 @@
-"""From the names in a file to classes: ``module:Class``, or an installed name."""
+"""From the names in a file to classes: ``module:Class``, or an installed name.
+
+What is installed is an entry point that names a class, or a module: then the class is
+the one public class there of the kind that the table asks for.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
 import importlib.metadata
+import inspect
 import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Final
 
+from esair import abc
 from esair.config._mistakes import Mistakes
 from esair.exceptions import describe, did_you_mean
 
@@ -48,6 +55,7 @@ def find_class(
     *,
     group: str,
     folder: Path,
+    kind: tuple[type, str] = (object, "a class"),
     built_in: Mapping[str, str] | None = None,
 ) -> type | None:
     """Return the class that a file names, or note what is wrong with the name.
@@ -58,6 +66,7 @@ def find_class(
         mistakes: Where mistakes go.
         group: The group of the entry points.
         folder: The folder of the file; its modules are found first.
+        kind: The base of the class that is looked for in a module, and its words.
         built_in: Names that are known without an entry point.
 
     Returns:
@@ -90,9 +99,56 @@ def find_class(
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # the code of another package
-        mistakes.add(key, f"{name!r} cannot be imported: {describe(error)}")
+        mistakes.add(key, _why_not_loaded(points[name], error))
         return None
+    if inspect.ismodule(found):
+        return _class_in(found, name, *kind, key, mistakes)
     return _checked_class(found, name, key, mistakes)
+
+
+def _class_in(
+    module: ModuleType, name: str, base: type, words: str, key: str, mistakes: Mistakes
+) -> type | None:
+    """Return the one public class of a kind in the module of an installed driver."""
+    public: list[str] = getattr(module, "__all__", None) or [
+        each
+        for each, value in vars(module).items()
+        if not each.startswith("_")
+        and getattr(value, "__module__", "") == module.__name__
+    ]
+    classes = {
+        each: found
+        for each in public
+        if isinstance(found := getattr(module, each, None), type)
+    }
+    fitting = {
+        each: found
+        for each, found in classes.items()
+        if issubclass(found, base) and found is not base
+    }
+    if len(fitting) == 1:
+        return next(iter(fitting.values()))
+    if fitting:
+        choices = ", ".join(f"'{module.__name__}:{each}'" for each in fitting)
+        mistakes.add(key, f"{name!r} has several; expected one of {choices}")
+        return None
+    components = [
+        each for each, found in classes.items() if issubclass(found, abc.Component)
+    ]
+    has = f"only {', '.join(components)}" if components else "none"
+    mistakes.add(key, f"expected {words}, {name!r} ({module.__name__}) has {has}")
+    return None
+
+
+def _why_not_loaded(point: importlib.metadata.EntryPoint, error: BaseException) -> str:
+    if not isinstance(error, ModuleNotFoundError) or not error.name:
+        return f"{point.name!r} cannot be imported: {describe(error)}"
+    text = f"{point.name!r} needs {error.name!r}, which is not installed"
+    if point.dist is not None and point.name in point.dist.metadata.get_all(
+        "Provides-Extra", []
+    ):
+        text += f": pip install '{point.dist.name}[{point.name}]'"
+    return text
 
 
 def _among(known: list[str]) -> str:

@@ -14,7 +14,7 @@ from esair.config._tables import Variant, class_of, variant_of
 from esair.config._values import INVALID, convert
 from esair.config._words import unknown, wanted
 from esair.connections._command_check import check_declaration
-from esair.resources import Actuator, Resource
+from esair.resources import Actuator, Resource, adapt_resource
 from esair.resources._resource import value_type
 
 
@@ -62,6 +62,7 @@ def make_device(
         later=frozenset({"driver", "bus"}),
         make=has_bus,
     )
+    made = adapt_resource(made)
     if isinstance(made, Actuator) and not _is_sound(draft, made, key):
         return None
     return made

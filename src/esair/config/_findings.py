@@ -14,6 +14,7 @@ from esair.actions import Behavior, Reaction, Reads, Writes
 from esair.actions._needs import Need
 from esair.config._draft import Draft
 from esair.config._words import unknown
+from esair.exceptions import did_you_mean
 from esair.messages import Access, Policy
 from esair.resources import Actuator, Sensor
 from esair.resources._resource import same_type, type_name
@@ -217,15 +218,17 @@ def _rights(draft: Draft) -> Iterator[Finding]:
     for resource, policy in draft.policies.items():
         key = f"access.{resource}"
         for name in dict.fromkeys((*policy.allow, *policy.max_priority)):
-            if name != "*" and name not in draft.behaviors:
-                yield _error(
-                    "rights",
-                    f"{key}.{name}"
-                    if name in policy.allow
-                    else f"{key}.max_priority.{name}",
-                    "nobody has this right: "
-                    + unknown("behavior", name, draft.behaviors),
-                )
+            if name == "*" or name in draft.behaviors:
+                continue
+            where = "" if name in policy.allow else "max_priority."
+            # A name that is like no other may be that of a behavior added later.
+            kind = _error if did_you_mean(name, draft.behaviors) else _warning
+            yield kind(
+                "rights",
+                f"{key}.{where}{name}",
+                "nobody here has this right: "
+                + unknown("behavior", name, draft.behaviors),
+            )
         asked = (
             Access.WRITE
             if draft.keys[resource].startswith("actuator.")

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import attrs
 
+from esair import minimal
 from esair.actions._needs import ProfiledAction
 from esair.buses import Bus
 from esair.config._classes import BUSES, find_class
@@ -103,9 +104,10 @@ def class_of(
         mistakes,
         group=group,
         folder=draft.source.folder,
+        kind=(base, _KINDS[base]),
         built_in=BUSES if base is Bus else None,
     )
-    if found is None or issubclass(found, base):
+    if found is None or issubclass(found, (base, _MINIMAL.get(base, base))):
         return found
     mistakes.add(where, f"expected {_KINDS[base]}, {name!r} is {_kind_of(found)}")
     return None
@@ -117,6 +119,13 @@ _KINDS: Final[Mapping[type, str]] = {
     ProfiledAction: "a Behavior or Reaction",
     Bus: "a Bus",
 }
+_MINIMAL: Final[Mapping[type, type]] = {
+    Sensor: minimal.Sensor,
+    Actuator: minimal.Actuator,
+    ProfiledAction: minimal.Reaction,
+}
+"""What was written for a microcontroller serves too; it gets an adapter."""
+
 _PLACES: Final[Mapping[type, str]] = {
     Sensor: "[sensor.NAME]",
     Actuator: "[actuator.NAME]",

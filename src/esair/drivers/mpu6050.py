@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import Any
 
 import attrs
 
-from esair.buses import I2CBus
-from esair.exceptions import ConfigError, DeviceFaultError
+from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
+from esair.exceptions import DeviceFaultError
 from esair.resources import Sensor, setting
+
+__all__ = ["Motion", "Mpu6050", "decode_motion", "encode_motion"]
 
 ADDRESS = 0x68
 SMPLRT_DIV = 0x19
@@ -103,25 +106,25 @@ class Mpu6050(Sensor[Motion]):
     )
     deadline = 0.5
 
-    def __init__(self, *, address: int = ADDRESS, **options: object) -> None:
-        super().__init__(**options)  # type: ignore[arg-type]
-        if address not in {0x68, 0x69}:
-            raise ConfigError(
-                self.name, "address", f"expected 0x68 or 0x69, not {address!r}"
-            )
-        self.address = address
+    def __init__(self, *, address: int = ADDRESS, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.address = check_address(self, address, range(0x68, 0x6A))
         self._gyro_step = 0
         self._accel_step = 0
 
     async def open(self) -> None:
         """Check that it is the chip, wake it and set its ranges."""
-        found = (await self._i2c.read(self.address, WHO_AM_I))[0]
+        bus = i2c_bus(self)
+        with expected_at(self, self.address):
+            found = (await bus.read(self.address, WHO_AM_I))[0]
         if found != IDENTITY:
             raise DeviceFaultError(
                 self.name,
                 f"WHO_AM_I is {found:#04x} instead of {IDENTITY:#04x}: another chip",
             )
-        await self._i2c.write(self.address, PWR_MGMT_1, bytes([CLOCK_FROM_GYRO]))
+        await bus.write(
+            self.address, PWR_MGMT_1, bytes([CLOCK_FROM_GYRO]), idempotent=True
+        )
         await self._scale(self.gyro_range, self.accel_range)
 
     async def apply(
@@ -138,20 +141,21 @@ class Mpu6050(Sensor[Motion]):
 
     async def read(self) -> Motion:
         """Read all axes at one moment, in one transfer."""
-        block = await self._i2c.read(self.address, ACCEL_XOUT_H, _BLOCK.size)
+        block = await i2c_bus(self).read(self.address, ACCEL_XOUT_H, _BLOCK.size)
+        if not any(block):
+            raise DeviceFaultError(
+                self.name, "every axis is 0: the chip sleeps, it has lost its power"
+            )
         return decode_motion(block, self._accel_step, self._gyro_step)
 
     async def _scale(self, gyro_range: int, accel_range: int) -> None:
         gyro_step = (250, 500, 1000, 2000).index(gyro_range)
         accel_step = (2, 4, 8, 16).index(accel_range)
-        await self._i2c.write(
-            self.address, GYRO_CONFIG, bytes([gyro_step << 3, accel_step << 3])
+        await i2c_bus(self).write(
+            self.address,
+            GYRO_CONFIG,
+            bytes([gyro_step << 3, accel_step << 3]),
+            idempotent=True,
         )
         self._gyro_step = gyro_step
         self._accel_step = accel_step
-
-    @property
-    def _i2c(self) -> I2CBus:
-        if not isinstance(self.bus, I2CBus):
-            raise ConfigError(self.name, "bus", f"expected an I2CBus, not {self.bus!r}")
-        return self.bus

@@ -1,0 +1,354 @@
+"""Any Adafruit CircuitPython driver of an I²C part, as a sensor or an actuator.
+
+Adafruit's drivers expect a ``busio.I2C``; `AdafruitBus` looks like one, and is an
+`esair.buses.I2CBus`. They block, so they run on the thread of that bus, and nobody else
+uses the bus during one call of theirs: a driver that sleeps makes the others wait::
+
+    [sensor.air]
+    driver = "adafruit"
+    bus = "chips"
+    library = "adafruit_bme280.basic:Adafruit_BME280_I2C"
+    address = 0x76
+    value = ["temperature", "pressure"]
+
+    [actuator.lamp]
+    driver = "adafruit"
+    bus = "chips"
+    library = "adafruit_pca9685:PCA9685"
+    attribute = "channels[0].duty_cycle"
+    safe = 0
+
+Source: the API of ``busio.I2C`` of CircuitPython, and of adafruit_bus_device 5.2.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import re
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from esair.buses import I2CBus
+from esair.buses._i2c_errors import SILENT
+from esair.buses._i2c_link import probe, transfer
+from esair.drivers._on_i2c import i2c_bus
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    describe,
+)
+from esair.resources import Actuator, Resource, Sensor
+
+__all__ = ["AdafruitActuator", "AdafruitBus", "AdafruitSensor"]
+
+_PATH = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)*(\(\))?")
+_PIECE = re.compile(r"[A-Za-z_]\w*|\[\d+\]")
+
+# adafruit_register has one buffer for all drivers of a process: with two buses, and
+# so two threads, one driver would send what another has just put there.
+_one_at_a_time = threading.Lock()
+
+
+class AdafruitBus:
+    """What a CircuitPython driver takes for a ``busio.I2C``.
+
+    It is for the thread of the bus, where plain methods of drivers run: nobody else can
+    come in between there, so the bus is always free to be locked.
+
+    Args:
+        bus: The bus.
+    """
+
+    def __init__(self, bus: I2CBus) -> None:
+        self._bus = bus
+
+    def __enter__(self) -> AdafruitBus:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.deinit()
+
+    def deinit(self) -> None:
+        """Do nothing: the bus belongs to the robot."""
+
+    def try_lock(self) -> bool:
+        """Return that the bus is free."""
+        return True
+
+    def unlock(self) -> None:
+        """Do nothing: the bus is free for others after the call of the driver."""
+
+    def scan(self) -> list[int]:
+        """Return the addresses that answer."""
+        return [address for address in range(0x08, 0x78) if self._answers(address)]
+
+    def readfrom_into(
+        self,
+        address: int,
+        buffer: Any,
+        *,
+        start: int = 0,
+        end: int | None = None,
+        stop: bool = True,
+    ) -> None:
+        """Fill a buffer, or a part of it, from a chip."""
+        part = memoryview(buffer)[start:end]
+        part[:] = self._transfer(address, b"", len(part))
+
+    def writeto(
+        self,
+        address: int,
+        buffer: Any,
+        *,
+        start: int = 0,
+        end: int | None = None,
+        stop: bool = True,
+    ) -> None:
+        """Write a buffer, or a part of it, to a chip."""
+        if isinstance(buffer, str):
+            buffer = buffer.encode("latin-1")
+        self._transfer(address, bytes(memoryview(buffer)[start:end]), 0)
+
+    def writeto_then_readfrom(
+        self,
+        address: int,
+        buffer_out: Any,
+        buffer_in: Any,
+        *,
+        out_start: int = 0,
+        out_end: int | None = None,
+        in_start: int = 0,
+        in_end: int | None = None,
+        stop: bool = False,
+    ) -> None:
+        """Write a buffer, then fill one after a repeated start."""
+        out = bytes(memoryview(buffer_out)[out_start:out_end])
+        part = memoryview(buffer_in)[in_start:in_end]
+        part[:] = self._transfer(address, out, len(part))
+
+    def _transfer(self, address: int, write: bytes, read: int) -> bytes:
+        return self._bus.direct(
+            lambda link: transfer(link, address, write, read), address=address
+        )
+
+    def _answers(self, address: int) -> bool:
+        try:
+            self._bus.direct(lambda link: probe(link, address), address=address)
+        except DeviceFaultError:
+            return False
+        return True
+
+
+class _Part:
+    """The object of a CircuitPython driver, made anew at each opening."""
+
+    def __init__(
+        self,
+        owner: Resource,
+        library: str | Callable[..., Any],
+        address: int | None,
+        arguments: Mapping[str, Any] | None,
+    ) -> None:
+        self._owner = owner
+        self._make = _imported(owner, library) if isinstance(library, str) else library
+        self._arguments = dict(arguments or {})
+        if address is not None:
+            self._arguments["address"] = address
+        self._made: Any = None
+
+    def open(self) -> None:
+        bus = i2c_bus(self._owner)
+        self._made = None
+        with self.alone():
+            try:
+                self._made = self._make(AdafruitBus(bus), **self._arguments)
+            except Exception as error:
+                if _is_silence(error) or not bus.is_open:
+                    raise DeviceLostError(self._owner.name, describe(error)) from error
+                raise
+
+    def close(self) -> None:
+        self._made = None
+
+    def follow(self, pieces: Sequence[str]) -> Any:
+        """Return what a path leads to."""
+        if self._made is None:
+            raise DeviceLostError(self._owner.name, "it is not open")
+        found = self._made
+        for piece in pieces:
+            found = (
+                found[int(piece[1:-1])] if piece[0] == "[" else getattr(found, piece)
+            )
+        return found
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep other Adafruit drivers of the process out, on other buses' threads."""
+        patience = self._owner.deadline / 2
+        if not _one_at_a_time.acquire(timeout=patience):
+            raise DriverStuckError(
+                self._owner.name, "an Adafruit driver on another bus", patience
+            )
+        try:
+            yield
+        finally:
+            _one_at_a_time.release()
+
+
+class AdafruitSensor(Sensor[Any]):
+    """A part that is read through its CircuitPython driver.
+
+    Args:
+        library: The driver's class as ``module:Class``, or anything that is called with
+            a ``busio.I2C`` and makes an object.
+        value: The attribute that is read, such as ``"temperature"``; a path to it, such
+            as ``"channels[0].voltage"``, with ``()`` at the end if it is to be called. If
+            there are several, a reading is a dictionary of them.
+        address: The address of the part; the driver's own default if None.
+        arguments: Further keywords for the driver's class.
+    """
+
+    deadline = 2.0
+
+    def __init__(
+        self,
+        *,
+        library: str | Callable[..., Any],
+        value: str | Sequence[str],
+        address: int | None = None,
+        arguments: Mapping[str, Any] | None = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self._part = _Part(self, library, address, arguments)
+        names = [value] if isinstance(value, str) else list(value)
+        if not names:
+            raise ConfigError(self.name, "value", "expected at least one attribute")
+        self._paths = {name: _pieces(self, "value", name) for name in names}
+        self._one = isinstance(value, str)
+
+    def open(self) -> None:
+        """Have the driver set the part up; on the thread of the bus."""
+        self._part.open()
+
+    def close(self) -> None:
+        """Forget the driver's object."""
+        self._part.close()
+
+    def read(self) -> Any:
+        """Read the attributes; on the thread of the bus, nobody else in between."""
+        with self._part.alone():
+            values = {
+                name: self._read(name, pieces) for name, pieces in self._paths.items()
+            }
+        return next(iter(values.values())) if self._one else values
+
+    def _read(self, name: str, pieces: Sequence[str]) -> Any:
+        found = self._part.follow(pieces)
+        return found() if name.endswith("()") else found
+
+
+class AdafruitActuator(Actuator[Any]):
+    """A part that is written to through its CircuitPython driver.
+
+    Args:
+        library: The driver's class as ``module:Class``, or anything that is called with
+            a ``busio.I2C`` and makes an object.
+        attribute: The attribute that a command is assigned to, such as ``"value"``; a
+            path to it, such as ``"channels[0].duty_cycle"``; with ``()`` at the end it
+            is called with the command.
+        safe: The safe command; commands are of its type.
+        limits: Least and greatest command.
+        address: The address of the part; the driver's own default if None.
+        arguments: Further keywords for the driver's class.
+    """
+
+    deadline = 2.0
+
+    def __init__(
+        self,
+        *,
+        library: str | Callable[..., Any],
+        attribute: str,
+        safe: Any,
+        limits: tuple[float, float] | None = None,
+        address: int | None = None,
+        arguments: Mapping[str, Any] | None = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self.safe = safe
+        self.limits = limits
+        self._part = _Part(self, library, address, arguments)
+        self._pieces = _pieces(self, "attribute", attribute)
+        self._called = attribute.endswith("()")
+        if not self._called and self._pieces[-1].startswith("["):
+            raise ConfigError(
+                self.name, "attribute", f"expected an attribute, not {attribute!r}"
+            )
+
+    def open(self) -> None:
+        """Have the driver set the part up; on the thread of the bus."""
+        self._part.open()
+
+    def close(self) -> None:
+        """Forget the driver's object."""
+        self._part.close()
+
+    def write(self, command: Any) -> None:
+        """Assign the command, or call with it; on the thread of the bus."""
+        with self._part.alone():
+            if self._called:
+                self._part.follow(self._pieces)(command)
+            else:
+                *way, last = self._pieces
+                setattr(self._part.follow(way), last, command)
+
+
+def _is_silence(error: Exception) -> bool:
+    """Tell whether nobody answered; adafruit_bus_device makes a ValueError of it."""
+    if isinstance(error, ValueError):
+        return isinstance(error.__context__, OSError)
+    return isinstance(error, DeviceFaultError) and error.errno in SILENT
+
+
+def _pieces(owner: Resource, field: str, path: str) -> list[str]:
+    if not isinstance(path, str) or not _PATH.fullmatch(path):
+        raise ConfigError(
+            owner.name,
+            field,
+            "expected an attribute such as 'temperature', 'channels[0].duty_cycle' or "
+            f"'measure()', not {path!r:.80}",
+        )
+    return _PIECE.findall(path)
+
+
+def _imported(owner: Resource, library: str) -> Callable[..., Any]:
+    module, colon, name = library.partition(":")
+    if not (module and colon and name):
+        raise ConfigError(
+            owner.name,
+            "library",
+            f"expected 'module:Class' of a CircuitPython driver, not {library!r:.80}",
+        )
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            owner.name,
+            "library",
+            f"{error.name!r} is not installed; Adafruit's packages are named "
+            "adafruit-circuitpython-...",
+        ) from error
+    except Exception as error:  # Blinka refuses to be imported on some boards
+        raise ConfigError(
+            owner.name, "library", f"{library!r} cannot be used: {describe(error)}"
+        ) from error
+    if not callable(found):
+        raise ConfigError(owner.name, "library", f"{library!r} is no class")
+    made: Callable[..., Any] = found
+    return made

@@ -1,0 +1,147 @@
+"""Texas Instruments ADS1115: four analog inputs of 16 bits, over I²C.
+
+Source: ADS111x Ultra-Small, Low-Power, I2C-Compatible, 860-SPS, 16-Bit ADCs, SBAS444.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import weakref
+from typing import Any
+
+from esair.buses import I2CBus
+from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
+from esair.exceptions import ConfigError, DeviceFaultError
+from esair.resources import Sensor, setting
+
+__all__ = ["Ads1115", "config_for", "decode_volts"]
+
+ADDRESS = 0x48
+CONVERSION = 0x00
+CONFIG = 0x01
+
+CHANNELS = {
+    "0-1": 0, "0-3": 1, "1-3": 2, "2-3": 3, "0": 4, "1": 5, "2": 6, "3": 7,
+}  # fmt: skip
+"""The field ``MUX`` by what is measured: an input, or the difference of two."""
+
+FULL_SCALES = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256)
+"""The field ``PGA``: the greatest voltage, in V."""
+
+DATA_RATES = (8, 16, 32, 64, 128, 250, 475, 860)
+"""The field ``DR``: conversions in a second."""
+
+START = 0x8000
+"""``OS``: start a conversion; read, it means that none is under way."""
+
+SINGLE = 0x0100
+"""``MODE``: convert once, then sleep."""
+
+NO_COMPARATOR = 0x0003
+
+TOLERANCE = 1.1
+"""How much longer a conversion may take: the chip's clock is good to 10 percent."""
+
+_PATIENCE = 10
+_chips: weakref.WeakKeyDictionary[I2CBus, dict[int, asyncio.Lock]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def config_for(channel: str, full_scale: float, data_rate: int) -> int:
+    """Return what to write to ``CONFIG`` for one conversion."""
+    return (
+        START
+        | CHANNELS[channel] << 12
+        | FULL_SCALES.index(full_scale) << 9
+        | SINGLE
+        | DATA_RATES.index(data_rate) << 5
+        | NO_COMPARATOR
+    )
+
+
+def decode_volts(block: bytes, full_scale: float) -> float:
+    """Turn the two bytes of ``CONVERSION`` into volts."""
+    return int.from_bytes(block, "big", signed=True) * full_scale / 32768
+
+
+class Ads1115(Sensor[float]):
+    """One input of an ADS1115, or the difference of two, in V.
+
+    Several sensors may be on one chip; each converts in its turn. A voltage beyond the
+    full scale reads as the full scale.
+
+    Args:
+        channel: 0 to 3, or ``"0-1"``, ``"0-3"``, ``"1-3"``, ``"2-3"``.
+        address: 0x48 to 0x4b, by the chip's pin ADDR.
+    """
+
+    full_scale = setting(
+        4.096,
+        unit="V",
+        choices=FULL_SCALES,
+        doc="the greatest voltage (the gain); no input may be beyond the supply",
+    )
+    data_rate = setting(
+        128,
+        unit="Hz",
+        choices=DATA_RATES,
+        doc="how fast it converts; slower is less noise",
+    )
+
+    def __init__(
+        self, *, channel: int | str = 0, address: int = ADDRESS, **settings: Any
+    ) -> None:
+        super().__init__(**settings)
+        self.address = check_address(self, address, range(0x48, 0x4C))
+        self.channel = str(channel)
+        if self.channel not in CHANNELS:
+            known = ", ".join(sorted(CHANNELS))
+            raise ConfigError(
+                self.name, "channel", f"expected one of {known}, not {channel!r:.80}"
+            )
+        self._full_scale: float = self.full_scale
+        self._data_rate: int = self.data_rate
+
+    async def open(self) -> None:
+        """Find out whether the chip answers; it needs nothing else."""
+        self._full_scale, self._data_rate = self.full_scale, self.data_rate
+        with expected_at(self, self.address):
+            await i2c_bus(self).read(self.address, CONFIG, 2)
+
+    async def apply(
+        self,
+        *,
+        full_scale: float | None = None,
+        data_rate: int | None = None,
+        **_: object,
+    ) -> None:
+        """Use other settings from the next conversion on."""
+        self._full_scale = full_scale or self.full_scale
+        self._data_rate = data_rate or self.data_rate
+
+    async def read(self) -> float:
+        """Convert once and wait for it."""
+        bus = i2c_bus(self)
+        lock = _chips.setdefault(bus, {}).setdefault(self.address, asyncio.Lock())
+        async with lock:  # or another sensor would change what is converted
+            full_scale = self._full_scale
+            config = config_for(self.channel, full_scale, self._data_rate)
+            await bus.write(
+                self.address, CONFIG, config.to_bytes(2, "big"), idempotent=True
+            )
+            await asyncio.sleep(TOLERANCE / self._data_rate)
+            for _ in range(_PATIENCE):
+                state = await bus.read(self.address, CONFIG, 2)
+                now = int.from_bytes(state, "big")
+                if now & ~START != config & ~START:
+                    raise DeviceFaultError(
+                        self.name,
+                        f"CONFIG is {now:#06x} instead of {config:#06x}: the chip has "
+                        "lost its power, or somebody else uses it",
+                    )
+                if now & START:
+                    block = await bus.read(self.address, CONVERSION, 2)
+                    return decode_volts(block, full_scale)
+                await asyncio.sleep(0.001)
+        raise DeviceFaultError(self.name, "the conversion does not end")

@@ -1,0 +1,227 @@
+"""A GPS receiver that speaks NMEA 0183, on a serial line.
+
+Source: NMEA 0183, sentences GGA (fix data) and RMC (recommended minimum data); they
+are parsed by pynmeagps. Any receiver of GPS, Galileo, GLONASS or BeiDou sends them.
+
+The bus cuts the bytes into sentences and checks them: ``framing="nmea"``. Most
+receivers talk at 9600 bits per second, once a second::
+
+    [bus.gps]
+    type = "serial"
+    port = "usb:1546:01a7"
+    baudrate = 9600
+    framing = "nmea"
+
+    [sensor.position]
+    driver = "gps"
+    bus = "gps"
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import math
+from collections.abc import AsyncIterator, Sequence
+from typing import Any
+
+import attrs
+from pynmeagps import NMEAReader, exceptions  # type: ignore[import-untyped]
+
+from esair.buses import SerialBus
+from esair.exceptions import ConfigError, DeviceFaultError
+from esair.framing import Sentences
+from esair.resources import Sensor
+
+__all__ = ["Fix", "FixBuilder", "Gps"]
+
+KNOT = 1852 / 3600
+"""In m/s."""
+
+SENTENCES = ("GGA", "RMC")
+"""The kinds of sentence that a fix is made of."""
+
+_ERRORS = (
+    exceptions.NMEAMessageError,
+    exceptions.NMEAParseError,
+    exceptions.NMEATypeError,
+    exceptions.NMEAStreamError,
+    ValueError,
+    TypeError,
+    AttributeError,
+)
+
+
+@attrs.frozen
+class Fix:
+    """Where the antenna is, by one moment's measurement.
+
+    Attributes:
+        latitude_deg: North positive, WGS 84.
+        longitude_deg: East positive, WGS 84.
+        altitude: Above mean sea level, in m; None if no GGA told it.
+        speed: Over ground, in m/s; None if no RMC told it.
+        course: Direction of travel in rad, clockwise from true north; None if no RMC
+            told it, or while the antenna stands.
+        quality: 1 satellites alone, 2 differential, 4 RTK fixed, 5 RTK float, 6 dead
+            reckoning; None if no GGA told it.
+        satellites: How many were used; None if no GGA told it.
+        hdop: Horizontal dilution of precision; None if no GGA told it.
+        time: When it was measured, by the receiver; without a date if no RMC told it.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude: float | None = None
+    speed: float | None = None
+    course: float | None = None
+    quality: int | None = None
+    satellites: int | None = None
+    hdop: float | None = None
+    time: datetime.datetime | datetime.time | None = None
+
+
+class FixBuilder:
+    """Puts the sentences of one moment together. No I/O.
+
+    Args:
+        sentences: The kinds that have to come before a fix is whole.
+
+    Attributes:
+        bad_sentences: How many were no sentence of their kind.
+        without_fix: How many moments the receiver knew no position.
+    """
+
+    def __init__(self, sentences: Sequence[str] = SENTENCES) -> None:
+        self._wanted = frozenset(sentences)
+        self._found: dict[str, Any] = {}
+        self._moment: datetime.time | None = None
+        self.bad_sentences = 0
+        self.without_fix = 0
+
+    def feed(self, body: bytes) -> Fix | None:
+        """Take a sentence, as it stands between ``$`` and ``*``.
+
+        Returns:
+            The fix that it completes; None if it completes none.
+        """
+        kind = body[2:5].decode("ascii", "replace")
+        if kind not in self._wanted:
+            return None
+        try:
+            message: Any = NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)
+            moment = message.time
+            valid = message.quality > 0 if kind == "GGA" else message.status == "A"
+        except _ERRORS:
+            self.bad_sentences += 1
+            return None
+        if not isinstance(moment, datetime.time):
+            self.without_fix += 1
+            return None
+        if moment != self._moment:
+            self._moment = moment
+            self._found.clear()
+        self._found[kind] = message if valid else None
+        if self._wanted - self._found.keys():
+            return None
+        found, self._found = self._found, {}
+        self._moment = None
+        if None in found.values():
+            self.without_fix += 1
+            return None
+        return self._fix(moment, found.get("GGA"), found.get("RMC"))
+
+    def _fix(self, moment: datetime.time, gga: Any, rmc: Any) -> Fix | None:
+        place = gga or rmc
+        try:
+            fix = Fix(
+                latitude_deg=_number(place.lat, -90.0, 90.0),
+                longitude_deg=_number(place.lon, -180.0, 180.0),
+                altitude=gga and _optional(gga.alt),
+                speed=rmc and _optional(rmc.spd, KNOT),
+                course=rmc and _optional(rmc.cog, math.radians(1.0)),
+                quality=gga and int(gga.quality),
+                satellites=gga and int(gga.numSV),
+                hdop=gga and _optional(gga.HDOP),
+                time=datetime.datetime.combine(rmc.date, moment, datetime.UTC)
+                if rmc is not None and isinstance(rmc.date, datetime.date)
+                else moment,
+            )
+        except _ERRORS:
+            self.bad_sentences += 1
+            return None
+        return fix
+
+
+def _number(value: Any, low: float, high: float) -> float:
+    number = float(value)
+    if not low <= number <= high:
+        raise ValueError(f"expected {low} to {high}, not {number}")
+    return number
+
+
+def _optional(value: Any, unit: float = 1.0) -> float | None:
+    if isinstance(value, int | float) and math.isfinite(value):
+        return value * unit
+    return None  # an empty field
+
+
+class Gps(Sensor[Fix]):
+    """A receiver that pushes where it is.
+
+    It gives a value for each moment at which it knows its position; while it knows
+    none, indoors say, there is no reading that is fresh, and ``without_fix`` counts.
+
+    Args:
+        sentences: The kinds of sentence that a fix is made of, of GGA and RMC; one
+            alone for a receiver that does not send the other.
+
+    Attributes:
+        builder: Puts sentences together, and counts those that were bad.
+    """
+
+    bus: SerialBus
+    deadline = 2.5
+
+    def __init__(
+        self, *, sentences: tuple[str, ...] = SENTENCES, **keywords: Any
+    ) -> None:
+        super().__init__(**keywords)
+        if not sentences or not set(sentences) <= set(SENTENCES):
+            raise ConfigError(
+                self.name,
+                "sentences",
+                f"expected of GGA and RMC, not {sentences!r:.80}",
+            )
+        if not isinstance(getattr(self.bus, "framing", None), Sentences):
+            raise ConfigError(
+                self.name,
+                "bus",
+                f"expected a SerialBus with framing='nmea', not {self.bus!r}",
+            )
+        self.sentences = tuple(sentences)
+        self.builder = FixBuilder(self.sentences)
+
+    async def open(self) -> None:
+        """Wait until it says anything: then the port and the baud rate are right.
+
+        Raises:
+            DeviceFaultError: It is silent, or nothing but noise comes.
+        """
+        with contextlib.closing(self.bus.frames()) as sentences:
+            try:
+                await sentences.take(timeout=self.deadline)
+            except TimeoutError:
+                raise DeviceFaultError(
+                    self.name,
+                    f"no sentence in {self.deadline:g} s: check the baud rate",
+                ) from None
+
+    async def stream(self) -> AsyncIterator[Fix]:
+        """Yield each fix as soon as it is whole."""
+        self.builder = FixBuilder(self.sentences)
+        with contextlib.closing(self.bus.frames(limit=256)) as sentences:
+            async for body in sentences:
+                fix = self.builder.feed(body)
+                if fix is not None:
+                    yield fix

@@ -1,0 +1,218 @@
+r"""A microcontroller that speaks in lines of text: ``name=value``, on a serial line.
+
+The protocol, for the other side (an Arduino sketch, a MicroPython script), is::
+
+    range=1.25       board to robot: a value, whenever the board likes
+    range?           robot to board: what is it now? The board answers range=1.25
+    speed=0.3        robot to board: a command
+    speed:0.3        board to robot: done, and this is what was applied
+    speed!too fast   board to robot: not done, and why
+    who?             robot to board: who are you? The board answers who=NAME
+
+Every line ends with ``\n``; ``\r`` before it is allowed. Names are letters, digits and
+``_``; values are decimal numbers. Lines with other names are other devices' business.
+
+Source: this page; it is what most hobby firmware does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import AsyncIterator
+from typing import Any
+
+from esair.buses import SerialBus
+from esair.exceptions import ConfigError, DeviceFaultError
+from esair.resources import Actuator, Sensor
+
+__all__ = ["LineActuator", "LineSensor"]
+
+_KEY = re.compile(r"[A-Za-z]\w{0,31}\Z", re.ASCII)
+_NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\Z")
+
+
+class LineError(ValueError):
+    """A line that is none of the protocol."""
+
+
+def encode_value(key: str, value: float) -> bytes:
+    """Return the line that gives a name a value, without its end.
+
+    Raises:
+        LineError: The value is not finite.
+    """
+    if not math.isfinite(value):
+        raise LineError(f"expected a finite number for {key}, not {value!r}")
+    return f"{key}={value:.9g}".encode("ascii")
+
+
+def decode_value(line: bytes) -> tuple[str, float]:
+    """Return the name and the value of a line ``name=value`` or ``name:value``.
+
+    Raises:
+        LineError: It is no such line, or the value is no finite number.
+    """
+    key, value = _split(line, b"=:")
+    number = value.strip()
+    if not _NUMBER.match(number) or not math.isfinite(float(number)):
+        raise LineError(f"expected a number in {line!r:.80}")
+    return key, float(number)
+
+
+def _split(line: bytes, marks: bytes) -> tuple[str, bytes]:
+    text = line.rstrip(b"\r")
+    for place, byte in enumerate(text):
+        if byte in marks:
+            key = text[:place].decode("ascii", "replace")
+            if _KEY.match(key):
+                return key, text[place + 1 :]
+            break
+    raise LineError(f"expected name=value, not {line!r:.80}")
+
+
+class _LineDevice:
+    """What sensors and actuators on such a board have in common."""
+
+    name: str
+    bus: SerialBus
+    identity: object
+
+    def _check(self, key: str | None) -> str:
+        if not isinstance(self.bus, SerialBus):
+            raise ConfigError(
+                self.name, "bus", f"expected a SerialBus, not {self.bus!r}"
+            )
+        key = self.name if key is None else key
+        if not _KEY.match(key):
+            raise ConfigError(
+                self.name,
+                "key",
+                f"expected letters, digits and _, at most 32, not {key!r:.80}",
+            )
+        return key
+
+    async def identify(self) -> str | None:
+        """Ask the board who it is, if ``identity`` says who it has to be."""
+        if self.identity is None:
+            return None
+        answer = await self.bus.ask(b"who?", prefix=b"who=")
+        return answer.partition(b"=")[2].strip().decode("ascii", "replace")
+
+
+class LineSensor(_LineDevice, Sensor[float]):
+    """One number that a board tells.
+
+    Args:
+        key: Its name on the wire; the sensor's own name unless given.
+        ask: Ask the board for each value, at the sensor's ``rate``, instead of waiting
+            for those that it pushes.
+
+    Attributes:
+        bad_lines: How many values were no number.
+    """
+
+    bus: SerialBus
+
+    def __init__(
+        self, *, key: str | None = None, ask: bool = False, **keywords: Any
+    ) -> None:
+        super().__init__(**keywords)
+        self.key = self._check(key)
+        self.ask = ask
+        self.bad_lines = 0
+
+    @property
+    def can_be_asked(self) -> bool:
+        """Whether the board is asked for each value."""
+        return self.ask
+
+    @property
+    def pushes(self) -> bool:
+        """Whether the board pushes values."""
+        return not self.ask
+
+    async def read(self) -> float:
+        """Ask for the value.
+
+        Raises:
+            DeviceFaultError: The answer is no number.
+            DriverStuckError: There is no answer.
+        """
+        answer = await self.bus.ask(
+            f"{self.key}?".encode("ascii"), prefix=f"{self.key}=".encode("ascii")
+        )
+        try:
+            return decode_value(answer)[1]
+        except LineError as error:
+            self.bad_lines += 1
+            raise DeviceFaultError(self.name, str(error)) from error
+
+    async def stream(self) -> AsyncIterator[float]:
+        """Yield each value that comes; what is no number is counted and left out."""
+        prefix = f"{self.key}=".encode("ascii")
+        with contextlib.closing(self.bus.frames(prefix)) as lines:
+            async for line in lines:
+                try:
+                    _, value = decode_value(line)
+                except LineError:
+                    self.bad_lines += 1
+                else:
+                    yield value
+
+
+class LineActuator(_LineDevice, Actuator[float]):
+    """One number that a board is told.
+
+    Args:
+        safe: The number that makes it safe.
+        key: Its name on the wire; the actuator's own name unless given.
+        ack: Whether the board confirms each command, with what it has applied. An
+            answer that comes after its time-out can be taken for that to the next
+            command.
+        limits: Least and greatest number.
+        own_timeout: After how many seconds without a command the board itself stops.
+    """
+
+    bus: SerialBus
+
+    def __init__(
+        self,
+        *,
+        safe: float,
+        key: str | None = None,
+        ack: bool = False,
+        limits: tuple[float, float] | None = None,
+        own_timeout: float | None = None,
+        **keywords: Any,
+    ) -> None:
+        super().__init__(**keywords)
+        self.key = self._check(key)
+        self.safe = safe
+        self.ack = ack
+        self.limits = limits
+        self.own_timeout = own_timeout
+
+    async def write(self, command: float) -> float | None:
+        """Tell the number.
+
+        Raises:
+            DeviceFaultError: The board refused it, or answered nonsense.
+            DriverStuckError: It did not confirm it in time.
+        """
+        line = encode_value(self.key, command)
+        if not self.ack:
+            await self.bus.send(line)
+            return None
+        done, refused = f"{self.key}:".encode("ascii"), f"{self.key}!".encode("ascii")
+        answer = await self.bus.ask(
+            line, answers=lambda line: line.startswith((done, refused))
+        )
+        if answer.startswith(refused):
+            why = answer[len(refused) :].strip().decode("ascii", "replace")
+            raise DeviceFaultError(self.name, f"the board refused {line!r}: {why:.80}")
+        try:
+            return decode_value(answer)[1]
+        except LineError as error:
+            raise DeviceFaultError(self.name, str(error)) from error

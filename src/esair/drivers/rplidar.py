@@ -1,0 +1,306 @@
+"""SLAMTEC RPLIDAR A1: a turning laser range finder, on a serial line.
+
+Source: SLAMTEC, RPLIDAR Interface Protocol and Application Notes, revision 2.x, for the
+A series: request and response packets, SCAN, STOP, GET_INFO, GET_HEALTH. The names are
+those of that document. Only the plain SCAN is used, which every model answers.
+
+The line runs at 115200 bits per second and has no frames of one kind: ``framing="raw"``.
+The motor is turned by the adapter board, through DTR on most of them; that is outside
+this driver.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import struct
+from collections.abc import AsyncIterator
+from typing import Any
+
+import attrs
+
+from esair.buses import Inbox, SerialBus
+from esair.exceptions import ConfigError, DeviceFaultError
+from esair.framing import Raw
+from esair.resources import Sensor
+
+__all__ = ["Health", "Info", "RpLidar", "Scan", "ScanDecoder"]
+
+START = 0xA5
+"""The first byte of each request and of each response."""
+
+STOP = 0x25
+SCAN = 0x20
+GET_INFO = 0x50
+GET_HEALTH = 0x52
+
+DESCRIPTOR = b"\xa5\x5a"
+"""How each response descriptor begins."""
+
+SCAN_DESCRIPTOR = bytes.fromhex("a55a0500004081")
+INFO_DESCRIPTOR = bytes.fromhex("a55a1400000004")
+HEALTH_DESCRIPTOR = bytes.fromhex("a55a0300000006")
+
+NODE_SIZE = 5
+MAX_NODES = 8192
+"""How many measurements one turn may have; with more no turn is ever found."""
+
+NOISE_LIMIT = 65536
+"""How many bytes are looked through for an answer."""
+
+_INFO = struct.Struct("<BBBB16s")
+_HEALTH = struct.Struct("<BH")
+_NODE = struct.Struct("<BHH")
+
+_STATUS = ("good", "warning", "error")
+
+
+@attrs.frozen
+class Scan:
+    """One turn of the laser, in its own axes: x forward, y left.
+
+    Attributes:
+        angles: Directions from the x axis in rad, counter-clockwise, shape (n,), in the
+            order in which they were measured (the laser turns clockwise).
+        ranges: Distances in m, shape (n,); infinite where nothing came back.
+        qualities: How much light came back, 0 to 63, shape (n,).
+    """
+
+    angles: tuple[float, ...]
+    ranges: tuple[float, ...]
+    qualities: tuple[int, ...]
+
+    def nearest(self, begin: float, end: float) -> float:
+        """Return the least distance between two directions in rad, in m."""
+        return min(
+            (
+                distance
+                for angle, distance in zip(self.angles, self.ranges, strict=True)
+                if begin <= angle <= end
+            ),
+            default=math.inf,
+        )
+
+
+@attrs.frozen
+class Info:
+    """Who it is: 0x18 is an A1, the serial number has 32 hexadecimal digits."""
+
+    model: int
+    firmware: tuple[int, int]
+    hardware: int
+    serial: str
+
+
+@attrs.frozen
+class Health:
+    """How it is: ``good``, ``warning`` or ``error``, and the maker's code."""
+
+    status: str
+    code: int
+
+
+def request(command: int) -> bytes:
+    """Return the bytes of a request without parameters."""
+    return bytes([START, command])
+
+
+def decode_info(data: bytes) -> Info:
+    """Decode the 20 bytes that answer ``GET_INFO``."""
+    model, minor, major, hardware, serial = _INFO.unpack(data)
+    return Info(model, (major, minor), hardware, serial.hex().upper())
+
+
+def encode_info(info: Info) -> bytes:
+    """Encode the answer to ``GET_INFO``, as the device does."""
+    major, minor = info.firmware
+    serial = bytes.fromhex(info.serial)
+    return _INFO.pack(info.model, minor, major, info.hardware, serial)
+
+
+def decode_health(data: bytes) -> Health:
+    """Decode the 3 bytes that answer ``GET_HEALTH``.
+
+    Raises:
+        ValueError: The status is none.
+    """
+    status, code = _HEALTH.unpack(data)
+    if status >= len(_STATUS):
+        raise ValueError(f"expected a status of 0 to 2, not {status}")
+    return Health(_STATUS[status], code)
+
+
+def encode_health(health: Health) -> bytes:
+    """Encode the answer to ``GET_HEALTH``, as the device does."""
+    return _HEALTH.pack(_STATUS.index(health.status), health.code)
+
+
+def encode_scan(scan: Scan) -> bytes:
+    """Encode one turn, as the device does: the first measurement begins it."""
+    nodes = zip(scan.angles, scan.ranges, scan.qualities, strict=True)
+    return b"".join(
+        _NODE.pack(
+            quality << 2 | (2 if place else 1),
+            round(math.degrees(-angle % math.tau) * 64) % (360 * 64) << 1 | 1,
+            0 if math.isinf(distance) else max(1, min(65535, round(distance * 4000))),
+        )
+        for place, (angle, distance, quality) in enumerate(nodes)
+    )
+
+
+class ScanDecoder:
+    """Turns the bytes of a running scan into whole turns. No I/O.
+
+    What does not look like a measurement is left out byte by byte until it does again;
+    a turn with such a gap is not given.
+
+    Attributes:
+        discarded: How many bytes were left out.
+        bad_turns: How many turns had a gap.
+    """
+
+    def __init__(self) -> None:
+        self.discarded = 0
+        self.bad_turns = 0
+        self._rest = b""
+        self._whole = False
+        self._angles: list[float] = []
+        self._ranges: list[float] = []
+        self._qualities: list[int] = []
+
+    def feed(self, data: bytes) -> list[Scan]:
+        """Take bytes; return the turns that they complete."""
+        data = self._rest + data
+        end = len(data) - NODE_SIZE
+        begin = 0
+        scans: list[Scan] = []
+        while begin <= end:
+            first, turned, far = _NODE.unpack_from(data, begin)
+            # S and its inverse, the check bit, and no angle beyond a turn.
+            if first & 3 not in {1, 2} or not turned & 1 or turned >> 1 > 360 * 64:
+                begin += 1
+                self.discarded += 1
+                self._lose_turn()
+                continue
+            begin += NODE_SIZE
+            if first & 1:
+                if self._whole and self._angles:
+                    scans.append(self._turn())
+                self._begin_turn(whole=True)
+            if not self._whole:
+                continue
+            if len(self._angles) >= MAX_NODES:
+                self._lose_turn()
+                continue
+            angle = -math.radians((turned >> 1) / 64)
+            self._angles.append(angle if angle > -math.pi else angle + math.tau)
+            self._ranges.append(far / 4000 if far else math.inf)
+            self._qualities.append(first >> 2)
+        self._rest = data[begin:]
+        return scans
+
+    def _turn(self) -> Scan:
+        return Scan(tuple(self._angles), tuple(self._ranges), tuple(self._qualities))
+
+    def _begin_turn(self, *, whole: bool) -> None:
+        self._whole = whole
+        self._angles.clear()
+        self._ranges.clear()
+        self._qualities.clear()
+
+    def _lose_turn(self) -> None:
+        if self._whole:
+            self.bad_turns += 1
+        self._begin_turn(whole=False)
+
+
+class RpLidar(Sensor[Scan]):
+    """An RPLIDAR, alone on its line, that pushes every turn.
+
+    At each opening it is stopped and asked how it is. By its serial number it is told
+    from another one that is plugged in in its place.
+
+    Attributes:
+        decoder: Counts what was damaged on the way.
+        info: Who it is; None before it was opened.
+    """
+
+    bus: SerialBus
+    deadline = 1.0
+
+    def __init__(self, **keywords: Any) -> None:
+        super().__init__(**keywords)
+        if not isinstance(getattr(self.bus, "framing", None), Raw):
+            raise ConfigError(
+                self.name,
+                "bus",
+                f"expected a SerialBus with framing='raw', not {self.bus!r}",
+            )
+        self.decoder = ScanDecoder()
+        self.info: Info | None = None
+
+    async def open(self) -> None:
+        """Stop it, and ask who and how it is.
+
+        Raises:
+            DeviceFaultError: It does not answer, or says that it is out of order.
+        """
+        await self.bus.write(request(STOP))
+        await asyncio.sleep(0.002)  # the document asks for 1 ms at least
+        with contextlib.closing(self.bus.frames(limit=1024)) as chunks:
+            info = await self._ask(GET_INFO, INFO_DESCRIPTOR, _INFO.size, chunks)
+            answer = await self._ask(
+                GET_HEALTH, HEALTH_DESCRIPTOR, _HEALTH.size, chunks
+            )
+        self.info = decode_info(info[: _INFO.size])
+        try:
+            health = decode_health(answer[: _HEALTH.size])
+        except ValueError as error:
+            raise DeviceFaultError(self.name, str(error)) from error
+        if health.status == "error":
+            raise DeviceFaultError(
+                self.name,
+                f"it says that it is out of order, code {health.code:#06x}: "
+                "take its power away for a moment",
+            )
+
+    async def identify(self) -> str | None:
+        """Return its serial number."""
+        return None if self.info is None else self.info.serial
+
+    async def stream(self) -> AsyncIterator[Scan]:
+        """Start it and yield each turn that comes whole."""
+        decoder = self.decoder = ScanDecoder()
+        with contextlib.closing(self.bus.frames(limit=1024)) as chunks:
+            rest = await self._ask(SCAN, SCAN_DESCRIPTOR, 0, chunks)
+            for scan in decoder.feed(rest):
+                yield scan
+            async for chunk in chunks:
+                for scan in decoder.feed(chunk):
+                    yield scan
+
+    async def close(self) -> None:
+        """Stop it, if it is still there."""
+        if self.bus.is_open:
+            await self.bus.write(request(STOP))
+
+    async def _ask(
+        self, command: int, descriptor: bytes, size: int, chunks: Inbox[bytes]
+    ) -> bytes:
+        """Return what follows the descriptor of an answer, at least *size* bytes."""
+        await self.bus.write(request(command))
+        data = b""
+        try:
+            async with asyncio.timeout(self.deadline / 3):
+                while len(data) < NOISE_LIMIT:
+                    data += await chunks.take()
+                    begin = data.find(descriptor) + len(descriptor)
+                    if begin >= len(descriptor) and len(data) >= begin + size:
+                        return data[begin:]
+        except TimeoutError:
+            pass
+        raise DeviceFaultError(
+            self.name,
+            f"no answer to request {command:#04x}, but {len(data)} other bytes",
+        )

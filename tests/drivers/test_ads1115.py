@@ -1,0 +1,172 @@
+"""The ADS1115: registers to volts, and several sensors on one chip."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from esair.drivers.ads1115 import (
+    CHANNELS,
+    DATA_RATES,
+    FULL_SCALES,
+    Ads1115,
+    config_for,
+    decode_volts,
+)
+from esair.exceptions import ConfigError, DeviceFaultError
+from esair.testing import FakeI2c, SensorContract
+from esair.testing.parts.ads1115 import FakeAds1115
+
+
+@pytest.mark.parametrize(
+    ("block", "full_scale", "volts"),
+    [("7fff", 4.096, 4.095875), ("8000", 4.096, -4.096), ("0001", 2.048, 0.0000625),
+     ("ffff", 0.256, -0.0000078125), ("0000", 6.144, 0.0)],
+)  # fmt: skip
+def test_a_conversion_is_a_signed_part_of_the_full_scale(
+    block: str, full_scale: float, volts: float
+) -> None:
+    """Table 3 and 6 of the data sheet: FSR / 32768 is one count."""
+    assert decode_volts(bytes.fromhex(block), full_scale) == pytest.approx(volts)
+
+
+def test_the_configuration_is_that_of_the_data_sheet() -> None:
+    """After power-up the register is 0x8583: inputs 0 and 1, 2.048 V, 128 Hz, single."""
+    assert config_for("0-1", 2.048, 128) == 0x8583
+    assert config_for("3", 0.256, 860) == 0xFBE3
+
+
+@given(
+    channel=st.sampled_from(sorted(CHANNELS)),
+    full_scale=st.sampled_from(FULL_SCALES),
+    data_rate=st.sampled_from(DATA_RATES),
+    inputs=st.tuples(*[st.floats(-6.5, 6.5)] * 4),
+)
+def test_what_is_at_the_inputs_is_what_is_read(
+    channel, full_scale, data_rate, inputs
+) -> None:
+    """Within one count, or at the end of the scale."""
+    chip = FakeAds1115(*inputs)
+    chip.busy = 0
+    chip.write(1, config_for(channel, full_scale, data_rate).to_bytes(2, "big"))
+
+    volts = decode_volts(chip.read(0, 2), full_scale)
+
+    plus, _, minus = channel.partition("-")
+    true = inputs[int(plus)] - (inputs[int(minus)] if minus else 0.0)
+    limited = max(-full_scale, min(full_scale * 32767 / 32768, true))
+    assert volts == pytest.approx(limited, abs=full_scale / 32768)
+
+
+class TestAds1115(SensorContract):
+    """What every sensor must do."""
+
+    def make(self) -> Ads1115:
+        return Ads1115(channel=2, bus=FakeI2c(chips={0x48: FakeAds1115(0, 0, 1.5)}))
+
+    async def unplug(self, device: Any) -> None:
+        device.bus.unplug()
+
+
+async def sensors_on(chip: FakeAds1115, *channels: int | str, **settings: Any) -> Any:
+    """Make sensors on a bus with one chip."""
+    bus = FakeI2c(chips={0x48: chip})
+    await bus.open()
+    sensors = [
+        Ads1115(
+            name=f"input_{str(channel).replace('-', '_')}",
+            channel=channel,
+            bus=bus,
+            **settings,
+        )
+        for channel in channels
+    ]
+    for sensor in sensors:
+        await sensor.open()
+    return sensors
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("I07")
+async def test_sensors_of_one_chip_convert_in_turn() -> None:
+    """Nobody reads the conversion of another input, though a conversion takes long."""
+    chip = FakeAds1115(0.1, 0.2, 0.3, 0.4)
+    chip.busy = 3
+    channels: list[int | str] = [0, 1, 2, 3, "0-1"]
+    sensors = await sensors_on(chip, *channels, full_scale=0.512, data_rate=860)
+
+    for _ in range(3):
+        values = await asyncio.gather(*(each.read() for each in sensors))
+        assert values == pytest.approx([0.1, 0.2, 0.3, 0.4, -0.1], abs=2e-5)
+
+    assert chip.conversions == [str(each) for each in channels] * 3
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize("data_rate", DATA_RATES)
+async def test_a_reading_takes_as_long_as_a_conversion(data_rate: int) -> None:
+    """With the tolerance of the chip's clock; the bus is free for others meanwhile."""
+    chip = FakeAds1115(1.0)
+    chip.busy = 0
+    (sensor,) = await sensors_on(chip, 0, data_rate=data_rate)
+    loop = asyncio.get_running_loop()
+
+    begin = loop.time()
+    assert await sensor.read() == pytest.approx(1.0, abs=2e-4)
+
+    assert loop.time() - begin == pytest.approx(1.1 / data_rate)
+    assert loop.time() - begin < sensor.deadline
+
+
+@pytest.mark.virtual_clock
+async def test_a_changed_full_scale_counts_from_the_next_conversion() -> None:
+    """The same voltage is read the same, with more of its places."""
+    chip = FakeAds1115(0.123456)
+    (sensor,) = await sensors_on(chip, 0, full_scale=6.144)
+    coarse = await sensor.read()
+
+    await sensor.apply(full_scale=0.256)
+    fine = await sensor.read()
+
+    assert abs(coarse - 0.123456) < 1e-4
+    assert abs(fine - 0.123456) < 4e-6
+
+
+@pytest.mark.virtual_clock
+async def test_a_conversion_of_somebody_else_is_a_fault() -> None:
+    """Another program, or a chip that has lost its power: the value is not taken."""
+    chip = FakeAds1115(1.0)
+    (sensor,) = await sensors_on(chip, 0)
+    reading = asyncio.ensure_future(sensor.read())
+    await asyncio.sleep(0.001)
+    chip.write(1, bytes.fromhex("8583"))
+
+    with pytest.raises(DeviceFaultError, match=r"0x0583|0x8583"):
+        await reading
+
+
+@pytest.mark.virtual_clock
+async def test_a_conversion_that_does_not_end_is_a_fault() -> None:
+    """It is not waited for for ever, and an old value is not given."""
+    chip = FakeAds1115(1.0)
+    (sensor,) = await sensors_on(chip, 0)
+    chip.busy = 1000
+
+    with pytest.raises(DeviceFaultError, match="does not end"):
+        await sensor.read()
+
+
+@pytest.mark.virtual_clock
+async def test_its_mistakes_are_named() -> None:
+    """Before anything is sent."""
+    with pytest.raises(ConfigError, match="I2CBus"):
+        await Ads1115().open()
+    with pytest.raises(ConfigError, match="0x4b"):
+        Ads1115(address=0x4C)
+    for channel in (4, -1, "1-0", "a", None):
+        with pytest.raises(ConfigError, match="0-3"):
+            Ads1115(channel=channel)  # type: ignore[arg-type]

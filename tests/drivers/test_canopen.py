@@ -1,0 +1,448 @@
+"""Objects of a CANopen node: by SDO and PDO, with its identity and heartbeat."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import esair
+from esair.buses import CanBus, SerialBus
+from esair.drivers.canopen import CanopenActuator, CanopenNetwork, CanopenSensor
+from esair.exceptions import (
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
+from esair.testing import ActuatorContract, SensorContract
+from esair.testing.parts.canopen import FakeCanopenNode
+
+MOTOR = Path(__file__).parent / "motor.eds"
+PATIENCE = 10.0  # s; the node answers at once, on a machine that may be busy
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@pytest.fixture
+def rig(fake_can: Callable[..., Any]) -> Callable[[], Any]:
+    """Put a node on a bus: the wire and the node."""
+
+    def make() -> tuple[Any, FakeCanopenNode]:
+        wire = fake_can("drive")
+        node = FakeCanopenNode(wire, MOTOR, node=5)
+        return wire, node
+
+    return make
+
+
+def sensor(wire: Any, object_: Any = "Position actual value", **keywords: Any) -> Any:
+    return CanopenSensor(
+        bus=wire,
+        object=object_,
+        **{"node": 5, "eds": MOTOR, "sdo_timeout": PATIENCE, **keywords},
+    )
+
+
+def actuator(wire: Any, object_: Any = "Target velocity", **keywords: Any) -> Any:
+    return CanopenActuator(
+        bus=wire,
+        object=object_,
+        **{
+            "node": 5,
+            "eds": MOTOR,
+            "safe": 0,
+            "sdo_timeout": PATIENCE,
+            **keywords,
+        },
+    )
+
+
+@asynccontextmanager
+async def opened(*devices: Any) -> AsyncIterator[None]:
+    """Open devices and their bus, and close all of them."""
+    await devices[0].bus.open()
+    try:
+        for device in devices:
+            await device.open()
+        yield
+    finally:
+        for device in devices:
+            await device.close()
+        await devices[0].bus.close()
+
+
+class Wired:
+    @pytest.fixture(autouse=True)
+    def _rig(self, rig: Callable[[], Any]) -> None:
+        self.rig = rig
+
+    def wire(self) -> Any:
+        self.on_wire, self.node = self.rig()
+        return self.on_wire
+
+    async def unplug(self, _device: Any) -> None:
+        self.on_wire.unplug()
+
+
+class TestSensor(Wired, SensorContract):
+    def make(self) -> Any:
+        return sensor(self.wire())
+
+
+class TestPdoSensor(Wired, SensorContract):
+    def make(self) -> Any:
+        made = sensor(self.wire(), pdo=True, factor=0.5)
+
+        def push() -> None:
+            self.node.send_pdo(1)
+            self.timer = asyncio.get_running_loop().call_later(0.01, push)
+
+        push()
+        return made
+
+
+class TestActuator(Wired, ActuatorContract):
+    def make(self) -> Any:
+        return actuator(self.wire(), factor=0.1, safe=0.0)
+
+    def commands(self) -> list[Any]:
+        return [500.0, -500.0, 0.123]
+
+
+@pytest.mark.parametrize(
+    ("object_", "put", "wanted", "kind"),
+    [
+        ("Position actual value", -123456, -123456, int),
+        ([0x6064, 0], 7, 7, int),
+        (0x6041, 0x237, 0x237, int),
+        ("Gains.Integral", 0.75, 0.75, float),
+        ([0x2000, 2], 0.75, 0.75, float),
+        ("Brake", True, True, bool),
+        ("Serial text", "x" * 100, "x" * 100, str),
+    ],
+)
+async def test_objects_are_read_by_name_or_index(
+    rig: Any, object_: Any, put: Any, wanted: Any, kind: type
+) -> None:
+    """Of the type that the file says; a long one in several segments."""
+    wire, node = rig()
+    if kind is float:
+        node.local.sdo["Gains"]["Integral"].raw = put
+    else:
+        node[object_ if isinstance(object_, str | int) else object_[0]] = put
+    device = sensor(wire, object_ if isinstance(object_, str | int) else tuple(object_))
+    async with opened(device):
+        assert device.value_type is kind
+        value = await device.read()
+        assert value == wanted
+        assert type(value) is kind
+
+
+async def test_a_factor_makes_a_unit(rig: Any) -> None:
+    """Both ways; the limits of the file are in the unit too."""
+    wire, node = rig()
+    node[0x6064] = 1500
+    position = sensor(wire, factor=0.001)
+    velocity = actuator(wire, factor=0.01, safe=0.0)
+    assert velocity.limits == (-50.0, 50.0)
+    async with opened(position, velocity):
+        assert await position.read() == pytest.approx(1.5)
+        await velocity.write(-12.344)
+    assert node.written[-1] == (0x60FF, 0, -1234)
+
+
+async def test_devices_on_one_node_open_it_once(rig: Any) -> None:
+    """It is started once; the last that leaves ends the listening."""
+    wire, node = rig()
+    devices = [sensor(wire), sensor(wire, "Brake"), actuator(wire)]
+    assert node.state == "PRE-OPERATIONAL"
+    async with opened(*devices):
+        assert node.state == "OPERATIONAL"
+        starts = [frame for frame in wire.sent if frame.id == 0]
+        assert [frame.data for frame in starts] == [bytes([1, 5])]
+        await devices[0].close()
+        assert await devices[1].read() is True
+        with pytest.raises(DeviceLostError, match="not open"):
+            await devices[0].read()
+
+
+async def test_an_abort_is_a_fault_in_the_words_of_the_standard(rig: Any) -> None:
+    """The node is there and says why it does not."""
+    wire, node = rig()
+    velocity, position = actuator(wire), sensor(wire)
+    async with opened(velocity, position):
+        node.refuse(0x60FF, 0, 0x08000022)
+        node.refuse(0x6064, 0, 0x06060000)
+        with pytest.raises(DeviceFaultError, match="present device state"):
+            await velocity.write(1)
+        with pytest.raises(DeviceFaultError, match="hardware error"):
+            await position.read()
+
+
+@pytest.mark.fault("D01")
+async def test_a_node_that_is_not_there_is_lost(
+    rig: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """At its opening, and when it falls silent later; without a heartbeat too."""
+    wire, node = rig()
+    node.stop()
+    device = sensor(wire, sdo_timeout=0.05)
+    patient = sensor(wire)
+    await wire.open()
+    with pytest.raises(DeviceLostError, match="node 5 does not answer"):
+        await device.open()
+    await device.close()
+
+    node.boot()
+    async with opened(patient):
+        node.stop()
+        patient.sdo_timeout = 0.05
+        with pytest.raises(DeviceLostError, match="node 5 does not answer"):
+            await patient.read()
+    assert caplog.text == "", "the package has nothing to add"
+
+
+@pytest.mark.fault("D05")
+@pytest.mark.parametrize("subindex", [1, 2])
+async def test_another_device_with_that_id_is_refused(rig: Any, subindex: int) -> None:
+    """Vendor and product are compared with the file."""
+    wire, node = rig()
+    node.local.sdo[0x1018][subindex].raw = 0x999
+    device = sensor(wire)
+    await wire.open()
+    with pytest.raises(DeviceFaultError, match="0x999 instead of 0x"):
+        await device.open()
+    await device.close()
+    await wire.close()
+
+
+@pytest.mark.fault("D03", "D04")
+@pytest.mark.parametrize("what", ["silence", "restart"])
+async def test_the_heartbeat_tells_the_loss_of_a_node(rig: Any, what: str) -> None:
+    """Of one that nobody uses; it comes back safe, and nothing else is written."""
+    wire, node = rig()
+    device = actuator(wire, name="motor", heartbeat=0.05)
+    policy = esair.Policy("motor", allow={"me": esair.Access.WRITE})
+    async with esair.Robot(resources=[device], policies=[policy]) as robot:
+        right = await robot.resources.register("me", "motor", esair.Access.WRITE)
+        await robot.actuators.write(right, 1000)
+        assert node[0x1017] == 50
+        if what == "silence":
+            node.stop()
+        else:
+            node.boot()
+        await asyncio.sleep(0.16)
+        assert robot.resources.query("motor").losses == 1
+        if what == "silence":
+            node.boot()
+        await asyncio.sleep(7.0)
+        assert robot.resources.query("motor").state is esair.ResourceState.READY
+        assert node.state == "OPERATIONAL"
+        velocities = [value for index, _, value in node.written if index == 0x60FF]
+        assert velocities[:2] == [0, 1000]
+        assert set(velocities[2:]) == {0}
+
+
+async def test_a_pdo_is_a_reading(rig: Any) -> None:
+    """The one that holds the object, by the mapping in the node; short ones count."""
+    wire, node = rig()
+    position = sensor(wire, pdo=True)
+    async with opened(position):
+        stream = position.stream()
+        waiting = asyncio.ensure_future(anext(stream))
+        await asyncio.sleep(0)
+        wire.feed(0x185, b"\0" * 5)
+        node[0x6064] = -77
+        node.send_pdo(1)
+        assert await waiting == -77
+        assert position.bad_frames == 1
+        await stream.aclose()
+    assert not position.can_be_asked
+    assert sensor(wire).can_be_asked
+
+
+async def test_an_object_that_is_in_no_pdo_is_told(rig: Any) -> None:
+    """The set-up of the node decides, not the file."""
+    wire, _ = rig()
+    device = sensor(wire, "Brake", pdo=True)
+    await wire.open()
+    with pytest.raises(DeviceFaultError, match="sends no PDO with 'Brake'"):
+        await device.open()
+    await device.close()
+    await wire.close()
+
+
+@pytest.mark.promise("AC-4")
+async def test_a_write_that_waits_gives_way_to_a_newer_one(rig: Any) -> None:
+    """It does not reach the node after it."""
+    wire, node = rig()
+    velocity = actuator(wire)
+    async with opened(velocity):
+        writes = []
+        for value in (1000, 2000, 0):
+            writes.append(asyncio.ensure_future(velocity.write(value)))
+            await asyncio.sleep(0)
+        done = await asyncio.gather(*writes, return_exceptions=True)
+    assert isinstance(done[1], BusyError)
+    assert done[2] is None
+    velocities = [value for index, _, value in node.written if index == 0x60FF]
+    assert velocities[-1] == 0
+    assert 2000 not in velocities
+
+
+@pytest.mark.fault("C04")
+async def test_a_bus_that_takes_nothing_is_told_in_time(rig: Any) -> None:
+    """The thread does not wait longer for room than a frame may."""
+    wire, _ = rig()
+    device = sensor(wire)
+    async with opened(device):
+
+        async def send(*_: Any, **__: Any) -> None:
+            raise DriverStuckError("drive", "send", 0.2)
+
+        wire.send = send
+        with pytest.raises(DriverStuckError, match="drive"):
+            await device.read()
+        del wire.send
+
+
+@pytest.mark.fault("C08")
+async def test_nothing_is_sent_periodically(rig: Any) -> None:
+    """Not by the kernel either: it would go on when the robot hangs."""
+    wire, _ = rig()
+    with pytest.raises(DeviceFaultError, match="periodically"):
+        CanopenNetwork(wire).send_periodic(0x201, b"", 0.1)
+
+
+@pytest.mark.fault("C10")
+async def test_frames_of_the_wrong_length_end_nothing(rig: Any) -> None:
+    """A heartbeat or an answer without a byte, or with one."""
+    wire, _ = rig()
+    device = sensor(wire)
+    async with opened(device):
+        for number in (0x585, 0x705):
+            wire.feed(number, b"")
+            wire.feed(number, b"\x01")
+        await asyncio.sleep(0.01)
+        assert await device.read() == 0
+
+
+@pytest.mark.parametrize(
+    ("cls", "keywords", "told"),
+    [
+        (
+            CanopenSensor,
+            {"object": "Position actual vlaue"},
+            "did you mean 'Position act",
+        ),
+        (
+            CanopenSensor,
+            {"object": 0x7000},
+            "object: there is no object 0x7000; there are",
+        ),
+        (CanopenSensor, {"object": (0x2000, 9)}, "expected one of Gains.Number"),
+        (CanopenSensor, {"object": "Gains"}, "expected one of Gains.Number of entries"),
+        (CanopenSensor, {"object": "Secret"}, "object: 'Secret' cannot be read"),
+        (CanopenSensor, {"node": 0}, "node: expected 1 to 127, not 0"),
+        (CanopenSensor, {"eds": "nowhere.eds"}, "nowhere.eds cannot be read: No such"),
+        (CanopenSensor, {"eds": __file__}, "eds: "),
+        (CanopenSensor, {"object": "Serial text", "factor": 2.0}, "factor: expected"),
+        (CanopenSensor, {"heartbeat": 100}, "heartbeat: expected 0.001 to 65 s"),
+        (CanopenActuator, {"object": "Statusword"}, "'Statusword' cannot be written"),
+        (
+            CanopenActuator,
+            {"object": "Target velocity", "safe": 0.5},
+            "safe: expected int",
+        ),
+        (CanopenActuator, {"object": "Target velocity", "safe": 5001}, "-5000 to 5000"),
+        (
+            CanopenActuator,
+            {"object": "Target velocity", "limits": (-9000, 1)},
+            "limits: the file allows -5000 to 5000",
+        ),
+    ],
+)
+def test_mistakes_are_told_when_the_device_is_made(
+    cls: Any, keywords: dict[str, Any], told: str
+) -> None:
+    """With the field, and the nearest names of the file."""
+    described: dict[str, Any] = {"node": 5, "eds": MOTOR, "object": "Brake"}
+    if cls is CanopenActuator:
+        described["safe"] = 0
+    with pytest.raises(ConfigError) as caught:
+        cls(**{**described, **keywords})
+    assert told in str(caught.value)
+
+
+async def test_it_needs_a_can_bus() -> None:
+    """On another bus the mistake is named before anything is sent."""
+    with pytest.raises(ConfigError, match="expected a CanBus"):
+        await CanopenSensor(
+            node=5, eds=MOTOR, object="Brake", bus=SerialBus(name="s", port="x")
+        ).open()
+
+
+class FarEnd:
+    """What a `FakeCanopenNode` needs of a bus, on a real interface."""
+
+    def __init__(self, bus: CanBus) -> None:
+        self.bus = bus
+        self.frames = bus.frames(0x000, 0x605, limit=64)
+        self.task = asyncio.ensure_future(self._listen())
+        self._send = asyncio.Queue[tuple[int, bytes]]()
+        self.sender = asyncio.ensure_future(self._send_all())
+
+    def on_send(self, listener: Callable[[Any], Any]) -> None:
+        self.listener = listener
+
+    def feed(self, number: int, data: bytes) -> None:
+        self._send.put_nowait((number, data))
+
+    async def close(self) -> None:
+        for task in (self.task, self.sender):
+            task.cancel()
+        await asyncio.wait({self.task, self.sender})
+        self.frames.close()
+
+    async def _listen(self) -> None:
+        async for frame in self.frames:
+            self.listener(frame)
+
+    async def _send_all(self) -> None:
+        while True:
+            await self.bus.send(*await self._send.get())
+
+
+@pytest.mark.real_clock
+async def test_it_works_where_the_lane_of_the_bus_is_needed_to_send() -> None:
+    """An interface without a descriptor: neither thread waits for the other."""
+    channel = f"canopen-{os.getpid()}"
+    near, far = (
+        CanBus(name=name, interface="virtual", channel=channel)
+        for name in ("near", "far")
+    )
+    await far.open()
+    end = FarEnd(far)
+    node = FakeCanopenNode(end, MOTOR, node=5)  # type: ignore[arg-type]
+    described: dict[str, Any] = {"node": 5, "eds": MOTOR, "bus": near}
+    position = CanopenSensor(object="Position actual value", sdo_timeout=5, **described)
+    velocity = CanopenActuator(
+        object="Target velocity", safe=0, sdo_timeout=5, **described
+    )
+    position.deadline = velocity.deadline = 20.0
+    async with asyncio.timeout(30), opened(position, velocity):
+        for value in range(20):
+            node[0x6064] = value
+            assert await position.read() == value
+            await velocity.write(value)
+            assert node.written[-1] == (0x60FF, 0, value)
+    node.stop()
+    await end.close()
+    await far.close()

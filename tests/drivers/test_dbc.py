@@ -1,0 +1,529 @@
+"""Messages of a DBC file as sensors and actuators."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import aclosing, asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import esair
+from esair.buses import CanBus, SerialBus
+from esair.drivers.dbc import DbcActuator, DbcSensor, MessageCodec, find_message
+from esair.exceptions import (
+    BadValueError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+)
+from esair.testing import ActuatorContract, SensorContract
+from esair.testing.parts.dbc import FakeDbcNode
+
+ROVER = Path(__file__).parent / "rover.dbc"
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@asynccontextmanager
+async def opened(device: Any) -> AsyncIterator[Any]:
+    """Open a device and its bus, and close both."""
+    await device.bus.open()
+    await device.open()
+    try:
+        yield device
+    finally:
+        await device.close()
+        await device.bus.close()
+
+
+def driven(device: esair.Resource) -> esair.Robot:
+    """A robot with one device, which "me" may write."""
+    policy = esair.Policy(device.name, allow={"me": esair.Access.WRITE})
+    return esair.Robot(resources=[device], policies=[policy])
+
+
+def command(wire: Any, **keywords: Any) -> DbcActuator:
+    """The wheels' command, with a gear that is always the same."""
+    return DbcActuator(
+        name="wheels",
+        bus=wire,
+        database=ROVER,
+        **{
+            "message": "WheelCommand",
+            "safe": {"left": 0.0, "right": 0.0},
+            "fixed": {"gear": "low"},
+            "sequence": "count",
+            **keywords,
+        },
+    )
+
+
+def feedback(wire: Any, **keywords: Any) -> DbcSensor:
+    return DbcSensor(
+        bus=wire, database=ROVER, **{"message": "WheelFeedback", **keywords}
+    )
+
+
+class Wired:
+    """A node on the bus of a device under test, whose class has a ``make``."""
+
+    @pytest.fixture(autouse=True)
+    def _wire(self, fake_can: Callable[..., Any]) -> None:
+        self.fake_can = fake_can
+
+    def node(self) -> Any:
+        self.wire = self.fake_can("drive")
+        self.far = FakeDbcNode(self.wire, ROVER)
+        return self.wire
+
+    async def unplug(self, _device: Any) -> None:
+        self.wire.unplug()
+
+
+class TestActuator(Wired, ActuatorContract):
+    def make(self) -> DbcActuator:
+        return command(self.node(), cycle=0.02)
+
+    def commands(self) -> list[Any]:
+        return [{"left": 2.0, "right": -2.0}, {"left": 1, "right": 0.5}]
+
+
+class TestOneSignalActuator(Wired, ActuatorContract):
+    def make(self) -> DbcActuator:
+        return command(self.node(), signal="left", safe=0.0)
+
+    def commands(self) -> list[Any]:
+        return [2.0, -2.0]
+
+
+class TestSensor(Wired, SensorContract):
+    @pytest.fixture(autouse=True)
+    def _still(self) -> Any:
+        yield
+        self.far.stop()
+
+    def make(self) -> DbcSensor:
+        made = feedback(self.node())
+        self.far.send_every(0.01, "WheelFeedback", speed=1.5, mode=1, current=-3.0)
+        return made
+
+
+async def test_a_command_reaches_the_node_with_what_is_fixed_and_counted(
+    fake_can: Any,
+) -> None:
+    """A sequence signal counts the frames, modulo what it can hold."""
+    wire = fake_can("drive")
+    node = FakeDbcNode(wire, ROVER)
+
+    async with opened(command(wire)) as wheels:
+        for _ in range(257):
+            await wheels.write({"left": -1.25, "right": 2})
+        await asyncio.sleep(0)
+
+    assert node.heard[0].signals == {"left": -1.25, "right": 2, "gear": 1, "count": 0}
+    assert [heard.signals["count"] for heard in list(node.heard)[-2:]] == [255, 0]
+
+
+async def test_one_signal_is_a_number_and_the_others_rest(fake_can: Any) -> None:
+    """What is neither commanded nor fixed is at its initial value, or nearest to 0."""
+    wire = fake_can("drive")
+
+    async with opened(command(wire, signal="right", safe=0.0)) as wheels:
+        assert wheels.value_type is float
+        assert wheels.limits == (-2.0, 2.0)
+        await wheels.write(0.5)
+        await asyncio.sleep(0)
+
+    assert wire.sent[-1].data == bytes([0, 0, 0xF4, 1, 1, 0])
+
+
+async def test_limits_come_from_the_file_and_can_be_narrowed(fake_can: Any) -> None:
+    """By [min|max], or else by what the bits can hold; wider is a mistake."""
+    wire = fake_can("drive")
+    assert command(wire).limits == {"left": (-2.0, 2.0), "right": (-2.0, 2.0)}
+    narrow = command(wire, limits={"left": (-1, 1)})
+    assert narrow.limits == {"left": (-1, 1), "right": (-2.0, 2.0)}
+    amps = DbcActuator(
+        bus=wire, database=ROVER, message="WheelFeedback", signal="current", safe=0.0
+    )
+    assert amps.limits == pytest.approx((-300.0, 355.35))
+
+    with pytest.raises(ConfigError, match=r"limits.left: the file allows -2 to 2"):
+        command(wire, limits={"left": (-3, 1)})
+    with pytest.raises(ConfigError, match=r"limits.left: expected \(least"):
+        command(wire, limits={"left": 3})
+    with pytest.raises(ConfigError, match=r"limits.knob: it is multiplexed"):
+        DbcActuator(
+            database=ROVER,
+            message="Panel",
+            safe={"page": 0, "voltage": 0.0},
+            limits={"knob": (0, 1)},
+        )
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"left": 0.0}, "right"),
+        ({"left": 0.0, "rigth": 0.0}, "rigth: there is no such signal; did you mean"),
+        ({"left": 0.0, "right": 2.5}, "right: expected -2 to 2, not 2.5"),
+        ({"left": 0.0, "right": float("nan")}, "expected a finite number"),
+        ({"left": 0.0, "right": "fast"}, "'fast' is no choice"),
+        ({"left": None, "right": 0.0}, "left: expected a number"),
+        ({"left": 0.0, "right": 0.0, "gear": 1}, "gear: there is no such signal"),
+        (0.0, "expected WheelCommand"),
+    ],
+)
+async def test_what_does_not_fit_is_refused_before_it_leaves(
+    fake_can: Any, wrong: Any, told: str
+) -> None:
+    """The writer learns which signal it is; the device has no fault."""
+    wire = fake_can("drive")
+    async with driven(command(wire)) as robot:
+        right = await robot.resources.register("me", "wheels", esair.Access.WRITE)
+        await robot.actuators.write(right, {"left": 1.0, "right": 1})
+        await asyncio.sleep(0)
+        sent = len(wire.sent)
+
+        with pytest.raises(BadValueError, match="wheels") as caught:
+            await robot.actuators.write(right, wrong)
+
+        await asyncio.sleep(0)
+        assert told in str(caught.value)
+        assert len(wire.sent) == sent
+        assert robot.resources.query("wheels").faults == 0
+
+
+async def test_choices_are_names_or_numbers(fake_can: Any) -> None:
+    """Both ways; a wrong name is refused with the nearest."""
+    wire = fake_can("drive")
+    gear = DbcActuator(
+        name="gear",
+        bus=wire,
+        database=ROVER,
+        message="WheelCommand",
+        signal="gear",
+        safe="neutral",
+    )
+    async with driven(gear) as robot:
+        right = await robot.resources.register("me", "gear", esair.Access.WRITE)
+        await robot.actuators.write(right, "high")
+        await asyncio.sleep(0)
+        assert wire.sent[-1].data[4] == 2
+        with pytest.raises(BadValueError, match="did you mean 'low'"):
+            await robot.actuators.write(right, "lwo")
+    assert wire.sent[-1].data[4] == 0
+
+    node = FakeDbcNode(wire, ROVER)
+    for choices, wanted in (("numbers", [7, 3]), ("names", ["fault", "3"])):
+        async with opened(feedback(wire, signal="mode", choices=choices)) as sensor:
+            assert await taken(sensor, node, {"mode": 7}, {"mode": 3}) == wanted
+    async with opened(feedback(wire, choices="names")) as sensor:
+        (value,) = await taken(sensor, node, {"mode": 1})
+        assert value == {"speed": 0.5, "mode": "on", "current": 0.0}
+
+
+async def taken(
+    sensor: DbcSensor, node: FakeDbcNode, *sent: dict[str, Any]
+) -> list[Any]:
+    """What a sensor gives for some frames of feedback."""
+    async with aclosing(sensor.stream()) as stream:  # type: ignore[type-var]
+        values = []
+        for signals in sent:
+            waiting = asyncio.ensure_future(anext(stream))
+            await asyncio.sleep(0)
+            node.send("WheelFeedback", **{"speed": 0.5, "current": 0.0, **signals})
+            values.append(await waiting)
+    return values
+
+
+async def test_a_multiplexed_message_has_the_signals_of_its_page(fake_can: Any) -> None:
+    """Both ways, with a 29-bit id; a signal of the other page is no reading."""
+    wire = fake_can("drive")
+    whole = DbcSensor(bus=wire, database=ROVER, message="Panel")
+    knob = DbcSensor(bus=wire, database=ROVER, message="Panel", signal="knob")
+    node = FakeDbcNode(wire, ROVER)
+    async with opened(whole):
+        streams = [whole.stream(), knob.stream()]
+        first = [asyncio.ensure_future(anext(stream)) for stream in streams]
+        await asyncio.sleep(0)
+        node.send("Panel", page=0, voltage=24.5)
+        node.send("Panel", page=1, button=1, knob=42)
+        assert await first[0] == {"page": 0, "voltage": 24.5}
+        assert await first[1] == 42
+        assert await anext(streams[0]) == {"page": 1, "button": 1, "knob": 42}
+        for stream in streams:
+            await stream.aclose()
+
+    panel = DbcActuator(
+        name="panel",
+        bus=wire,
+        database=ROVER,
+        message="Panel",
+        safe={"page": 0, "voltage": 0.0},
+    )
+    async with driven(panel) as robot:
+        right = await robot.resources.register("me", "panel", esair.Access.WRITE)
+        await robot.actuators.write(right, {"page": 1, "button": 2, "knob": 3})
+        await asyncio.sleep(0)
+        assert wire.sent[-1].extended
+        for wrong, told in (
+            ({"page": 1, "voltage": 1.0}, 'signal "button" is required'),
+            ({"page": 0, "voltage": 1.0, "knob": 1}, "knob: the multiplexer does not"),
+            ({"page": 1, "button": 2, "knob": 101}, "knob: expected 0 to 100"),
+            ({"page": 2}, "Expected one of {0 or 1}"),
+        ):
+            with pytest.raises(BadValueError, match="panel") as caught:
+                await robot.actuators.write(right, wrong)
+            assert told in str(caught.value)
+
+
+@pytest.mark.fault("C10")
+async def test_bad_frames_are_counted_and_ten_in_a_row_are_a_fault(
+    fake_can: Any,
+) -> None:
+    """The wrong length, and the same number as a 29-bit id, which is another id."""
+    wire = fake_can("drive")
+    node = FakeDbcNode(wire, ROVER)
+    async with opened(feedback(wire, signal="speed")) as sensor:
+        stream = sensor.stream()
+        waiting = asyncio.ensure_future(anext(stream))
+        await asyncio.sleep(0)
+        for length in (0, 4, 6, 8):
+            wire.feed(257, bytes(length))
+        wire.feed(257, b"\xff" * 5, extended=True)
+        node.send("WheelFeedback", speed=0.25, mode=0, current=0.0)
+        assert await waiting == 0.25
+        assert sensor.bad_frames == 4
+
+        for _ in range(10):
+            wire.feed(257, b"abc")
+        with pytest.raises(DeviceFaultError, match="10 bad frames in a row"):
+            await anext(stream)
+
+
+@pytest.mark.fault("D15")
+async def test_a_frame_that_does_not_count_on_is_no_reading(fake_can: Any) -> None:
+    """Ten in a row are a fault; what is left out by the numbers is counted."""
+    wire = fake_can("drive")
+    node = FakeDbcNode(wire, ROVER)
+    device: Any = DbcSensor(
+        bus=wire,
+        database=ROVER,
+        message="WheelCommand",
+        signal="left",
+        sequence="count",
+    )
+
+    def send(*counts: int) -> None:
+        for count in counts:
+            node.send("WheelCommand", left=count / 1000, right=0, gear=0, count=count)
+
+    async with opened(device) as sensor, aclosing(sensor.stream()) as stream:
+        waiting = asyncio.ensure_future(anext(stream))
+        await asyncio.sleep(0)
+        send(254, 254, 254, 255, 0, 1, 4)
+        values = [await waiting, *[await anext(stream) for _ in range(4)]]
+        assert values == pytest.approx([0.254, 0.255, 0.0, 0.001, 0.004])
+        assert (device.repeated, device.missed) == (2, 2)
+        send(*[4] * 10)
+        with pytest.raises(DeviceFaultError, match="its count stays at 4"):
+            await anext(stream)
+    assert device.bad_frames == 0
+
+
+async def test_what_nobody_takes_in_time_is_counted(fake_can: Any) -> None:
+    """The newest win, and the count outlives the closing."""
+    wire = fake_can("drive")
+    node = FakeDbcNode(wire, ROVER)
+    async with (
+        opened(feedback(wire, signal="speed", buffer=4)) as sensor,
+        aclosing(sensor.stream()) as stream,
+    ):
+        waiting = asyncio.ensure_future(anext(stream))
+        await asyncio.sleep(0)
+        for speed in range(10):
+            node.send("WheelFeedback", speed=speed, mode=0, current=0.0)
+        await asyncio.sleep(0.01)
+        values = [await waiting, *[await anext(stream) for _ in range(3)]]
+    assert values == [6, 7, 8, 9]
+    assert sensor.dropped == 6
+
+
+@pytest.mark.promise("SC-3")
+async def test_a_silent_node_makes_readings_stale(fake_can: Any) -> None:
+    """There is no reading that is newer than the last frame."""
+    wire = fake_can("drive")
+    node = FakeDbcNode(wire, ROVER)
+    sensor = feedback(wire, name="wheel", signal="speed")
+    async with esair.Robot(resources=[sensor]) as robot:
+        right = await robot.resources.register("me", "wheel", esair.Access.READ)
+        await asyncio.sleep(0.1)
+        node.send("WheelFeedback", speed=1.0, mode=0, current=0.0)
+        await asyncio.sleep(0.1)
+        assert (await robot.sensors.read(right, max_age=0.5)).value == 1.0
+        await asyncio.sleep(1.0)
+        with pytest.raises(esair.StaleReadingError):
+            await robot.sensors.read(right, max_age=0.5)
+
+
+@pytest.mark.fault("C08")
+async def test_a_command_is_repeated_until_its_time_is_over_and_no_longer(
+    fake_can: Any,
+) -> None:
+    """Only a write renews it; the safe command that follows is repeated for good."""
+    wire = fake_can("drive")
+    wheels = command(wire, cycle=0.01, sequence=None, fixed={"gear": 1, "count": 0})
+    async with driven(wheels) as robot:
+        right = await robot.resources.register("me", "wheels", esair.Access.WRITE)
+        await robot.actuators.write(right, {"left": 1.0, "right": 1.0})
+        await asyncio.sleep(0)
+        moving = wire.sent[-1].data
+        wire.sent.clear()
+        await asyncio.sleep(1.0)
+        sent = [frame.data for frame in wire.sent]
+
+    assert 18 <= sent.count(moving) <= 20
+    assert len(set(sent)) == 2
+    assert sent[-1] != moving
+    assert 75 <= len(sent) - sent.count(moving) <= 82
+
+
+async def test_without_a_cycle_each_command_is_sent_once(fake_can: Any) -> None:
+    """And the safe command once more, when nobody has written in time."""
+    wire = fake_can("drive")
+    async with driven(command(wire)) as robot:
+        right = await robot.resources.register("me", "wheels", esair.Access.WRITE)
+        await asyncio.sleep(0)
+        wire.sent.clear()
+        await robot.actuators.write(right, {"left": 1.0, "right": 1.0})
+        await asyncio.sleep(1.0)
+        assert len(wire.sent) == 2
+
+
+@pytest.mark.parametrize(
+    ("keywords", "told"),
+    [
+        (
+            {"message": "WheelComand"},
+            "message: rover.dbc has no message 'WheelComand'; did",
+        ),
+        (
+            {"signal": "lefft", "safe": 0.0},
+            "signal: WheelCommand has no signal 'lefft'; did",
+        ),
+        ({"fixed": {"gaer": 1}}, "fixed.gaer: WheelCommand has no signal 'gaer'; did"),
+        ({"sequence": "left"}, "sequence: 'left' is no unsigned"),
+        ({"safe": {"left": 0.0}}, 'safe: The signal "right" is required'),
+        (
+            {"safe": {"left": 0.0, "right": 9.0}},
+            "safe: right: expected -2 to 2, not 9.0",
+        ),
+        ({"safe": 0.0}, "safe: expected a table of signals"),
+        ({"safe": {"left": 0.0, "right": 0.0}, "limits": {"left": (1, 2)}}, "1 to 2"),
+        ({"signal": "left"}, "safe: expected a number"),
+        ({"fixed": {"gear": "hihg"}}, "safe:"),
+        ({"cycle": 0.0}, "cycle: expected a number of seconds"),
+        ({"database": "nowhere.dbc"}, "nowhere.dbc cannot be read: No such file"),
+        ({"database": __file__}, "cannot be understood"),
+    ],
+)
+def test_mistakes_are_told_when_the_device_is_made(
+    keywords: dict[str, Any], told: str
+) -> None:
+    """With the field, and the nearest names of the file."""
+    described = {
+        "database": ROVER,
+        "message": "WheelCommand",
+        "safe": {"left": 0.0, "right": 0.0},
+        "fixed": {"gear": 0},
+        "sequence": "count",
+    }
+    with pytest.raises(ConfigError) as caught:
+        DbcActuator(**{**described, **keywords})
+    assert told in str(caught.value)
+
+
+async def test_it_needs_a_can_bus() -> None:
+    """On another bus the mistake is named before anything is sent."""
+    device = DbcSensor(
+        bus=SerialBus(name="s", port="x"), database=ROVER, message="Panel"
+    )
+    with pytest.raises(ConfigError, match="expected a CanBus"):
+        await anext(device.stream())
+
+
+@given(
+    st.floats(-32, 32), st.integers(0, 255), st.floats(-300, 355), st.binary(max_size=8)
+)
+def test_what_is_packed_is_unpacked_and_no_bytes_break_it(
+    speed: float, mode: int, current: float, data: bytes
+) -> None:
+    """Within the resolution of each signal; wrong bytes are a FrameError only."""
+    codec = MessageCodec(find_message("x", ROVER, "WheelFeedback"))
+
+    again = codec.decode(
+        codec.encode({"speed": speed, "mode": mode, "current": current})
+    )
+
+    assert again["speed"] == pytest.approx(speed, abs=0.00051)
+    assert again["current"] == pytest.approx(current, abs=0.0051)
+    assert again["mode"] == mode
+    for message in ("WheelFeedback", "Panel", "Scale"):
+        with suppress(ValueError):
+            MessageCodec(find_message("x", ROVER, message), names=True).decode(data)
+
+
+def test_a_bus_of_the_right_kind_is_asked_for() -> None:
+    """The configuration reads it from the class."""
+    assert DbcSensor.__annotations__["bus"] == DbcActuator.__annotations__["bus"]
+    assert CanBus.__name__ in str(DbcSensor.__annotations__["bus"])
+
+
+@pytest.mark.fault("C08")
+async def test_the_driver_itself_ends_the_repeats_of_a_command(fake_can: Any) -> None:
+    """Even if nobody tells it the safe command in time."""
+    wire = fake_can("drive")
+    async with opened(command(wire, cycle=0.01)) as wheels:
+        await asyncio.sleep(0.1)
+        assert len(wire.sent) == 0, "before the first command nothing is repeated"
+        await wheels.write({"left": 1.0, "right": 1.0})
+        await asyncio.sleep(1.0)
+        assert 18 <= len(wire.sent) <= 21
+        wire.sent.clear()
+        await wheels.write({"left": 0.0, "right": 0.0})
+        await asyncio.sleep(1.0)
+        assert len(wire.sent) > 90, "the safe command is repeated for good"
+
+
+@pytest.mark.fault("C04", "C05")
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [("full once", []), ("full", [DeviceFaultError]), ("pulled", [DeviceLostError])],
+)
+async def test_repeats_that_find_no_room_are_left_out_until_they_are_a_fault(
+    fake_can: Any, what: str, told: list[type]
+) -> None:
+    """The third in a row is one; a bus that is gone is a loss at once."""
+    wire = fake_can("drive", send_timeout=0.001)
+    errors: list[BaseException | None] = []
+    async with opened(command(wire, cycle=0.01)) as wheels:
+        wheels._listener = errors.append
+        await wheels.write({"left": 0.0, "right": 0.0})
+        await asyncio.sleep(0.05)
+        if what == "pulled":
+            wire.fail(ConnectionError("the cable was pulled"))
+        else:
+            wire.full(1 if what == "full once" else 1000)
+        await asyncio.sleep(0.2)
+        before = len(wire.sent)
+        await asyncio.sleep(0.1)
+
+        assert [type(error) for error in errors] == told
+        assert (len(wire.sent) > before + 5) is (told == [])

@@ -1,0 +1,219 @@
+"""Digital inputs and outputs, on a chip that a test moves."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+import esair
+from esair.drivers.gpio import DigitalInput, DigitalOutput
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.testing import ActuatorContract, SensorContract
+from esair.testing.parts.gpio import FakeGpioChip
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class TestInput(SensorContract):
+    def make(self) -> DigitalInput:
+        self.chip = FakeGpioChip()
+        return DigitalInput(chip="fake", line=3, opener=self.chip.request)
+
+    async def unplug(self, _device: Any) -> None:
+        self.chip.unplug()
+
+
+class TestOutput(ActuatorContract):
+    def make(self) -> DigitalOutput:
+        self.chip = FakeGpioChip()
+        return DigitalOutput(chip="fake", line=4, opener=self.chip.request)
+
+    def commands(self) -> list[Any]:
+        return [True, False, True]
+
+    async def unplug(self, _device: Any) -> None:
+        self.chip.unplug()
+
+
+@pytest.fixture
+def chip() -> FakeGpioChip:
+    return FakeGpioChip()
+
+
+@asynccontextmanager
+async def followed(device: DigitalInput) -> AsyncIterator[Any]:
+    """Open an input and take its first value."""
+    device.open()
+    stream: Any = device.stream()
+    first = await anext(stream)
+    try:
+        yield first, stream
+    finally:
+        await stream.aclose()
+        device.close()
+
+
+def button(chip: FakeGpioChip, **keywords: Any) -> DigitalInput:
+    return DigitalInput(chip="fake", line=3, opener=chip.request, **keywords)
+
+
+def lamp(chip: FakeGpioChip, **keywords: Any) -> DigitalOutput:
+    return DigitalOutput(
+        name="lamp", chip="fake", line=4, opener=chip.request, **keywords
+    )
+
+
+async def test_each_change_is_a_reading(chip: FakeGpioChip) -> None:
+    """After what the line is at first; short pulses are not lost."""
+    device = button(chip)
+    async with followed(device) as (first, stream):
+        assert first is False
+        for level in (True, False, True):
+            chip.drive(3, level)
+        assert [await anext(stream) for _ in range(3)] == [True, False, True]
+        assert device.read() is True
+        assert device.missed == 0
+
+
+async def test_active_low_turns_values_around(chip: FakeGpioChip) -> None:
+    """A button to ground is True when it is pressed."""
+    chip.drive(3, True)
+    async with followed(button(chip, active_low=True, bias="pull_up")) as (
+        first,
+        stream,
+    ):
+        assert first is False
+        chip.drive(3, False)
+        assert await anext(stream) is True
+
+
+async def test_a_bounce_is_no_change(chip: FakeGpioChip) -> None:
+    """What is shorter than the setting; it can be changed while it is open."""
+    device = button(chip, debounce=0.01)
+    async with followed(device) as (_, stream):
+        for level in (True, False, True, False, True):
+            chip.drive(3, level)
+            await asyncio.sleep(0.001)
+        assert await anext(stream) is True
+        waiting = asyncio.ensure_future(anext(stream))
+        await asyncio.sleep(1.0)
+        assert not waiting.done()
+        device.apply(debounce=0.0)
+        chip.drive(3, False)
+        assert await waiting is False
+
+
+@pytest.mark.fault("D13")
+async def test_changes_that_nobody_saw_are_counted(chip: FakeGpioChip) -> None:
+    """The newest ones win, and the last one is true."""
+    device = button(chip)
+    async with followed(device) as (_, stream):
+        chip.drive(3, True)
+        assert await anext(stream) is True
+        for number in range(100):
+            chip.drive(3, number % 2 == 1)
+        values = [await anext(stream) for _ in range(16)]
+        assert values[-1] is True
+        assert device.missed == 84
+
+
+@pytest.mark.fault("D01")
+async def test_a_chip_that_is_unplugged_is_a_loss_at_once(chip: FakeGpioChip) -> None:
+    """Of an input that waits; it is opened again when the chip is back."""
+    device = button(chip, name="button")
+    async with esair.Robot(resources=[device]) as robot:
+        right = await robot.resources.register("me", "button", esair.Access.READ)
+        await asyncio.sleep(0.1)
+        chip.unplug()
+        for _ in range(10):  # the descriptor is looked at once in each turn
+            await asyncio.sleep(0.001)
+        assert robot.resources.query("button").losses == 1
+        chip.plug()
+        chip.drive(3, True)
+        await asyncio.sleep(6.0)
+        assert (await robot.sensors.read(right)).value is True
+
+
+@pytest.mark.promise("AC-4")
+@pytest.mark.parametrize("safe", [False, True])
+async def test_an_output_begins_and_ends_with_its_safe_value(
+    chip: FakeGpioChip, safe: bool
+) -> None:
+    """From the request on: there is no glitch."""
+    policy = esair.Policy("lamp", allow={"me": esair.Access.WRITE})
+    async with esair.Robot(
+        resources=[lamp(chip, safe=safe)], policies=[policy]
+    ) as robot:
+        right = await robot.resources.register("me", "lamp", esair.Access.WRITE)
+        assert set(chip.levels[4]) == {safe}
+        await robot.actuators.write(right, not safe)
+        assert chip.level(4) is not safe
+        await robot.actuators.write(right, not safe)
+    assert chip.levels[4][0] is safe
+    assert chip.levels[4][-1] is safe
+
+
+async def test_an_active_low_output_is_low_when_it_is_true(chip: FakeGpioChip) -> None:
+    """So its safe value is a high voltage."""
+    device = lamp(chip, active_low=True)
+    device.open()
+    device.write(True)
+    device.close()
+    assert chip.levels[4] == [True, False]
+
+
+@pytest.mark.fault("D07")
+async def test_a_line_that_somebody_has_is_told_with_his_name(
+    chip: FakeGpioChip,
+) -> None:
+    """An input as well as an output."""
+    chip.take(3, "spi0 CS0")
+    chip.take(4, "spi0 CS1")
+    with pytest.raises(
+        DeviceFaultError, match=r"line 3 of fake is in use by 'spi0 CS0'"
+    ):
+        button(chip).open()
+    with pytest.raises(DeviceFaultError, match="in use by 'spi0 CS1'"):
+        lamp(chip).open()
+
+
+async def test_a_line_that_is_not_open_is_lost(chip: FakeGpioChip) -> None:
+    """It is not quietly left alone."""
+    with pytest.raises(DeviceLostError, match="not open"):
+        lamp(chip).write(True)
+    with pytest.raises(DeviceLostError, match="not open"):
+        await anext(button(chip).stream())
+
+
+def test_a_chip_that_does_not_exist_is_lost() -> None:
+    """With a path or with a label; it may be plugged in later."""
+    pytest.importorskip("gpiod")
+    for chip in ("/dev/gpiochip-nowhere", "no chip has this label"):
+        with pytest.raises(DeviceLostError, match="there is no chip"):
+            DigitalInput(chip=chip, line=0).open()
+
+
+@pytest.mark.parametrize(
+    ("keywords", "told"),
+    [
+        ({"bias": "up"}, "bias: expected one of 'as_is'"),
+        ({"line": -1}, "line: expected 0 or more"),
+        ({"chip": ""}, "chip: expected a path"),
+        ({"debounce": -1.0}, "debounce: expected at least 0"),
+    ],
+)
+def test_mistakes_are_told_when_the_device_is_made(
+    keywords: dict[str, Any], told: str
+) -> None:
+    """With the field and what was expected."""
+    with pytest.raises(ValueError, match="digital_input") as caught:
+        DigitalInput(**{"chip": "fake", "line": 3, **keywords})
+    assert told in str(caught.value)
+    with pytest.raises(ConfigError, match="drive: expected one of"):
+        DigitalOutput(chip="fake", line=3, drive="push")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="safe: expected a bool"):
+        DigitalOutput(chip="fake", line=3, safe=0)  # type: ignore[arg-type]

@@ -1,0 +1,274 @@
+"""The microcontroller that speaks in lines: codec, sensor, actuator."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+
+import hypothesis
+import pytest
+from hypothesis import strategies as st
+
+import esair
+from esair.drivers.line import (
+    LineActuator,
+    LineError,
+    LineSensor,
+    decode_value,
+    encode_value,
+)
+from esair.exceptions import ConfigError, DeviceFaultError, DriverStuckError
+from esair.testing import ActuatorContract, FakeSerial, SensorContract
+from esair.testing.parts.line import FakeBoard
+
+
+@pytest.fixture
+def line(fake_serial: Callable[..., FakeSerial]) -> FakeSerial:
+    return fake_serial("front")
+
+
+class TestPushed(SensorContract):
+    """A sensor whose board tells its value ten times a second."""
+
+    def make(self) -> LineSensor:
+        line = FakeSerial("front")
+        FakeBoard(line, {"range": 1.25}, period=0.1)
+        return LineSensor(name="range", bus=line)
+
+    async def unplug(self, device: LineSensor) -> None:
+        device.bus.unplug()
+
+
+class TestAsked(SensorContract):
+    """A sensor whose board is asked for each value."""
+
+    def make(self) -> LineSensor:
+        line = FakeSerial("front")
+        FakeBoard(line, {"range": 1.25})
+        return LineSensor(name="range", ask=True, bus=line)
+
+    async def unplug(self, device: LineSensor) -> None:
+        device.bus.unplug()
+
+
+class TestTold(ActuatorContract):
+    """An actuator whose board confirms nothing."""
+
+    ack = False
+
+    def make(self) -> LineActuator:
+        line = FakeSerial("front")
+        FakeBoard(line, commands={"speed": 0.0}, ack=self.ack)
+        return LineActuator(
+            name="speed", safe=0.0, ack=self.ack, limits=(-1.0, 1.0), bus=line
+        )
+
+    def commands(self) -> list[float]:
+        return [0.5, -1.0]
+
+    async def unplug(self, device: LineActuator) -> None:
+        device.bus.unplug()
+
+
+class TestConfirmed(TestTold):
+    """An actuator whose board confirms each command."""
+
+    ack = True
+
+
+@pytest.mark.real_clock
+class TestConfirmedOnATerminal(TestConfirmed):
+    """The same, through the kernel."""
+
+
+# The codec.
+
+
+@hypothesis.given(st.floats(allow_nan=False, allow_infinity=False))
+def test_a_value_goes_there_and_back(value: float) -> None:
+    """What is decoded is what was encoded, to nine digits."""
+    key, decoded = decode_value(encode_value("speed", value))
+
+    assert key == "speed"
+    assert decoded == pytest.approx(value, rel=1e-8)
+
+
+@pytest.mark.fault("D12", "D26")
+@hypothesis.given(st.binary(max_size=40))
+def test_any_line_is_a_value_or_an_error(line: bytes) -> None:
+    """No line raises anything else, and no value is not finite."""
+    try:
+        _, value = decode_value(line)
+    except LineError:
+        return
+    assert math.isfinite(value)
+
+
+@pytest.mark.fault("D26")
+@pytest.mark.parametrize(
+    "line",
+    [b"", b"=", b"range", b"range=", b"range=nan", b"range=inf", b"range=1e999",
+     b"range=1_0", b"range=0x10", b"range=1,5", b"=5", b"1=5", b"r\xe4nge=5"],
+)  # fmt: skip
+def test_what_is_no_value(line: bytes) -> None:
+    """Python's own idea of a number is wider than the protocol's."""
+    with pytest.raises(LineError):
+        decode_value(line)
+
+
+@pytest.mark.fault("V01")
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_no_command_is_not_finite(value: float) -> None:
+    """The codec refuses what the connection would have refused before."""
+    with pytest.raises(LineError):
+        encode_value("speed", value)
+
+
+# The sensor.
+
+
+async def test_only_its_own_values_are_its_business(line: FakeSerial) -> None:
+    """Several sensors share a board, and what is damaged is counted."""
+    FakeBoard(line, {"left": 1.0, "leftmost": 3.0}, period=0.1)
+    sensor = LineSensor(name="left", bus=line)
+    await line.open()
+    values = sensor.stream()
+
+    assert await anext(values) == 1.0
+    line.feed(b"left=12.3.4\r\nleft=2\r\n")
+    assert await anext(values) == 2.0
+
+    assert sensor.bad_lines == 1
+    await values.aclose()
+    await line.close()
+
+
+async def test_its_key_may_differ_from_its_name(line: FakeSerial) -> None:
+    """A name on the wire is the firmware's, one in the robot is the robot's."""
+    board = FakeBoard(line, {"R1": 1.0})
+    sensor = LineSensor(name="sonar", key="R1", ask=True, bus=line)
+    await line.open()
+
+    board.values["R1"] = 0.75
+
+    assert await sensor.read() == 0.75
+    await line.close()
+
+
+@pytest.mark.fault("D26")
+async def test_an_answer_that_is_no_number_is_a_fault(line: FakeSerial) -> None:
+    """It is counted, and the next one is taken."""
+    line.answer(b"range?", b"range=far")
+    sensor = LineSensor(name="range", ask=True, bus=line)
+    await line.open()
+
+    with pytest.raises(DeviceFaultError, match=r"'range'.*number"):
+        await sensor.read()
+
+    assert sensor.bad_lines == 1
+    line.answer(b"range?", b"range=4")
+    assert await sensor.read() == 4.0
+    await line.close()
+
+
+@pytest.mark.fault("D14")
+async def test_a_board_without_the_value_is_silent(line: FakeSerial) -> None:
+    """The reader gets an error in time, not never."""
+    FakeBoard(line, {"left": 1.0})
+    sensor = LineSensor(name="right", ask=True, bus=line)
+    await line.open()
+
+    with pytest.raises(DriverStuckError, match=r"right\?"):
+        await sensor.read()
+
+    await line.close()
+
+
+# The actuator.
+
+
+async def test_a_confirmation_tells_what_was_applied(line: FakeSerial) -> None:
+    """The board may know limits of its own."""
+    line.answer(b"speed=0.9", b"speed:0.5")
+    actuator = LineActuator(name="speed", safe=0.0, ack=True, bus=line)
+    await line.open()
+
+    assert await actuator.write(0.9) == 0.5
+
+    await line.close()
+
+
+async def test_a_refusal_tells_why(line: FakeSerial) -> None:
+    """The board's own words are in the error."""
+    board = FakeBoard(line, commands={"speed": 0.0}, ack=True)
+    board.refuse = lambda _key, value: "too fast" if value > 0.5 else None
+    actuator = LineActuator(name="speed", safe=0.0, ack=True, bus=line)
+    await line.open()
+
+    assert await actuator.write(0.4) == 0.4
+    with pytest.raises(DeviceFaultError, match="too fast"):
+        await actuator.write(0.9)
+
+    assert board.commands == {"speed": 0.4}
+    await line.close()
+
+
+@pytest.mark.fault("D26")
+async def test_a_confirmation_that_is_nonsense_is_a_fault(line: FakeSerial) -> None:
+    """Nobody knows what was applied then."""
+    line.answer(b"speed=0.5", b"speed:lots")
+    actuator = LineActuator(name="speed", safe=0.0, ack=True, bus=line)
+    await line.open()
+
+    with pytest.raises(DeviceFaultError, match=r"'speed'.*number"):
+        await actuator.write(0.5)
+
+    await line.close()
+
+
+@pytest.mark.fault("D05")
+async def test_another_board_in_its_place_is_not_obeyed(line: FakeSerial) -> None:
+    """With an identity declared, only the board of that name comes up."""
+    board = FakeBoard(line, {"range": 1.0}, name="gripper", period=0.1)
+    sensor = LineSensor(name="range", identity="bumper", bus=line)
+
+    async with esair.Robot(resources=[sensor]) as robot:
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("range").state is not esair.ResourceState.READY
+        board.name = "bumper"
+        await asyncio.sleep(20.0)
+        assert robot.resources.query("range").state is esair.ResourceState.READY
+
+
+@pytest.mark.fault("D04")
+@pytest.mark.promise("RES-2")
+async def test_after_a_loss_the_safe_command_is_the_first(line: FakeSerial) -> None:
+    """What was told before is not told again by itself."""
+    FakeBoard(line, commands={"speed": 0.0})
+    actuator = LineActuator(name="speed", safe=0.0, bus=line)
+
+    class Drive(esair.Behavior):
+        speed = esair.writes(float)
+
+        async def run(self) -> None:
+            await self.speed.write(0.7)
+            await asyncio.Event().wait()
+
+    async with esair.Robot(resources=[actuator], behaviors=[Drive()]):
+        await line.until(b"speed=0.7")
+        line.unplug()
+        await asyncio.sleep(1.0)
+        line.sent.clear()
+        line.plug()
+        await line.until(lambda _: True, timeout=20.0)
+
+    assert set(line.sent) == {b"speed=0"}
+
+
+def test_its_wires_are_checked_before_anything_opens() -> None:
+    """A wrong bus, a wrong key: the error names the component and the field."""
+    with pytest.raises(ConfigError, match="range: bus: expected a SerialBus"):
+        LineSensor(name="range")
+    with pytest.raises(ConfigError, match="speed: key: expected letters"):
+        LineActuator(name="speed", key="go faster", safe=0.0, bus=FakeSerial())

@@ -1,0 +1,472 @@
+"""Dynamixel servos: the bus, the sensor, the actuator, in memory and on a terminal."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import pty
+import struct
+import termios
+import threading
+import tty
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import esair
+from esair.drivers.servo import (
+    CENTER,
+    GOAL_POSITION,
+    PROFILE_VELOCITY,
+    TORQUE_ENABLE,
+    Goal,
+    Mode,
+    Servo,
+    ServoBus,
+    ServoPosition,
+    hardware_errors,
+    to_angle,
+    to_steps,
+)
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
+from esair.testing import ActuatorContract, BusContract, SensorContract
+from esair.testing.parts.servo import PING, WRITE, FakeServo, FakeServos, packet
+
+RELEASE = Goal(mode=Mode.RELEASE)
+HOLD = Goal(mode=Mode.HOLD)
+
+
+class Memory:
+    """What the suites need to reach the fakes behind a bus."""
+
+    fakes: FakeServos
+
+    def make_bus(self) -> ServoBus:
+        self.fakes = FakeServos([1, 2])
+        return ServoBus(name="arm", opener=self.fakes.open)
+
+
+class TestServoBus(Memory, BusContract):
+    def make(self) -> ServoBus:
+        return self.make_bus()
+
+    async def use(self, bus: Any) -> None:
+        assert await bus.ping(1) == 1060
+
+    async def unplug(self, bus: Any) -> None:
+        self.fakes.unplug()
+
+    async def plug(self, bus: Any) -> None:
+        self.fakes.plug()
+
+    async def stall(self, bus: Any) -> None:
+        self.fakes.stall()
+
+    async def resume(self, bus: Any) -> None:
+        self.fakes.resume()
+
+
+class TestServoPosition(Memory, SensorContract):
+    def make(self) -> ServoPosition:
+        return ServoPosition(id=2, bus=self.make_bus())
+
+    async def unplug(self, device: ServoPosition) -> None:
+        self.fakes.unplug()
+
+
+class TestServo(Memory, ActuatorContract):
+    safe = RELEASE
+
+    def make(self) -> Servo:
+        return Servo(id=2, safe=self.safe, limits=(-1.0, 1.0), bus=self.make_bus())
+
+    def commands(self) -> list[Goal]:
+        return [Goal(0.5), Goal(-1.0), HOLD, RELEASE]
+
+    async def unplug(self, device: Servo) -> None:
+        self.fakes.unplug()
+
+
+class TestServoThatHolds(TestServo):
+    safe = HOLD
+
+
+@pytest.fixture
+def fakes() -> FakeServos:
+    return FakeServos([1, 2])
+
+
+@pytest.fixture
+def bus(fakes: FakeServos) -> ServoBus:
+    return ServoBus(name="arm", opener=fakes.open)
+
+
+# The codec.
+
+
+@pytest.mark.parametrize(
+    ("angle", "steps"),
+    [(0.0, 2048), (math.pi / 2, 3072), (-math.pi, 0), (math.tau, 6144), (-9.0, -3819)],
+)
+def test_angles_are_steps_from_the_middle(angle: float, steps: int) -> None:
+    """4096 for a turn; below zero after more than half a turn back."""
+    assert to_steps(angle) == steps
+    assert to_angle(steps & 0xFFFF_FFFF) == pytest.approx(angle, abs=math.tau / 8192)
+
+
+def test_the_packets_are_those_of_the_document() -> None:
+    """The e-manual's example: ping servo 1, and its answer."""
+    assert packet(1, PING, b"") == bytes.fromhex("FFFFFD00010300 01 194E")
+    assert packet(1, 0x55, bytes.fromhex("00060426")) == bytes.fromhex(
+        "FFFFFD00010700 55 00060426 655D"
+    )
+
+
+def test_bits_of_an_error_have_names() -> None:
+    """What the servo says about itself is said in words."""
+    assert hardware_errors(0x24) == "overheating, overload"
+    assert hardware_errors(0x40) == "code 0x40"
+
+
+# The bus.
+
+
+@pytest.mark.virtual_clock
+async def test_a_table_is_read_and_written(bus: ServoBus, fakes: FakeServos) -> None:
+    """Entries of one, two and four bytes; below zero too."""
+    await bus.open()
+
+    for address, size, value in ((64, 1, 1), (100, 2, 885), (116, 4, -5)):
+        await bus.write(1, address, size, value)
+        found = await bus.read(1, address, size)
+        assert found == value & (1 << 8 * size) - 1
+
+    assert fakes.servos[1].get(GOAL_POSITION) == -5
+    assert fakes.servos[2].get(GOAL_POSITION) == CENTER
+    assert bus.stats.sent == bus.stats.received == 6
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("D14")
+async def test_a_servo_that_is_not_there(bus: ServoBus) -> None:
+    """The error names it; the others go on."""
+    await bus.open()
+
+    with pytest.raises(DeviceFaultError, match="servo 9, ping: There is no status"):
+        await bus.ping(9)
+
+    assert await bus.ping(1) == 1060
+    assert bus.stats.errors == 1
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("D10")
+async def test_a_damaged_answer_is_a_fault(bus: ServoBus, fakes: FakeServos) -> None:
+    """Its value is never used."""
+    await bus.open()
+    fakes.garble()
+
+    with pytest.raises(DeviceFaultError, match="servo 1, read 132"):
+        await bus.read(1, 132, 4)
+
+    assert bus.stats.bad_frames == 1
+    assert await bus.read(1, 132, 4) == CENTER
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("D26")
+async def test_what_a_servo_refuses_is_told_in_its_words(bus: ServoBus) -> None:
+    """There is no such entry in its table."""
+    await bus.open()
+
+    with pytest.raises(DeviceFaultError, match="not available to target address"):
+        await bus.write(1, 146, 4, 0)
+
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+async def test_a_servo_that_has_shut_down_says_why(
+    bus: ServoBus, fakes: FakeServos
+) -> None:
+    """Its own protection has taken the torque away."""
+    await bus.open()
+    fakes.servos[1].shut_down = 0x20
+
+    with pytest.raises(DeviceFaultError, match="servo 1 has shut down: overload"):
+        await bus.read(1, 132, 4)
+
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("I05")
+@pytest.mark.promise("BUS-1")
+async def test_requests_of_many_never_overlap(bus: ServoBus) -> None:
+    """One wire, one question at a time, each answer to its own asker."""
+    await bus.open()
+
+    await asyncio.gather(
+        *(bus.write(servo, GOAL_POSITION, 4, 1000 + servo) for servo in (1, 2))
+    )
+    found = await asyncio.gather(
+        *(bus.read(servo, GOAL_POSITION, 4) for servo in (1, 2) * 10)
+    )
+
+    assert found == [1001, 1002] * 10
+    await bus.close()
+
+
+# The actuator.
+
+
+@pytest.mark.virtual_clock
+async def test_a_goal_goes_before_the_torque(bus: ServoBus, fakes: FakeServos) -> None:
+    """With torque first it would jump to the goal that it had before."""
+    servo = Servo(safe=RELEASE, bus=bus)
+    await bus.open()
+    await servo.open()
+
+    await servo.write(Goal(math.pi / 2))
+    await servo.write(Goal(0.0))
+
+    writes = [
+        (int.from_bytes(data[:2], "little"), int.from_bytes(data[2:], "little"))
+        for _, instruction, data in fakes.written
+        if instruction == WRITE
+    ]
+    assert writes[:2] == [(GOAL_POSITION, 3072), (TORQUE_ENABLE, 1)]
+    assert writes[-1] == (GOAL_POSITION, CENTER)
+    assert [address for address, _ in writes].count(TORQUE_ENABLE) == 1
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+async def test_hold_and_release(bus: ServoBus, fakes: FakeServos) -> None:
+    """It holds where it is, not where it was sent; released it can be moved by hand."""
+    servo = Servo(safe=RELEASE, bus=bus)
+    await bus.open()
+    await servo.open()
+    await servo.write(Goal(1.0))
+    await servo.write(RELEASE)
+    assert not fakes.servos[1].torque
+    fakes.servos[1].put(132, 2500)
+
+    await servo.write(HOLD)
+
+    assert fakes.servos[1].torque
+    assert fakes.servos[1].get(GOAL_POSITION) == 2500
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+async def test_its_speed_is_a_setting(bus: ServoBus, fakes: FakeServos) -> None:
+    """In rad/s; the unit of the table is 0.229 turns per minute."""
+    servo = Servo(safe=RELEASE, bus=bus)
+    await bus.open()
+
+    for speed, units in ((0.0, 0), (0.001, 1), (1.0, 42)):
+        await servo.apply(speed=speed)
+        assert fakes.servos[1].get(PROFILE_VELOCITY) == units
+
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("ROB-2")
+@pytest.mark.parametrize("safe", [RELEASE, HOLD])
+async def test_a_robot_leaves_it_safe(
+    bus: ServoBus, fakes: FakeServos, safe: Goal
+) -> None:
+    """As the declaration says: without torque, or holding where it was."""
+    servo = Servo(name="elbow", safe=safe, bus=bus)
+    position = ServoPosition(name="angle", bus=bus)
+
+    class Wave(esair.Behavior):
+        elbow = esair.writes(Goal)
+        angle = esair.reads(float)
+
+        async def run(self) -> None:
+            await self.elbow.write(Goal(0.8))
+            assert await self.angle.read(fresh=True) == pytest.approx(0.8, abs=0.001)
+            self.offer(True)
+            await asyncio.Event().wait()
+
+    async with esair.Robot(resources=[servo, position], behaviors=[Wave()]) as robot:
+        await robot.behaviors.get(sender="wave", receiver="", interval=9.0)
+
+    assert fakes.servos[1].torque is (safe is HOLD)
+    assert to_angle(fakes.servos[1].get(132)) == pytest.approx(0.8, abs=0.001)
+
+
+@pytest.mark.parametrize("servo", [-1, 253, True, "1"])
+def test_an_id_that_is_none(bus: ServoBus, servo: Any) -> None:
+    """Nothing is opened to find out."""
+    with pytest.raises(ConfigError, match="id: expected 0 to 252"):
+        ServoPosition(id=servo, bus=bus)
+
+
+def test_the_bus_is_of_their_own_kind() -> None:
+    """A plain serial bus cannot take turns with them."""
+    with pytest.raises(ConfigError, match="expected a ServoBus"):
+        Servo(safe=RELEASE)
+    with pytest.raises(ConfigError, match="port"):
+        ServoBus(name="arm", port="loop://")
+
+
+# On a terminal.
+
+
+class Terminal:
+    """Servos on a pseudo-terminal, played by a thread."""
+
+    def __init__(self, fakes: FakeServos) -> None:
+        self.master, self.slave = pty.openpty()
+        tty.setraw(self.slave)
+        self.path = os.ttyname(self.slave)
+        self.noise = b""
+        self._fakes = fakes
+        self._thread = threading.Thread(target=self._play)
+        self._thread.start()
+
+    def _play(self) -> None:
+        while True:
+            try:
+                data = os.read(self.master, 4096)
+            except OSError:
+                return
+            if data.startswith(b"bye"):
+                return
+            os.write(self.master, self.noise + self._fakes.heard(data))
+
+    def hang_up(self) -> None:
+        if self.master < 0:
+            return
+        os.write(self.slave, b"bye")
+        self._thread.join(5)
+        os.close(self.master)
+        os.close(self.slave)
+        self.master = self.slave = -1
+
+
+@pytest.fixture
+def terminal(fakes: FakeServos) -> Iterator[Terminal]:
+    found = Terminal(fakes)
+    yield found
+    found.hang_up()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D01")
+async def test_on_a_terminal(terminal: Terminal, fakes: FakeServos) -> None:
+    """The SDK's packets through the kernel; a pulled cable is a loss."""
+    bus = ServoBus(name="arm", port=terminal.path, timeout=5.0)
+    await bus.open()
+
+    assert await bus.ping(2) == 1060
+    await bus.write(2, GOAL_POSITION, 4, 1234)
+    assert fakes.servos[2].get(GOAL_POSITION) == 1234
+    await asyncio.to_thread(terminal.hang_up)
+    with pytest.raises(DeviceLostError, match="'arm'"):
+        await bus.ping(2)
+
+    assert not bus.is_open
+    with pytest.raises(DeviceLostError):
+        await bus.open()
+    await bus.close()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D16")
+async def test_a_line_that_takes_no_bytes(terminal: Terminal) -> None:
+    """The request ends in time, and the next one works."""
+    bus = ServoBus(name="arm", port=terminal.path, timeout=5.0)
+    await bus.open()
+    termios.tcflow(terminal.slave, termios.TCOOFF)
+
+    with pytest.raises(DriverStuckError, match=r"ping did not return in 0\.05 s"):
+        await bus.ping(1)
+
+    termios.tcflow(terminal.slave, termios.TCOON)
+    assert await bus.ping(1) == 1060
+    await bus.close()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D21")
+@pytest.mark.promise("BUS-1")
+async def test_a_call_that_never_returns_costs_only_its_caller(
+    bus: ServoBus, fakes: FakeServos, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has its deadline; the loop turns, the close is quick."""
+    release = threading.Event()
+    await bus.open()
+    monkeypatch.setattr(fakes, "heard", lambda _data: release.wait(30) and b"")
+    begin = asyncio.get_running_loop().time()
+
+    with pytest.raises(DriverStuckError, match="'arm'"):
+        await bus.ping(1)
+    await bus.close()
+
+    assert asyncio.get_running_loop().time() - begin < 5.0
+    release.set()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D09")
+async def test_noise_before_an_answer(terminal: Terminal) -> None:
+    """The answer behind it is found."""
+    bus = ServoBus(name="arm", port=terminal.path, timeout=5.0)
+    terminal.noise = b"\xff\xff\x00\x13garbage"
+    await bus.open()
+
+    assert await bus.ping(1) == 1060
+
+    await bus.close()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D13", "D20")
+async def test_a_line_that_is_never_silent_ends_a_request(terminal: Terminal) -> None:
+    """Answers of others, without end, cost the asker its time and nobody else any."""
+    bus = ServoBus(name="arm", port=terminal.path, timeout=5.0)
+    await bus.open()
+    flood = threading.Event()
+    other = packet(7, 0x55, struct.pack("<BHB", 0, 1060, 45)) * 20
+
+    def babble() -> None:
+        while not flood.is_set():
+            os.write(terminal.master, other)
+            flood.wait(0.001)
+
+    thread = threading.Thread(target=babble)
+    thread.start()
+    try:
+        with pytest.raises(DeviceFaultError, match="servo 9"):
+            async with asyncio.timeout(4):
+                await bus.ping(9)
+    finally:
+        flood.set()
+        thread.join(5)
+    await bus.close()
+
+
+def test_one_servo_obeys_its_table() -> None:
+    """The fake is a servo: without torque it goes nowhere."""
+    servo = FakeServo()
+    servo.obey(WRITE, struct.pack("<Hi", GOAL_POSITION, 100))
+    assert servo.get(132) == CENTER
+
+    servo.obey(WRITE, struct.pack("<HB", TORQUE_ENABLE, 1))
+
+    assert servo.get(132) == 100
