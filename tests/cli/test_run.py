@@ -10,6 +10,7 @@ pytestmark = pytest.mark.real_clock
 MODULE = """
 import asyncio
 import json
+import logging
 import os
 import esair
 
@@ -42,6 +43,14 @@ class Always(esair.Behavior):
         async for _ in esair.every(0.02):
             await self.motor.write(1.0)
             import late_import  # found beside the file while it runs
+
+class Chatter(esair.Behavior):
+    motor = esair.writes(float)
+    async def run(self) -> None:
+        async for _ in esair.every(0.01):
+            await self.motor.write(1.0)
+            for _ in range(20):
+                logging.getLogger("esair").warning("%s", "so much to say " * 20)
 
 class Which(esair.Behavior):
     async def run(self) -> None:
@@ -109,6 +118,19 @@ def test_a_time_can_be_set(folder, start) -> None:
 
     assert process.returncode == 0, log
     assert sent(where).count(1.0) > 2
+    assert sent(where)[-1] == 0.0
+
+
+@pytest.mark.fault("O15")
+def test_a_log_that_nobody_reads_holds_nothing_up(folder, start) -> None:
+    """The pipe is full at once: the robot drives on, and ends in time and safe."""
+    where = folder("Chatter")
+    process = start("run", "robot.toml", "--for", "1.5", cwd=where)
+
+    process.wait(timeout=20)  # without reading what it says
+
+    assert process.returncode == 0
+    assert sent(where).count(1.0) > 50
     assert sent(where)[-1] == 0.0
 
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import copy
-import logging
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 from rich.console import Console
-from rich.logging import RichHandler
 from rich.text import Text
 
 import esair
 from esair import config
 from esair.cli._errors import CANNOT_USE, tell
+from esair.cli._log import shown_log
 from esair.exceptions import BehaviorFailedError, EsairError, describe
 
 ENDED_WITH_AN_ERROR: Final = 1
@@ -52,13 +50,13 @@ def drive(
         tell(f"--for: expected seconds > 0, not {seconds:g}")
         return CANNOT_USE
     console = Console(stderr=True, highlight=False)
-    _show_log(console, verbose=verbose)
     sys.path.insert(0, str(file.resolve().parent))  # modules imported while it runs
     described = config.load(file, simulated=simulated)
     robot = config.build(described, esair.Robot)
     console.print(_headline(described))
     try:
-        esair.run(robot, duration=seconds, loop_factory=loop_factory)
+        with shown_log(verbose=verbose):
+            esair.run(robot, duration=seconds, loop_factory=loop_factory)
     except BehaviorFailedError as error:
         tell(describe(error))
         return ENDED_WITH_AN_ERROR
@@ -91,22 +89,3 @@ def _not_started(errors: tuple[Exception, ...] | list[EsairError]) -> int:
     for error in errors:
         tell(describe(error))
     return ENDED_WITH_AN_ERROR
-
-
-class _Lines(RichHandler):
-    """Shows what happened, without tracebacks."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        record = copy.copy(record)  # another handler may want the traceback
-        record.exc_info = record.exc_text = None
-        super().emit(record)
-
-
-def _show_log(console: Console, *, verbose: bool) -> None:
-    kind = RichHandler if verbose else _Lines
-    handler = kind(console=console, show_path=False, log_time_format="%H:%M:%S")
-    log = logging.getLogger()
-    log.addHandler(handler)
-    log.setLevel(logging.DEBUG if verbose else logging.WARNING)
-    logging.getLogger("esair").setLevel(logging.DEBUG if verbose else logging.INFO)
-    logging.getLogger("asyncio").setLevel(logging.WARNING)

@@ -1,0 +1,103 @@
+"""The log on the terminal, written beside the robot and never by it."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import io
+import logging
+import os
+import queue
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Final
+
+from rich.console import Console
+from rich.logging import RichHandler
+
+LIMIT: Final = 1000
+"""How many records may wait for the terminal; what comes then is dropped and counted."""
+
+LAST_MOMENT: Final = 1.0
+"""How long the end waits for the records that wait, in seconds."""
+
+
+@contextlib.contextmanager
+def shown_log(*, verbose: bool) -> Iterator[None]:
+    """Show the log on the standard error while a robot runs.
+
+    A thread of its own writes, so a terminal that takes nothing more (a pipe that
+    nobody reads, a suspended session) never holds up the robot, nor its end.
+
+    Args:
+        verbose: Whether every line is shown, with tracebacks.
+    """
+    # A file of its own and without a buffer: the thread that is stuck in it must not
+    # hold a lock that the interpreter takes when it ends.
+    file = io.FileIO(os.dup(sys.stderr.fileno()), "w")
+    text = io.TextIOWrapper(file, "utf-8", errors="replace", write_through=True)
+    console = Console(file=text, highlight=False)
+    kind = RichHandler if verbose else _Lines
+    handler = _Beside(
+        kind(console=console, show_path=False, log_time_format="%H:%M:%S")
+    )
+    log = logging.getLogger()
+    log.addHandler(handler)
+    log.setLevel(logging.DEBUG if verbose else logging.WARNING)
+    logging.getLogger("esair").setLevel(logging.DEBUG if verbose else logging.INFO)
+    logging.getLogger("asyncio").setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        handler.close()
+
+
+class _Lines(RichHandler):
+    """Shows what happened, without tracebacks."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        record = copy.copy(record)  # another handler may want the traceback
+        record.exc_info = record.exc_text = None
+        super().emit(record)
+
+
+class _Beside(logging.Handler):
+    """Hands records to another handler, in a thread that nobody waits for."""
+
+    def __init__(self, shown: logging.Handler) -> None:
+        super().__init__()
+        self.dropped = 0
+        self._shown = shown
+        self._records: queue.Queue[logging.LogRecord | None] = queue.Queue(LIMIT)
+        self._thread = threading.Thread(
+            target=self._show, name="esair-log", daemon=True
+        )
+        self._thread.start()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            self._records.put_nowait(record)
+        except queue.Full:
+            self.dropped += 1
+
+    def close(self) -> None:
+        """Show what waits, within a limited time."""
+        with contextlib.suppress(queue.Full):
+            self._records.put_nowait(None)
+            self._thread.join(LAST_MOMENT)
+        super().close()
+
+    def _show(self) -> None:
+        told = 0
+        while (record := self._records.get()) is not None:
+            self._shown.emit(record)  # not handle(): its lock is taken at the exit
+            if self.dropped > told:
+                text = f"{self.dropped - told} lines were dropped: they came too fast"
+                told = self.dropped
+                self._shown.emit(
+                    logging.LogRecord(
+                        "esair", logging.WARNING, __file__, 0, text, None, None
+                    )
+                )
