@@ -17,6 +17,7 @@ from rich.table import Table
 
 from benchmarks.cases import (
     data_path,
+    devices,
     garbage,
     lifecycle,
     mediator,
@@ -29,6 +30,7 @@ CASES = {
     "P1,P2": mediator,
     "P3,P4": data_path,
     "P5,P6,P7": reactions,
+    "P8,P9": devices,
     "P10,P12": lifecycle,
     "P11": starting,
     "P13": garbage,
@@ -38,17 +40,25 @@ CASES = {
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--only", default="", help="goals to measure, such as P1,P5")
+    parser.add_argument("--loop", choices=["asyncio", "uvloop"], default="asyncio")
     parser.add_argument("--json", type=Path, help="write the rows to a file")
     parser.add_argument("--markdown", type=Path, help="write the table to a file")
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
     wanted = {goal for goal in arguments.only.upper().split(",") if goal}
+    factory = None
+    if arguments.loop == "uvloop":
+        import uvloop
+
+        factory = uvloop.new_event_loop
     begin = time.perf_counter()
     rows: list[Row] = []
     for goals, case in CASES.items():
         if not wanted or wanted & set(goals.split(",")):
-            rows += asyncio.run(case.rows())
-    machine = f"Python {platform.python_version()}, {time.perf_counter() - begin:.0f} s"
+            with asyncio.Runner(loop_factory=factory) as runner:
+                rows += runner.run(case.rows())
+    seconds = time.perf_counter() - begin
+    machine = f"Python {platform.python_version()}, {arguments.loop}, {seconds:.0f} s"
     _show(rows, machine)
     if arguments.json:
         text = json.dumps([attrs.asdict(row) for row in rows], indent=2)

@@ -20,11 +20,10 @@ PROMISES = {
     *(f"BEH-{n}" for n in range(1, 4)),
     *(f"REA-{n}" for n in range(1, 4)),
     *(f"RES-{n}" for n in range(1, 3)),
+    *(f"BUS-{n}" for n in range(1, 3)),
+    *(f"MIN-{n}" for n in range(1, 3)),
 }
 """What the library promises now."""
-
-LATER = {"BUS-1", "BUS-2", "MIN-1", "MIN-2"}
-"""Promises that may have tests already, and need not."""
 
 GROUPS = {
     "D": 30, "C": 10, "I": 7, "B": 22, "X": 10, "M": 20, "R": 16, "L": 12,
@@ -37,6 +36,25 @@ FAULTS = {
     for group, count in GROUPS.items()
     for number in range(1, count + 1)
 }
+
+GUARD = "it needs the guard process, which is not there yet"
+SOCKET = "there is no control socket yet"
+RECORDER = "there is no recorder yet"
+
+EXCLUDED = {
+    **dict.fromkeys(["B06", "B07", "B08"], GUARD),
+    **dict.fromkeys(["O04", "O05", "O06", "O07", "O08", "O09"], GUARD),
+    "O10": "it is a measurement: P13 of the benchmarks",
+    "O12": "out of memory ends the process: see O04",
+    "O14": GUARD,
+    "O18": "a lock for a whole robot needs the control socket; ports have theirs (D07)",
+    "G11": "a file names any class, as a script does; others send none: there is no "
+    "control socket yet",
+    "M19": "data between behaviors has no declared type",
+    **{f"P{number:02}": RECORDER for number in (1, 2, 3, 4, 5, 7, 8)},
+    **{f"H{number:02}": SOCKET for number in range(1, 19)},
+}
+"""Faults without a test, and why."""
 
 
 def marks(kind: str, files: list[Path]) -> Iterator[tuple[str, str]]:
@@ -62,9 +80,9 @@ def files() -> list[Path]:
 
 
 def test_the_catalogue_is_whole() -> None:
-    """There are 193 faults in 14 groups, and 36 promises."""
+    """There are 193 faults in 14 groups, and 40 promises."""
     assert len(FAULTS) == 193
-    assert len(PROMISES) == 36
+    assert len(PROMISES) == 40
 
 
 def test_every_promise_has_a_test() -> None:
@@ -75,9 +93,17 @@ def test_every_promise_has_a_test() -> None:
     assert not missing, f"promises without a test: {', '.join(missing)}"
 
 
-@pytest.mark.parametrize(
-    ("kind", "known"), [("promise", PROMISES | LATER), ("fault", FAULTS)]
-)
+def test_every_fault_has_a_test_or_a_reason() -> None:
+    """No fault is forgotten, and no reason outlives its cause."""
+    proved = {each for each, _ in marks("fault", files())}
+
+    missing = sorted(FAULTS - proved - EXCLUDED.keys())
+    assert not missing, f"faults without a test: {', '.join(missing)}"
+    stale = sorted(EXCLUDED.keys() & proved | EXCLUDED.keys() - FAULTS)
+    assert not stale, f"excluded, but there is a test: {', '.join(stale)}"
+
+
+@pytest.mark.parametrize(("kind", "known"), [("promise", PROMISES), ("fault", FAULTS)])
 def test_no_marker_names_what_is_not_there(kind: str, known: set[str]) -> None:
     """A misspelt ID proves nothing."""
     unknown = [

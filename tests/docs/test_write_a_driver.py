@@ -1,0 +1,119 @@
+"""The two drivers of the how-to page, under the contracts that all drivers keep."""
+
+import inspect
+from typing import Any
+
+import parts
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from parts import Mcp4725, Mcp9808, decode_temperature
+
+import esair
+from esair.testing import ActuatorContract, FakeI2c, SensorContract
+
+
+class Words:
+    """The far end: registers of two bytes."""
+
+    def __init__(self, **registers: str) -> None:
+        self.registers = {
+            int(name[1:], 16): bytes.fromhex(value) for name, value in registers.items()
+        }
+
+    def read(self, register: int, length: int) -> bytes:
+        assert length == 2
+        return self.registers[register]
+
+    def write(self, register: int, data: bytes) -> None:
+        raise AssertionError("the driver writes nothing")
+
+
+class TestMcp9808(SensorContract):
+    def make(self) -> Mcp9808:
+        return Mcp9808(bus=FakeI2c(chips={0x18: Words(r05="c194", r06="0054")}))
+
+    async def unplug(self, device: Mcp9808) -> None:
+        device.bus.unplug()
+
+
+class TestMcp4725(ActuatorContract):
+    def make(self) -> Mcp4725:
+        return Mcp4725(bus=FakeI2c(chips={0x60: Dac()}))
+
+    def commands(self) -> list[float]:
+        return [1.0, 0.123]
+
+    async def unplug(self, device: Mcp4725) -> None:
+        device.bus.unplug()
+
+
+class Dac:
+    """The far end: two bytes are four bits of nothing and twelve of the voltage."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def read(self, register: int, length: int) -> bytes:
+        raise AssertionError("the driver reads nothing")
+
+    def write(self, register: int, data: bytes) -> None:
+        assert len(data) == 1
+        self.count = register << 8 | data[0]
+
+
+@pytest.mark.parametrize(
+    ("data", "celsius"),
+    [("c194", 25.25), ("1ff0", -1.0), ("0000", 0.0), ("07d0", 125.0), ("1d80", -40.0)],
+)
+def test_the_temperature_is_that_of_the_data_sheet(data: str, celsius: float) -> None:
+    """The three bits above it are alarms."""
+    assert decode_temperature(bytes.fromhex(data)) == celsius
+
+
+@given(st.binary(min_size=2, max_size=2))
+def test_every_value_of_the_register_is_a_temperature(data: bytes) -> None:
+    """Whatever the alarms are."""
+    assert -256.0 <= decode_temperature(data) < 256.0
+
+
+@pytest.mark.virtual_clock
+async def test_the_voltage_reaches_the_part_and_ends_at_zero() -> None:
+    """What is written is what was really applied."""
+    dac = Dac()
+    part = Mcp4725(name="dac", bus=FakeI2c(chips={0x60: dac}))
+    policy = esair.Policy("dac", allow={"me": esair.Access.WRITE})
+    async with esair.Robot(resources=[part], policies=[policy]) as robot:
+        right = await robot.resources.register("me", "dac", esair.Access.WRITE)
+        written: Any = await robot.actuators.write(right, 0.5)
+        assert dac.count == 2048
+        assert written.command == 2048 / 4095
+    assert dac.count == 0
+
+
+@pytest.mark.virtual_clock
+async def test_the_thermometer_gives_its_temperature() -> None:
+    """25.25 °C, with one of the alarms."""
+    part = Mcp9808(bus=FakeI2c(chips={0x18: Words(r05="c194", r06="0054")}))
+    await part.bus.open()
+    await part.open()
+    assert await part.read() == 25.25
+    await part.bus.close()
+
+
+@pytest.mark.virtual_clock
+async def test_another_chip_is_refused() -> None:
+    """Its manufacturer's number tells."""
+    part = Mcp9808(bus=FakeI2c(chips={0x18: Words(r05="0000", r06="0055")}))
+    await part.bus.open()
+    with pytest.raises(esair.DeviceFaultError, match="no MCP9808"):
+        await part.open()
+    await part.bus.close()
+
+
+def test_a_driver_has_no_more_than_20_lines() -> None:
+    """As the page says: without its docstring and its empty lines."""
+    source = inspect.getsource(parts)
+    begin = source.index("def decode_temperature")
+    lines = source[begin : source.index("class Mcp4725")].splitlines()
+    assert len([line for line in lines if line.strip()]) <= 20
