@@ -55,7 +55,7 @@ def no_more_threads() -> Iterator[None]:
     def refuse(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 
-    threading.Thread.start = refuse  # type: ignore[method-assign]
+    threading.Thread.start = refuse  # type: ignore[method-assign, assignment]
     try:
         yield
     finally:
@@ -124,7 +124,7 @@ class Plain(esair.Behavior):
 
     def run(self) -> None:
         for _ in esair.every(0.02):
-            self.speed.write(0.5)
+            self.speed.write(0.5)  # type: ignore[unused-coroutine]
 
 
 @pytest.mark.real_clock

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -102,7 +103,7 @@ async def pull_and_put_back(which: str, times: int) -> None:
             "drive": SimCanBus(name="drive"),
             "body": SimI2CBus(name="body"),
         }
-        resources = [
+        resources: list[esair.Resource] = [
             RangeFinder(name="ranges", bus=buses["front"]),
             Bumper(bus=buses["skirt"]),
             Odometry(bus=buses["drive"]),
@@ -131,7 +132,7 @@ async def pull_and_put_back(which: str, times: int) -> None:
                 at = {side: len(told) for side, told in commands.told.items()}
                 set_plugged(wire, True)
                 bus.arrived()
-                await until(lambda at=at: commands.moving_since(at))
+                await until(functools.partial(commands.moving_since, at))
                 for side, told in commands.told.items():
                     fresh = told.index(True, at[side])
                     assert told[fresh - 1] is False, "it moved before it was safe"

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Callable
 from typing import Generic, TypeVar
 
 from esair.exceptions import BadValueError
+from esair.loop import Deadlines
 
 T = TypeVar("T")
 
@@ -99,18 +100,19 @@ class Inbox(Generic[T]):
 
 
 async def within(future: asyncio.Future[T], seconds: float | None) -> T:
-    """Wait for a future, at the cost of one timer and no task.
+    """Wait for a future, without a task or a timer of its own.
 
     Raises:
         TimeoutError: It was not done in time.
     """
     if seconds is None or future.done():
         return await future
-    timer = asyncio.get_running_loop().call_later(seconds, _expire, future)
+    deadlines = Deadlines.of(asyncio.get_running_loop())
+    deadline = deadlines.after(seconds, _expire, future)
     try:
         return await future
     finally:
-        timer.cancel()
+        deadline.cancel()
 
 
 def _expire(future: asyncio.Future[T]) -> None:

@@ -20,6 +20,7 @@ from esair.exceptions import (
     StaleReadingError,
 )
 from esair.loop import (
+    Deadlines,
     Spoke,
     Suspended,
     Wheel,
@@ -80,6 +81,7 @@ class SensorChannel:
         self.registrations = registrations
         self._loop = loop
         self.time = clock_of(loop)
+        self._deadlines = Deadlines.of(loop)
         self._on_error = on_error
         self._followers: tuple[Follower, ...] = ()
         self._waiters: list[tuple[float, asyncio.Future[Reading[Any]]]] = []
@@ -197,11 +199,11 @@ class SensorChannel:
         waiter = (need, future)
         self._waiters.append(waiter)
         self._ask()
-        timer = self._loop.call_later(timeout, self._expire, future, timeout)
+        deadline = self._deadlines.after(timeout, self._expire, future, timeout)
         try:
             reading = await future
         finally:
-            timer.cancel()
+            deadline.cancel()
             if waiter in self._waiters:
                 self._waiters.remove(waiter)
         self._check(registration)
@@ -307,8 +309,11 @@ class SensorChannel:
         try:
             value = await finish(suspended, sensor.deadline)
         except TimeoutError as error:
-            stuck = DriverStuckError(self.name, "read", sensor.deadline)
-            stuck.__cause__ = error
+            if isinstance(error, DriverStuckError):
+                stuck = error
+            else:
+                stuck = DriverStuckError(self.name, "read", sensor.deadline)
+                stuck.__cause__ = error
             self._ended(sensor, number, error=stuck)
         except BaseException as error:
             if not is_drivers(error):

@@ -1,6 +1,7 @@
 """What the one event loop needs: a wheel for time, threads for blocking code."""
 
 from esair.loop._bridge import Bridge, bridge
+from esair.loop._deadlines import Deadlines
 from esair.loop._every import Every, every
 from esair.loop._garbage import freeze_garbage, unfreeze_garbage
 from esair.loop._lane import CallRefused, Lane
@@ -21,6 +22,7 @@ __all__ = [
     "GLANCE",
     "Bridge",
     "CallRefused",
+    "Deadlines",
     "Every",
     "Lane",
     "OwnedTasks",

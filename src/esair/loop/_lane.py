@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from esair.exceptions import BusyError, DriverStuckError
+from esair.loop._deadlines import Deadlines
 
 T = TypeVar("T")
 
@@ -56,11 +57,6 @@ class Lane:
         self.stuck_since: float | None = None
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._pending: dict[
-            asyncio.Future[Any], tuple[float, Callable[..., Any], float]
-        ] = {}
-        self._looks_at = math.inf
-        self._timer: asyncio.TimerHandle | None = None
 
     @property
     def waiting(self) -> int:
@@ -103,21 +99,19 @@ class Lane:
         self._jobs.put(Job(function, args, guard, future))
         if timeout == math.inf:
             return await future
-        deadline = loop.time() + timeout
-        self._pending[future] = (deadline, function, timeout)
-        if deadline < self._looks_at:
-            self._look_at(loop, deadline)
+        deadline = Deadlines.of(loop).after(
+            timeout, self._expire, loop, future, function, timeout
+        )
         try:
             return await future
         finally:
-            del self._pending[future]
+            deadline.cancel()
 
     def close(self) -> None:
         """End the thread once the calls that it has are done."""
         if self._thread is not None:
             self._jobs.put(None)
             self._thread = None
-            self._rest()
 
     async def join(self, timeout: float) -> bool:
         """Wait until the calls that it has are done, and end the thread.
@@ -141,7 +135,6 @@ class Lane:
             # A thread that was told to end may still work off its own queue.
             self._jobs = queue.SimpleQueue()
             self.stuck_since = None
-            self._rest()
             thread = threading.Thread(
                 target=_work,
                 args=(self._jobs, Results(self, loop)),
@@ -156,37 +149,19 @@ class Lane:
                 ) from None
             self._thread = thread
 
-    def _look_at(self, loop: asyncio.AbstractEventLoop, deadline: float) -> None:
-        """Look for calls that are overdue; one timer serves all that are under way."""
-        if self._timer is not None:
-            self._timer.cancel()
-        self._looks_at = deadline
-        self._timer = loop.call_at(deadline, self._expire, loop)
-
-    def _rest(self) -> None:
-        """Look for nothing while nothing is under way."""
-        if self._timer is not None and not self._pending:
-            self._timer.cancel()
-            self._timer = None
-            self._looks_at = math.inf
-
-    def _expire(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._timer = None
-        self._looks_at = math.inf
-        now = loop.time()
-        due = math.inf
-        for future, (deadline, function, timeout) in self._pending.items():
-            if future.done():
-                continue
-            if deadline > now:
-                due = min(due, deadline)
-                continue
-            if self.stuck_since is None:
-                self.stuck_since = now
-            call = getattr(function, "__qualname__", repr(function))
-            future.set_exception(DriverStuckError(self.name, call, timeout))
-        if due < math.inf:
-            self._look_at(loop, due)
+    def _expire(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        future: asyncio.Future[Any],
+        function: Callable[..., Any],
+        timeout: float,
+    ) -> None:
+        if future.done():
+            return
+        if self.stuck_since is None:
+            self.stuck_since = loop.time()
+        call = getattr(function, "__qualname__", repr(function))
+        future.set_exception(DriverStuckError(self.name, call, timeout))
 
 
 class Results:

@@ -12,6 +12,8 @@ import types
 from collections.abc import Coroutine, Generator
 from typing import Any, NamedTuple, TypeVar
 
+from esair.loop._deadlines import Deadlines
+
 T = TypeVar("T")
 
 
@@ -56,7 +58,7 @@ def finish(suspended: Suspended, seconds: float) -> Generator[Any, Any, Any]:
         expired = True
         task.cancel()
 
-    timer = loop.call_later(seconds, expire)
+    deadline = Deadlines.of(loop).after(seconds, expire)
     try:
         while True:
             try:
@@ -78,4 +80,4 @@ def finish(suspended: Suspended, seconds: float) -> Generator[Any, Any, Any]:
             task.uncancel()
         raise
     finally:
-        timer.cancel()
+        deadline.cancel()

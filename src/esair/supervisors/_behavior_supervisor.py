@@ -8,11 +8,12 @@ import logging
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from esair import abc
+from esair import abc, minimal
 from esair.actions import (
     Behavior,
     Reaction,
     Writes,
+    adapt_action,
     mistakes_in_needs,
     mistakes_in_reaction,
 )
@@ -166,7 +167,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
     # What the user may do.
 
-    async def add(self, component: Behavior | Reaction) -> None:
+    async def add(self, component: Behavior | Reaction | minimal.Reaction) -> None:
         """Deploy a behavior or reaction while everything else keeps running.
 
         Returns when its ``setup`` is done and it runs.
@@ -179,12 +180,13 @@ class BehaviorSupervisor(abc.Supervisor):
             BehaviorFailedError: Its ``setup`` failed; nothing of it is left.
             StoppingError: The robot is not running.
         """
+        action: Behavior | Reaction = adapt_action(component)
 
         async def work() -> None:
-            self.refuse_mistakes(component)
-            if component.name in self._members:
-                raise NameTakenError("behavior", component.name)
-            member = Member(component, self, component.name)
+            self.refuse_mistakes(action)
+            if action.name in self._members:
+                raise NameTakenError("behavior", action.name)
+            member = Member(action, self, action.name)
             self._members[member.name] = member
             try:
                 await self._begin(member)
@@ -196,7 +198,7 @@ class BehaviorSupervisor(abc.Supervisor):
                 raise
 
         self._check_caller()
-        await self._desk.run(work, name=f"add {_name(component)}", undo=True)
+        await self._desk.run(work, name=f"add {_name(action)}", undo=True)
 
     async def remove(self, name: str) -> list[Any]:
         """Take a behavior away while everything else keeps running.
@@ -225,7 +227,9 @@ class BehaviorSupervisor(abc.Supervisor):
         self._check_caller()
         return await self._desk.run(work, name=f"remove {name}", undo=False)
 
-    async def replace(self, name: str, component: Behavior | Reaction) -> list[Any]:
+    async def replace(
+        self, name: str, component: Behavior | Reaction | minimal.Reaction
+    ) -> list[Any]:
         """Put another behavior in the place of one, under the same name.
 
         The new one's ``setup`` is done before the old one ends, so an error there
@@ -241,15 +245,16 @@ class BehaviorSupervisor(abc.Supervisor):
             BehaviorFailedError: The new one's ``setup`` failed.
             StoppingError: The robot is not running.
         """
+        action: Behavior | Reaction = adapt_action(component)
 
         async def work() -> list[Any]:
             old = self._member(name)
-            if old.action is component:
+            if old.action is action:
                 raise ConfigError(name, "", "it cannot take its own place")
-            if isinstance(component, abc.Component):
-                component._name = name  # noqa: SLF001 - a supervisor gives names
-            self.refuse_mistakes(component)
-            new = Member(component, self, name)
+            if isinstance(action, abc.Component):
+                action._name = name  # noqa: SLF001 - a supervisor gives names
+            self.refuse_mistakes(action)
+            new = Member(action, self, name)
             new.gate = asyncio.get_running_loop().create_future()
             try:
                 await self._begin(new)

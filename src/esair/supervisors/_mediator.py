@@ -22,7 +22,7 @@ from esair.exceptions import (
     UnknownNameError,
     describe,
 )
-from esair.loop import spawn
+from esair.loop import Deadlines, spawn
 from esair.messages import BehaviorState
 from esair.supervisors._requests import (
     REQUESTS,
@@ -57,6 +57,7 @@ class Mediator:
     def __init__(self, members: Mapping[str, Mailbox]) -> None:
         self._members = members
         self._loop = asyncio.get_running_loop()
+        self._deadlines = Deadlines.of(self._loop)
         self._pending = 0
         self._of_asker: dict[str, int] = {}
         self._gets: dict[str, list[Request]] = {}
@@ -109,7 +110,9 @@ class Mediator:
             return
         request = self._begin("put", sender, receiver, data, member.senders.count)
         member.senders.push(request)
-        timer = self._loop.call_later(interval, self._expire, request, interval, member)
+        deadline = self._deadlines.after(
+            interval, self._expire, request, interval, member
+        )
         try:
             await request.future
         except BaseException as error:
@@ -118,7 +121,7 @@ class Mediator:
             self._withdraw(request, error)
             raise
         finally:
-            timer.cancel()
+            deadline.cancel()
             self._finish(request)
 
     def admit(self, member: Mailbox) -> None:
@@ -127,7 +130,7 @@ class Mediator:
             request = member.senders.pop()
             if not request.future.done():
                 member.deliver(request.data)
-                self._end(request, _DELIVERED)
+                self._record("put", request.sender, request.receiver, _DELIVERED)
                 request.future.set_result(None)
 
     # Get.
@@ -168,14 +171,16 @@ class Mediator:
         member.askers.push(request)
         self._gets.setdefault(receiver, []).append(request)
         self.serve(member)
-        timer = self._loop.call_later(interval, self._expire, request, interval, member)
+        deadline = self._deadlines.after(
+            interval, self._expire, request, interval, member
+        )
         try:
             return await request.future
         except BaseException as error:
             self._withdraw(request, error)
             raise
         finally:
-            timer.cancel()
+            deadline.cancel()
             self._finish(request)
             waits = self._gets[receiver]
             waits.remove(request)
@@ -192,7 +197,7 @@ class Mediator:
             request = member.askers.pop()
             if request.future.done():
                 continue
-            self._end(request, _DELIVERED)
+            self._record("get", request.sender, request.receiver, _DELIVERED)
             request.future.set_result(data)
             return True
         return False
@@ -227,7 +232,7 @@ class Mediator:
         if not waited or request.future.done():
             self.late_answers += error is None
         elif error is None:
-            self._end(request, _DELIVERED)
+            self._record("get", request.sender, request.receiver, _DELIVERED)
             request.future.set_result(data)
         else:
             self._fail(request, _failed(member, error), Outcome.PEER_FAILED)
@@ -283,10 +288,11 @@ class Mediator:
             raise BadValueError(
                 peer, "interval", f"expected seconds > 0, not {interval!r:.80}"
             )
-        if member.state is BehaviorState.FAILED:
+        state = member.state
+        if state is BehaviorState.FAILED:
             assert member.error is not None
             raise _failed(member, member.error)
-        if member.state in _LEAVING:
+        if state is BehaviorState.STOPPING or state is BehaviorState.REMOVED:
             raise BehaviorRemovedError(peer, data)
         return member
 
@@ -339,12 +345,9 @@ class Mediator:
 
     def _fail(self, request: Request, error: EsairError, outcome: Outcome) -> None:
         if not request.future.done():
-            self._end(request, outcome)
+            self._record(request.kind, request.sender, request.receiver, outcome)
             request.future.set_exception(error)
             request.future.exception()  # its asker may be cancelled in this moment
-
-    def _end(self, request: Request, outcome: Outcome) -> None:
-        self._record(request.kind, request.sender, request.receiver, outcome)
 
     def _record(self, kind: str, sender: str, receiver: str, outcome: Outcome) -> None:
         if outcome is _DELIVERED:
@@ -370,8 +373,6 @@ class Mediator:
                     trail.append((other, [*path, other]))
         return []
 
-
-_LEAVING = frozenset({BehaviorState.STOPPING, BehaviorState.REMOVED})
 
 _Made = tuple[Any, BaseException | None]
 

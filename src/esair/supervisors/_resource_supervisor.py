@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
-from esair import abc
+from esair import abc, minimal
 from esair.connections import (
     ActuatorChannel,
     ActuatorConnection,
@@ -39,7 +39,7 @@ from esair.messages import (
     Why,
     check_name,
 )
-from esair.resources import Actuator, Resource, Sensor
+from esair.resources import Actuator, Resource, Sensor, adapt_resource
 from esair.resources._resource import same_type
 from esair.resources._setting import check_settings
 from esair.supervisors._desk import Desk
@@ -141,7 +141,9 @@ class ResourceSupervisor(abc.Supervisor):
 
     # What the user may do.
 
-    async def add(self, component: Resource) -> None:
+    async def add(
+        self, component: Resource | minimal.Sensor | minimal.Actuator
+    ) -> None:
         """Deploy a resource while everything else keeps running.
 
         Returns when the device was tried once. A device that is not there does not
@@ -153,19 +155,20 @@ class ResourceSupervisor(abc.Supervisor):
             DeviceLostError: It is required, and not there.
             StoppingError: The robot is not running.
         """
+        resource: Resource = adapt_resource(component)
 
         async def work() -> None:
-            self._refuse(self.mistakes([component]))
-            self._check_free(component.name)
-            self._deploy(component)
+            self._refuse(self.mistakes([resource]))
+            self._check_free(resource.name)
+            self._deploy(resource)
             try:
-                await self._lives[component.name].tried
+                await self._lives[resource.name].tried
             except BaseException:
-                await self._undeploy(component.name, ResourceState.REMOVED)
+                await self._undeploy(resource.name, ResourceState.REMOVED)
                 raise
-            self.on_change(component.name)
+            self.on_change(resource.name)
 
-        await self._desk.run(work, name=f"add {component.name}", undo=True)
+        await self._desk.run(work, name=f"add {resource.name}", undo=True)
 
     async def remove(self, name: str) -> None:
         """Take a resource away; nobody needs to agree.
@@ -192,7 +195,9 @@ class ResourceSupervisor(abc.Supervisor):
 
         await self._desk.run(work, name=f"remove {name}", undo=False)
 
-    async def replace(self, name: str, component: Resource) -> None:
+    async def replace(
+        self, name: str, component: Resource | minimal.Sensor | minimal.Actuator
+    ) -> None:
         """Put another resource in the place of one, under the same name.
 
         Registrations go on if the new one is of the same kind and type; the others
@@ -203,14 +208,15 @@ class ResourceSupervisor(abc.Supervisor):
             ConfigError: The new one is declared wrongly.
             StoppingError: The robot is not running.
         """
+        resource: Resource = adapt_resource(component)
 
         async def work() -> None:
             old = self._life(name).resource
-            if isinstance(component, Resource):
-                component._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
-            self._refuse(self.mistakes([component]))
-            keep = _kind(old) is _kind(component) and same_type(
-                component.value_type, old.value_type
+            if isinstance(resource, Resource):
+                resource._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
+            self._refuse(self.mistakes([resource]))
+            keep = _kind(old) is _kind(resource) and same_type(
+                resource.value_type, old.value_type
             )
             if not keep:
                 self._leaving.add(name)  # nobody gets a right to what goes
@@ -228,11 +234,11 @@ class ResourceSupervisor(abc.Supervisor):
                 channel.removed()
             await life.stop(self._grace)
             if keep:
-                channel.attach(component)  # type: ignore[arg-type]
-                self._deploy(component, channel)
+                channel.attach(resource)  # type: ignore[arg-type]
+                self._deploy(resource, channel)
             else:
                 self._forget(name, ResourceState.REMOVED)
-                self._deploy(component)
+                self._deploy(resource)
                 self._leaving.discard(name)
             await self._lives[name].tried
             self.on_change(name)
@@ -382,7 +388,7 @@ class ResourceSupervisor(abc.Supervisor):
                 continue
             if isinstance(resource, Actuator):
                 found.extend(check_declaration(resource))
-                if type(resource).write is Actuator.write:
+                if getattr(resource.write, "__func__", None) is Actuator.write:
                     found.append(
                         ConfigError(
                             resource.name,

@@ -1,0 +1,109 @@
+"""All deadlines of a loop, behind one timer."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import weakref
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from esair.loop._timer import clock_of
+
+
+class Deadline:
+    """A function that is called at a moment, unless it is cancelled before."""
+
+    __slots__ = ("_arguments", "_deadlines", "_function", "when")
+
+    def __init__(
+        self,
+        deadlines: Deadlines,
+        when: float,
+        function: Callable[..., object],
+        arguments: tuple[Any, ...],
+    ) -> None:
+        self.when = when
+        self._deadlines = deadlines
+        self._function = function
+        self._arguments = arguments
+
+    def cancel(self) -> None:
+        """Never call it. Also fine when it has been called."""
+        self._deadlines._waiting.pop(self, None)  # noqa: SLF001 - two halves of one
+
+    def _call(self) -> None:
+        self._function(*self._arguments)
+
+
+class Deadlines:
+    """Calls functions at their moments, most of which never come.
+
+    Nearly every wait is over long before its deadline, and a timer of the loop for
+    each would cost more than many a wait. Here it is an entry in a dictionary: the
+    one timer of the loop is moved when an earlier moment comes, and else left alone.
+    When it fires for an entry that has gone, it looks for the next.
+
+    Args:
+        loop: Whose clock counts.
+    """
+
+    _of_loop: ClassVar[
+        weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, Deadlines]
+    ] = weakref.WeakKeyDictionary()
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = weakref.ref(loop)
+        self._time = clock_of(loop)
+        self._waiting: dict[Deadline, None] = {}
+        self._looks_at = math.inf
+        self._timer: asyncio.TimerHandle | None = None
+
+    @classmethod
+    def of(cls, loop: asyncio.AbstractEventLoop) -> Deadlines:
+        """Return those of a loop."""
+        found = cls._of_loop.get(loop)
+        if found is None:
+            found = cls._of_loop[loop] = cls(loop)
+        return found
+
+    def after(
+        self, seconds: float, function: Callable[..., object], *arguments: Any
+    ) -> Deadline:
+        """Call a function in some seconds, in the loop."""
+        when = self._time() + seconds
+        deadline = Deadline(self, when, function, arguments)
+        self._waiting[deadline] = None
+        if when < self._looks_at:
+            self._look_at(when)
+        return deadline
+
+    def _look_at(self, when: float) -> None:
+        loop = self._loop()
+        assert loop is not None  # who waits, waits in it
+        if self._timer is not None:
+            self._timer.cancel()
+        self._looks_at = when
+        self._timer = loop.call_at(when, self._look)
+
+    def _look(self) -> None:
+        # The timer may be early by as much as the clock can tell moments apart.
+        now = max(self._looks_at, self._time())
+        self._timer = None
+        self._looks_at = math.inf
+        due = sorted(
+            (each for each in self._waiting if each.when <= now), key=_by_moment
+        )
+        try:
+            for deadline in due:
+                if deadline in self._waiting:  # those before it may have cancelled it
+                    del self._waiting[deadline]
+                    deadline._call()  # noqa: SLF001 - two halves of one
+        finally:
+            earliest = min((each.when for each in self._waiting), default=math.inf)
+            if earliest < self._looks_at:
+                self._look_at(earliest)
+
+
+def _by_moment(deadline: Deadline) -> float:
+    return deadline.when

@@ -1,0 +1,141 @@
+"""All deadlines of a loop stand behind one timer."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import weakref
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from esair.loop import Deadlines
+from esair.testing._clock import VirtualLoop
+
+pytestmark = pytest.mark.virtual_clock
+
+
+async def test_each_comes_at_its_moment_in_order() -> None:
+    """Whatever order they were asked for in; equal moments keep that order."""
+    loop = asyncio.get_running_loop()
+    deadlines = Deadlines.of(loop)
+    begin, called = loop.time(), []
+
+    for number, seconds in enumerate([0.3, 0.1, 0.2, 0.1]):
+        deadlines.after(seconds, lambda n: called.append((n, loop.time())), number)
+    await asyncio.sleep(1.0)
+
+    assert [number for number, _ in called] == [1, 3, 2, 0]
+    assert [at - begin for _, at in called] == pytest.approx([0.1, 0.1, 0.2, 0.3])
+
+
+async def test_one_that_is_cancelled_never_comes() -> None:
+    """Not even if another one of the same moment cancels it."""
+    deadlines = Deadlines.of(asyncio.get_running_loop())
+    called: list[str] = []
+    deadlines.after(0.1, called.append, "early").cancel()
+    deadlines.after(0.2, lambda: last.cancel())
+    last = deadlines.after(0.2, called.append, "last")
+
+    await asyncio.sleep(1.0)
+    last.cancel()  # once more does no harm
+
+    assert called == []
+
+
+async def test_one_that_raises_holds_no_other_up() -> None:
+    """The loop is told; the next one comes."""
+    loop = asyncio.get_running_loop()
+    told: list[dict[str, object]] = []
+    loop.set_exception_handler(lambda _, context: told.append(context))
+    deadlines = Deadlines.of(loop)
+    called: list[str] = []
+    deadlines.after(0.1, lambda: 1 / 0)
+    deadlines.after(0.1, called.append, "same moment")
+    deadlines.after(0.2, called.append, "later")
+
+    await asyncio.sleep(1.0)
+
+    assert called == ["same moment", "later"]
+    assert isinstance(told[0]["exception"], ZeroDivisionError)
+
+
+async def test_a_thousand_waits_that_end_in_time_need_one_timer(monkeypatch) -> None:
+    """The timer is moved for an earlier moment only."""
+    loop = asyncio.get_running_loop()
+    deadlines = Deadlines(loop)
+    made = 0
+    call_at = loop.call_at
+
+    def counting(*args, **options):
+        nonlocal made
+        made += 1
+        return call_at(*args, **options)
+
+    monkeypatch.setattr(loop, "call_at", counting)
+    for _ in range(1000):
+        deadlines.after(1.0, print).cancel()
+    deadlines.after(0.5, print).cancel()
+
+    assert made == 2
+
+
+async def test_what_is_cancelled_is_let_go() -> None:
+    """Long before its moment."""
+
+    class Big:
+        def call(self) -> None:
+            raise AssertionError
+
+    big = Big()
+    gone = weakref.ref(big)
+    Deadlines.of(asyncio.get_running_loop()).after(3600.0, big.call).cancel()
+    del big
+    gc.collect()
+
+    assert gone() is None
+
+
+STEPS = st.lists(
+    st.tuples(
+        st.sampled_from(["after", "cancel", "pass"]),
+        st.integers(0, 5),
+        st.floats(0.0, 3.0),
+    ),
+    max_size=40,
+)
+
+
+@given(steps=STEPS)
+def test_any_order_of_asking_and_cancelling(steps) -> None:
+    """What was not cancelled comes once, and never early."""
+
+    async def run() -> None:
+        loop = asyncio.get_running_loop()
+        deadlines = Deadlines.of(loop)
+        asked: list[tuple[float, object]] = []
+        cancelled: set[int] = set()
+        came: dict[int, float] = {}
+        for what, which, seconds in steps:
+            if what == "after":
+                number = len(asked)
+
+                def call(number: int = number) -> None:
+                    assert number not in came
+                    came[number] = loop.time()
+
+                when = loop.time() + seconds
+                asked.append((when, deadlines.after(seconds, call)))
+            elif what == "cancel" and which < len(asked):
+                asked[which][1].cancel()
+                if which not in came:
+                    cancelled.add(which)
+            else:
+                await asyncio.sleep(seconds)
+        await asyncio.sleep(10.0)
+        assert came.keys() == set(range(len(asked))) - cancelled
+        assert all(came[n] >= asked[n][0] - 1e-9 for n in came)
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        runner.run(run())
