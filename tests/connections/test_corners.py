@@ -473,8 +473,13 @@ async def test_a_cancelled_caller_is_told_of_its_own_cancellation():
 
 @pytest.mark.fault("D21")
 async def test_a_driver_may_say_itself_that_it_is_stuck():
-    """Its error reaches the caller as it is, from a write and from a setting."""
+    """Its error reaches the caller as it is: from a read, a write and a setting."""
     stuck = esair.DriverStuckError("arm", "ask", 0.3)
+
+    class Sonar(esair.Sensor[float]):
+        async def read(self) -> float:
+            await asyncio.sleep(0.01)
+            raise stuck
 
     class Arm(esair.Actuator[float]):
         safe = 0.0
@@ -491,10 +496,13 @@ async def test_a_driver_may_say_itself_that_it_is_stuck():
                 raise stuck
 
     user: Any = esair.Behavior(
-        name="user", writes={"arm": esair.writes(float, configure=True)}
+        name="user",
+        reads={"sonar": esair.reads(float)},
+        writes={"arm": esair.writes(float, configure=True)},
     )
-    async with esair.Robot(resources=[Arm()], behaviors=[user]):
+    async with esair.Robot(resources=[Sonar(), Arm()], behaviors=[user]):
         for attempt in (
+            lambda: user.sonar.read(),
             lambda: user.arm.write(1.0),
             lambda: user.arm.configure(gain=1),
         ):

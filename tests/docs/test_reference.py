@@ -1,23 +1,80 @@
 """The reference names everything that is public."""
 
+import importlib
+import inspect
+import pkgutil
 import re
+import zlib
 from pathlib import Path
 
 import pytest
 
 import esair
-import esair.buses
-import esair.testing
+import esair.boards
+import esair.drivers
+import esair.testing.parts
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
+
+BESIDE = [
+    "esair.buses",
+    "esair.config",
+    "esair.discovery",
+    "esair.firmware",
+    "esair.framing",
+    "esair.minimal",
+    "esair.sim",
+    "esair.testing",
+    "esair.wires",
+]
+"""What is public beside `esair` itself and the parts."""
+
+IN_ESAIR = {
+    "abc",
+    "actions",
+    "connections",
+    "exceptions",
+    "messages",
+    "resources",
+    "standard",
+    "supervisors",
+}
+"""Modules whose names are in `esair`."""
+
+PRIVATE = {"cli", "demo", "loop"}
+
+HIDDEN = {
+    "esair.minimal.declared",
+    "esair.minimal.mistakes",
+    "esair.sim.Simulation",
+}
+"""What is there for other modules of esair only."""
 
 
 def documented(page: str) -> set[str]:
     text = (REFERENCE / page).read_text(encoding="utf-8")
-    found = set(re.findall(r"auto(?:class|function):: (\w+)$", text, re.MULTILINE))
+    found = set(
+        re.findall(r"auto(?:class|function|exception):: (\w+)$", text, re.MULTILINE)
+    )
     for names in re.findall(r"automodule:: .*\n   :members: (.+)", text):
         found |= {name.strip() for name in names.split(",")}
     return found
+
+
+def modules_in(package) -> list[str]:
+    """The public modules of a package, by their full names."""
+    return [
+        f"{package.__name__}.{module.name}"
+        for module in pkgutil.iter_modules(package.__path__)
+        if not module.name.startswith("_")
+    ]
+
+
+PARTS = [
+    name
+    for package in (esair.drivers, esair.testing.parts, esair.boards)
+    for name in modules_in(package)
+]
 
 
 def test_every_public_name_is_in_the_reference() -> None:
@@ -28,9 +85,57 @@ def test_every_public_name_is_in_the_reference() -> None:
     assert found - {"SensorPort", "ActuatorPort"} == set(esair.__all__)
 
 
-@pytest.mark.parametrize("module", [esair, esair.buses, esair.testing])
-def test_every_public_name_has_a_docstring(module) -> None:
-    """The reference is made from them."""
-    missing = [name for name in module.__all__ if not getattr(module, name).__doc__]
+def test_every_module_is_public_in_one_way_or_private() -> None:
+    """A new one has to be put into the reference, or said to be private."""
+    there = {each.removeprefix("esair.") for each in modules_in(esair)}
+    beside = {each.removeprefix("esair.") for each in BESIDE}
 
+    assert there == beside | IN_ESAIR | PRIVATE | {"boards", "drivers"}
+
+
+@pytest.mark.parametrize("module", [*BESIDE, *PARTS])
+def test_every_public_module_is_in_the_reference(module) -> None:
+    """Once, on one of its pages."""
+    pages = "".join(page.read_text(encoding="utf-8") for page in REFERENCE.glob("*.md"))
+
+    assert len(re.findall(rf"automodule:: {re.escape(module)}$", pages, re.M)) == 1
+
+
+def public(module: str) -> dict[str, object]:
+    """The classes and functions that a module is imported for."""
+    found = importlib.import_module(module)
+    names = getattr(found, "__all__", None) or [
+        name
+        for name, value in vars(found).items()
+        if not name.startswith("_")
+        and getattr(value, "__module__", None) == found.__name__
+    ]
+    values = {name: getattr(found, name) for name in names}
+    return {
+        name: value
+        for name, value in values.items()
+        if isinstance(value, type) or inspect.isroutine(value)
+    }
+
+
+@pytest.mark.parametrize("module", ["esair", *BESIDE, *PARTS])
+def test_every_public_class_and_function_has_a_docstring(module) -> None:
+    """The reference is made from them."""
+    missing = [name for name, value in public(module).items() if not value.__doc__]
+
+    assert importlib.import_module(module).__doc__
     assert missing == []
+
+
+def test_every_public_class_and_function_can_be_looked_up(built) -> None:
+    """By its own name; what Sphinx has left out is not in its inventory."""
+    pages, _ = built
+    *_, packed = (pages / "objects.inv").read_bytes().split(b"\n", 4)
+    listed = {line.split()[0] for line in zlib.decompress(packed).decode().splitlines()}
+    wanted = {
+        f"{module}.{name}"
+        for module in ["esair", *BESIDE, *PARTS]
+        for name in public(module)
+    }
+
+    assert wanted - listed == HIDDEN

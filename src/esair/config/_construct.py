@@ -17,6 +17,7 @@ from typing import Any, Final
 import attrs
 
 from esair import abc
+from esair.config._classes import searched_first
 from esair.config._mistakes import Mistakes, below
 from esair.config._options import options_of
 from esair.config._records import Field, fields_of, hints_of
@@ -236,7 +237,8 @@ def construct(
     if len(mistakes.errors) > before or not make:
         return None
     values.update(options)
-    return _make(cls, name, values, accepted, given, key, mistakes)
+    with searched_first(folder):  # a key may name a class, as ``library`` does
+        return _make(cls, name, values, accepted, given, key, mistakes)
 
 
 def accepted_as(accepted: Mapping[str, Accepted], field: str, place: Place) -> bool:
