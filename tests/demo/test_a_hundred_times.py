@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
@@ -15,7 +14,6 @@ from esair.demo import Bumper, Odometry, RangeFinder, Scan, Touch, Travel, Twist
 from esair.drivers.mpu6050 import Motion, Mpu6050
 from esair.drivers.wheel_motor import LEFT, RIGHT, command_id, decode_command
 from esair.sim import SimCanBus, SimI2CBus, SimSerialBus, Simulation
-from esair.wires import ChipBus
 
 LOST, FAILED = esair.ResourceState.LOST, esair.BehaviorState.FAILED
 
@@ -55,15 +53,6 @@ class Commands:
 
     def last(self) -> set[bool]:
         return {told[-1] for told in self.told.values()}
-
-
-def set_plugged(wire: Any, plugged: bool) -> None:
-    if isinstance(wire, ChipBus):
-        wire.plugged = plugged
-    elif plugged:
-        wire.plug()
-    else:
-        wire.unplug()
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -125,13 +114,12 @@ async def pull_and_put_back(which: str, times: int) -> None:
             users_before, tasks_before = users(), len(asyncio.all_tasks())
 
             for _ in range(times):
-                set_plugged(wire, False)
+                wire.unplug()
                 await until(lambda: states() == {LOST})
                 if which != "drive":
                     await until(lambda: commands.last() == {False})
                 at = {side: len(told) for side, told in commands.told.items()}
-                set_plugged(wire, True)
-                bus.arrived()
+                wire.plug()
                 await until(functools.partial(commands.moving_since, at))
                 for side, told in commands.told.items():
                     fresh = told.index(True, at[side])

@@ -42,6 +42,7 @@ class SimSerialBus(SerialBus):
     async def _reach(self, protocol: asyncio.Protocol) -> SerialLink:
         self._simulation = await Simulation.join(self)
         line = self._simulation.line(self.line)
+        line.on_plug(self.arrived)
         if isinstance(line, MemoryLine):
             return await line.open(protocol)
         self.port = str(line.path)
@@ -92,6 +93,7 @@ class SimI2CBus(I2CBus):
 
     async def _open(self) -> None:
         simulation = self._simulation = await Simulation.join(self)
+        simulation.body.on_plug(self.arrived)
         # A thread's part in the order of things is chance, which a virtual clock bars.
         self._inline = simulation.in_memory
         await super()._open()

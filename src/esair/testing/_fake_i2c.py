@@ -204,13 +204,13 @@ class FakeI2c(I2CBus):
             noticed: Whether all on the bus are told at once, as with a USB adapter;
                 else the next transfer finds out.
         """
-        self.link.plugged = False
+        self.link.unplug()
         if noticed:
             self.lost(DeviceLostError(self.name, "the adapter was unplugged"))
 
     def plug(self) -> None:
         """Bring the adapter back; the bus can be opened again."""
-        self.link.plugged = True
+        self.link.plug()
         self.arrived()
 
     def _plug_in(self) -> FakeLink:

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from esair.buses import BusStats, CanState, Frame, FrameKind, FrameLink, python_can
 from esair.loop import Lane, spawn
+from esair.wires._plug import Plug
 
 Received = Callable[[Frame], None]
 Gone = Callable[[Exception], None]
@@ -36,13 +37,13 @@ class CanWire(Protocol):
         """Call a function whenever the adapter is back."""
 
 
-class _Socket:
+class _Socket(Plug):
     """Where the robot's adapter is plugged in."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.plugged = True
         self._users: dict[object, Gone] = {}
-        self._on_plug: dict[Callable[[], None], None] = {}
 
     def unplug(self) -> None:
         """Take the robot's adapter away."""
@@ -58,12 +59,7 @@ class _Socket:
         if self.plugged:
             return
         self.plugged = True
-        for listener in tuple(self._on_plug):
-            listener()
-
-    def on_plug(self, listener: Callable[[], None]) -> None:
-        """Call a function whenever the adapter is back."""
-        self._on_plug[listener] = None
+        self._tell_plugged()
 
     def _check(self) -> None:
         if not self.plugged:

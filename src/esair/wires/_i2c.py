@@ -7,6 +7,8 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
+from esair.wires._plug import Plug
+
 FUNCS = 0x0EFF0001
 """What `ChipBus` can do: plain I²C, and SMBus by it; as the kernel's bits."""
 
@@ -52,7 +54,7 @@ class Registers:
             self.content[(register + index) % 256] = value
 
 
-class ChipBus:
+class ChipBus(Plug):
     """An I²C bus with simulated chips, behind the methods of ``smbus2.SMBus``.
 
     Args:
@@ -60,11 +62,22 @@ class ChipBus:
     """
 
     def __init__(self, chips: dict[int, Chip]) -> None:
+        super().__init__()
         self.chips = chips
         self.plugged = True
         self.closed = False
         self.funcs = FUNCS
         self._pointers: dict[int, int] = {}
+
+    def unplug(self) -> None:
+        """Take the adapter away; who used it notices at the next transfer."""
+        self.plugged = False
+
+    def plug(self) -> None:
+        """Bring it back; nothing happens if it is there."""
+        if not self.plugged:
+            self.plugged = True
+            self._tell_plugged()
 
     def read_byte_data(self, i2c_addr: int, register: int) -> int:
         """Read one register."""

@@ -14,13 +14,14 @@ from pathlib import Path
 
 from esair.buses import SerialLink
 from esair.exceptions import DeviceLostError
+from esair.wires._plug import Plug
 
 
 def _nobody(_data: bytes) -> None:
     return None
 
 
-class PtyLine:
+class PtyLine(Plug):
     """A serial line that is a pseudo-terminal, and can be unplugged.
 
     Args:
@@ -33,6 +34,7 @@ class PtyLine:
     """
 
     def __init__(self, path: Path | None = None) -> None:
+        super().__init__()
         self.path = path
         self.heard: Callable[[bytes], None] = _nobody
         self.lost = 0
@@ -69,6 +71,7 @@ class PtyLine:
             self.path.unlink(missing_ok=True)
             self.path.symlink_to(os.ttyname(self._slave))
         self._loop.add_reader(self._master, self._readable)
+        self._tell_plugged()
 
     def unplug(self) -> None:
         """Let the port vanish, as a pulled cable does."""
@@ -112,10 +115,11 @@ class PtyLine:
                 self.heard(data)
 
 
-class MemoryLine:
+class MemoryLine(Plug):
     """A serial line in memory, with the same ends as a `PtyLine`."""
 
     def __init__(self, name: str) -> None:
+        super().__init__()
         self.name = name
         self.heard: Callable[[bytes], None] = _nobody
         self.lost = 0
@@ -130,8 +134,10 @@ class MemoryLine:
         return self._plugged
 
     def plug(self) -> None:
-        """Let the port appear."""
-        self._plugged = True
+        """Let the port appear; nothing happens if it is there."""
+        if not self._plugged:
+            self._plugged = True
+            self._tell_plugged()
 
     def unplug(self) -> None:
         """Let the port vanish, as a pulled cable does."""
