@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import AsyncIterator, Callable
 
 from esair.loop._timer import DescriptorTimer
@@ -15,14 +16,13 @@ Step = Callable[[float], None]
 async def sleeping_tasks(count: int, period: float) -> AsyncIterator[list[float]]:
     """Tasks that sleep until they are due; yields how late each wake-up was."""
     late: list[float] = []
-    loop = asyncio.get_running_loop()
 
     async def tick() -> None:
-        due = loop.time()
+        due = time.monotonic()
         while True:
             due += period
-            await asyncio.sleep(due - loop.time())
-            late.append(loop.time() - due)
+            await asyncio.sleep(due - time.monotonic())
+            late.append(time.monotonic() - due)
 
     tasks = [asyncio.create_task(tick()) for _ in range(count)]
     try:
@@ -38,7 +38,7 @@ async def bare_wheel(steps: list[Step], period: float) -> AsyncIterator[None]:
     """Functions that one timerfd calls, spread over four phases of the period."""
     loop = asyncio.get_running_loop()
     phases = [steps[number::4] for number in range(4)] if len(steps) > 4 else [steps]
-    begin = loop.time() + 0.01
+    begin = time.monotonic() + 0.01
     turn = 0
 
     def due() -> float:
@@ -49,7 +49,7 @@ async def bare_wheel(steps: list[Step], period: float) -> AsyncIterator[None]:
         now = due()
         for step in phases[turn % len(phases)]:
             step(now)
-        while due() <= loop.time():
+        while due() <= time.monotonic():
             turn += 1
         timer.set(due())
 

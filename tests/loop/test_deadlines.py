@@ -97,6 +97,24 @@ async def test_what_is_cancelled_is_let_go() -> None:
     assert gone() is None
 
 
+@pytest.mark.real_clock
+@pytest.mark.parametrize("loop_factory", [asyncio.new_event_loop, VirtualLoop])
+def test_no_loop_is_kept_by_its_deadlines(loop_factory) -> None:
+    """Not even one that was closed before the timer had looked."""
+
+    async def main() -> weakref.ref[asyncio.AbstractEventLoop]:
+        loop = asyncio.get_running_loop()
+        Deadlines.of(loop).after(3600.0, loop.stop).cancel()
+        return weakref.ref(loop)
+
+    with asyncio.Runner(loop_factory=loop_factory) as runner:
+        loop = runner.run(main())
+    del runner
+    gc.collect()
+
+    assert loop() is None
+
+
 STEPS = st.lists(
     st.tuples(
         st.sampled_from(["after", "cancel", "pass"]),

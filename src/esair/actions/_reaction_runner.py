@@ -16,7 +16,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.loop import Spoke, Step, Wheel, spawn
+from esair.loop import Spoke, Step, Wheel, clock_of, spawn
 from esair.messages import Reading, Refused, Written
 
 _FOR_EVER = float("inf")
@@ -124,6 +124,7 @@ class ReactionRunner:
         "_settling",
         "_single",
         "_stopped",
+        "_time",
         "_until",
         "_watch",
         "conflated",
@@ -163,6 +164,7 @@ class ReactionRunner:
         self.stale_at = _FOR_EVER
         self.parked = True
         self._loop = asyncio.get_running_loop()
+        self._time = clock_of(self._loop)
         self._budget = reaction.budget
         if self._budget is None and self._loop.get_debug():
             self._budget = self._loop.slow_callback_duration
@@ -211,7 +213,7 @@ class ReactionRunner:
         for each in self._inputs:
             each.channel.follow(each)
             newest = each.channel.newest
-            if newest is not None and self._loop.time() - newest.time <= each.max_age:
+            if newest is not None and self._time() - newest.time <= each.max_age:
                 each.feed(newest)
         if self.missing == 0 and self.parked:
             self._unpark()
@@ -270,7 +272,7 @@ class ReactionRunner:
     def _look(self) -> None:
         """Park a reaction that nothing steps because no reading comes any more."""
         self._watch = None
-        now = self._loop.time()
+        now = self._time()
         if self.stale_at == _FOR_EVER:
             return  # it is parked; the next reading begins anew
         if now < self.stale_at:
@@ -298,9 +300,9 @@ class ReactionRunner:
         return self._step if self._budget is None else self._timed_step
 
     def _timed_step(self, now: float) -> Awaitable[object] | None:
-        begin = self._loop.time()
+        begin = self._time()
         rest = self._step(now)
-        took = self._loop.time() - begin
+        took = self._time() - begin
         assert self._budget is not None
         if took <= self._budget:
             self._overruns_in_row = 0

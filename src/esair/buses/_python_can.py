@@ -30,7 +30,7 @@ from esair.exceptions import (
     DriverStuckError,
     describe,
 )
-from esair.loop import CallRefused, Lane
+from esair.loop import CallRefused, Lane, clock_of
 
 OPEN_TIMEOUT = 5.0
 """How long opening an interface may take, in seconds."""
@@ -239,6 +239,7 @@ class _SocketNode:
         self._received = received
         self._gone = gone
         self._loop = asyncio.get_running_loop()
+        self._time = clock_of(self._loop)
         self._socket: socket.socket = bus.socket
         self._mtu = _FD.size if fd else _CLASSIC.size
         self._may_have_missed = 0
@@ -306,7 +307,7 @@ class _SocketNode:
             await self._lane.call(_shut, self._bus, timeout=1.0)
 
     def _readable(self) -> None:
-        now = self._loop.time()
+        now = self._time()
         read, size, received = self._socket.recv, self._mtu, self._received
         batch = BATCH
         try:
@@ -384,6 +385,7 @@ class _ThreadNode:
         self._gone = gone
         self._fd = fd
         self._loop = asyncio.get_running_loop()
+        self._time = clock_of(self._loop)
         self._closed = False
         self._wanted: frozenset[int] | None = frozenset()
         self._incoming: collections.deque[Frame] = collections.deque(
@@ -479,7 +481,7 @@ class _ThreadNode:
             message.arbitration_id,
             b"" if kind is FrameKind.REMOTE else bytes(message.data),
             message.is_extended_id and kind is not FrameKind.ERROR,
-            self._loop.time(),
+            self._time(),
             kind,
         )
 

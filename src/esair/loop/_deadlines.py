@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-import weakref
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, Final
 
 from esair.loop._timer import clock_of
+
+_OF_LOOP: Final = "_esair_deadlines"
 
 
 class Deadline:
@@ -48,12 +49,8 @@ class Deadlines:
         loop: Whose clock counts.
     """
 
-    _of_loop: ClassVar[
-        weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, Deadlines]
-    ] = weakref.WeakKeyDictionary()
-
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = weakref.ref(loop)
+        self._loop = loop
         self._time = clock_of(loop)
         self._waiting: dict[Deadline, None] = {}
         self._looks_at = math.inf
@@ -62,9 +59,12 @@ class Deadlines:
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Deadlines:
         """Return those of a loop."""
-        found = cls._of_loop.get(loop)
+        # An attribute of the loop: the timer and the clock refer to it, so a table
+        # elsewhere would keep every loop that ever was.
+        attributes = vars(loop)
+        found: Deadlines | None = attributes.get(_OF_LOOP)
         if found is None:
-            found = cls._of_loop[loop] = cls(loop)
+            found = attributes[_OF_LOOP] = cls(loop)
         return found
 
     def after(
@@ -79,12 +79,10 @@ class Deadlines:
         return deadline
 
     def _look_at(self, when: float) -> None:
-        loop = self._loop()
-        assert loop is not None  # who waits, waits in it
         if self._timer is not None:
             self._timer.cancel()
         self._looks_at = when
-        self._timer = loop.call_at(when, self._look)
+        self._timer = self._loop.call_at(when, self._look)
 
     def _look(self) -> None:
         # The timer may be early by as much as the clock can tell moments apart.

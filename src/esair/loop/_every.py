@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Iterator
 
 from esair.exceptions import BadValueError
 from esair.loop._bridge import bridge
+from esair.loop._timer import clock_of
 from esair.loop._wheel import Wheel
 
 
@@ -38,8 +39,9 @@ class Every:
 
     async def __anext__(self) -> float:
         loop = asyncio.get_running_loop()
-        due = self._next(loop.time())
-        if due > loop.time():
+        now = clock_of(loop)
+        due = self._next(now())
+        if due > now():
             woken = loop.create_future()
 
             def wake(_now: float) -> None:

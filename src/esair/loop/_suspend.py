@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-import weakref
 from collections.abc import Callable
 
 JUMP = 0.1
@@ -56,8 +55,7 @@ class SuspendWatch:
 def _slept_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
     """Return the function that tells how long the computer has slept in all."""
     if hasattr(loop, "suspended"):  # a virtual clock sleeps when its test says so
-        sleeper = weakref.ref(loop)  # the wheel must not keep its loop alive
-        return lambda: float(getattr(sleeper(), "suspended", 0.0))
+        return lambda: float(loop.suspended)
     boot = getattr(time, "CLOCK_BOOTTIME", None)
     if boot is None:
         return float  # this system cannot tell

@@ -79,9 +79,13 @@ class DescriptorTimer:
 
 
 def clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
-    """Return the cheapest function that reads a loop's clock, in seconds."""
-    if type(loop).time is asyncio.BaseEventLoop.time:
-        return time.monotonic  # what that method calls
+    """Return the best function that reads a loop's clock, in seconds.
+
+    That of uvloop stands still between its turns and counts whole milliseconds.
+    """
+    kind = type(loop)
+    if kind.time is asyncio.BaseEventLoop.time or kind.__module__ == "uvloop":
+        return time.monotonic  # what they read
     return loop.time
 
 

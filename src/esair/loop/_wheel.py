@@ -14,13 +14,12 @@ import heapq
 import itertools
 import logging
 import math
-import weakref
 from collections.abc import Awaitable, Callable, Iterator
-from typing import ClassVar
 
+from esair.loop._of_loop import of_loop
 from esair.loop._ownership import spawn
 from esair.loop._suspend import SuspendWatch
-from esair.loop._timer import Timer, timer_for
+from esair.loop._timer import Timer, clock_of, timer_for
 
 Step = Callable[[float], Awaitable[object] | None]
 
@@ -141,12 +140,9 @@ class Ring:
 class Wheel:
     """Calls steps when they are due, all from one timer. One for each event loop."""
 
-    _of_loop: ClassVar[weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, Wheel]] = (
-        weakref.WeakKeyDictionary()
-    )
-
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = weakref.ref(loop)
+        self._loop = loop
+        self._time = clock_of(loop)
         self.suspends = SuspendWatch(loop)
         """Looked at each time the wheel begins to turn after a sleep."""
         self._numbers = itertools.count()
@@ -167,10 +163,7 @@ class Wheel:
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Wheel:
         """Return the wheel of a loop."""
-        wheel = cls._of_loop.get(loop)
-        if wheel is None:
-            wheel = cls._of_loop[loop] = cls(loop)
-        return wheel
+        return of_loop(loop, cls)
 
     def every(self, period: float, function: Step) -> Spoke:
         """Call a step each period (seconds), the first time within one period."""
@@ -230,11 +223,6 @@ class Wheel:
         self._push(ring)
         return ring
 
-    def _time(self) -> float:
-        loop = self._loop()
-        assert loop is not None
-        return loop.time()
-
     def _push(self, entry: Shot | Ring) -> None:
         heapq.heappush(self._heap, entry)
         if not self._turning:
@@ -255,15 +243,13 @@ class Wheel:
             self._sleep.set_result(None)
 
     def _lead_on(self) -> None:
-        loop = self._loop()
-        assert loop is not None
         self._turning = True
         self._leader = None  # an eager task sets it before spawn returns
-        spawn(loop, self._lead(loop), name="esair wheel")
+        spawn(self._loop, self._lead(), name="esair wheel")
 
-    async def _lead(self, loop: asyncio.AbstractEventLoop) -> None:
+    async def _lead(self) -> None:
         me = self._leader = asyncio.current_task()
-        self._began = loop.time()
+        self._began = self._time()
         try:
             while True:
                 for call in self._calls:
@@ -276,10 +262,10 @@ class Wheel:
                         self._lead_on()
                         await rest
                         return
-                if not self._collect(loop):
+                if not self._collect():
                     if not self._heap:
                         return
-                    await self._wait(loop)
+                    await self._wait()
         finally:
             if self._leader is me:
                 self._leader = None
@@ -288,8 +274,8 @@ class Wheel:
                     self._timer.close()
                     self._timer = None
 
-    def _collect(self, loop: asyncio.AbstractEventLoop) -> bool:
-        now = self._now = loop.time()
+    def _collect(self) -> bool:
+        now = self._now = self._time()
         heap = self._heap
         if self._queue:
             queue, self._queue = self._queue, []
@@ -307,26 +293,26 @@ class Wheel:
             heapq.heappop(heap)
         return True
 
-    async def _wait(self, loop: asyncio.AbstractEventLoop) -> None:
-        if self._heap[0].due <= loop.time() + _EARLY:
+    async def _wait(self) -> None:
+        if self._heap[0].due <= self._time() + _EARLY:
             # Steps that take longer than their period must not starve everybody else.
             await asyncio.sleep(0)
-            self._began = loop.time()
+            self._began = self._time()
             return
         if self._timer is None:
-            self._timer = timer_for(loop, self._wake)
+            self._timer = timer_for(self._loop, self._wake)
             self._timer_due = 0.0
         due = self._heap[0].due
         if due != self._timer_due:
             self._timer_due = due
             self._timer.set(due)
-        self._sleep = loop.create_future()
+        self._sleep = self._loop.create_future()
         try:
             await self._sleep
         finally:
             self._sleep = None
             self._timer_due = 0.0
-        self._began = loop.time()
+        self._began = self._time()
         self.suspends.look()
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from typing import Protocol
 
 from esair.buses import BusStats, CanState, Frame, FrameKind, FrameLink, python_can
-from esair.loop import Lane, spawn
+from esair.loop import Lane, clock_of, spawn
 from esair.wires._plug import Plug
 
 Received = Callable[[Frame], None]
@@ -233,7 +233,7 @@ class MemoryCan(_Socket):
             loop.call_soon(self._obey, self._queue.popleft(), loop)
 
     def _obey(self, frame: Frame, loop: asyncio.AbstractEventLoop) -> None:
-        self._heard(frame._replace(time=loop.time()))
+        self._heard(frame._replace(time=clock_of(loop)()))
 
 
 class _MemoryNode:
@@ -260,7 +260,7 @@ class _MemoryNode:
 
     def _deliver(self, frame: Frame) -> None:
         if self._received is not None:
-            self._received(frame._replace(time=self.loop.time()))
+            self._received(frame._replace(time=clock_of(self.loop)()))
 
 
 class VirtualCan(_Socket):

@@ -1,0 +1,26 @@
+"""The one object of a kind that an event loop has."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+def of_loop(loop: asyncio.AbstractEventLoop, kind: type[T]) -> T:
+    """Return a loop's object of a class; it is made when it is asked for first.
+
+    It is an attribute of the loop and they go together. In a table elsewhere it would
+    keep every loop that ever was, because it refers to its loop.
+
+    Args:
+        loop: Whose it is.
+        kind: Its class, which is made with the loop.
+    """
+    attributes: dict[str, Any] = vars(loop)
+    key = f"_esair_{kind.__name__}"
+    found: T | None = attributes.get(key)
+    if found is None:
+        found = attributes[key] = kind(loop)  # type: ignore[call-arg]
+    return found
