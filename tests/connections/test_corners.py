@@ -409,6 +409,41 @@ async def test_an_answer_at_the_very_deadline_counts():
 
 @pytest.mark.promise("SC-2")
 @pytest.mark.fault("D23")
+@pytest.mark.fault("D01")
+async def test_a_loss_ends_a_poll_that_came_before_a_reader():
+    """The reader had just asked for a transaction; the poll was it."""
+    ended: list[str] = []
+
+    class Slow(FakeSensor[float]):
+        deadline = 60.0
+
+        async def read(self) -> float:
+            try:
+                await asyncio.sleep(30.0)
+            finally:
+                ended.append("read")
+            return 1.0
+
+    slow, loop = Slow("sonar", 1.0), asyncio.get_running_loop()
+    _, wheels, user = parts()
+    async with esair.Robot(resources=[slow, wheels], behaviors=[user]) as robot:
+        channel = robot.sensors.channel("sonar")
+
+        async def poll() -> None:
+            rest = channel._turn(loop.time())
+            assert rest is not None
+            await rest
+
+        tasks = [asyncio.create_task(user.sonar.read()), asyncio.create_task(poll())]
+        await asyncio.sleep(0.1)
+        slow.unplug()
+        await asyncio.sleep(0.1)
+
+        assert ended == ["read"]
+        await asyncio.wait(tasks)
+        assert isinstance(tasks[0].exception(), esair.DeviceLostError)
+
+
 async def test_an_error_is_only_for_those_who_asked_before_it():
     """Who wants a value that is newer than that call gets the next one."""
     sonar, wheels, user = parts()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import threading
 import time
 
@@ -78,12 +79,14 @@ async def test_errors_come_to_their_own_caller() -> None:
         lane.call(fail, ValueError("a"), timeout=5.0),
         lane.call(fail, StopIteration(), timeout=5.0),
         lane.call(fail, SystemExit(3), timeout=5.0),
+        lane.call(fail, asyncio.CancelledError(), timeout=5.0),
         lane.call(int, "7", timeout=5.0),
         return_exceptions=True,
     )
 
     assert [type(each) for each in results] == [
         ValueError,
+        RuntimeError,
         RuntimeError,
         RuntimeError,
         int,
@@ -107,6 +110,63 @@ async def test_a_new_thread_is_not_stuck_because_the_old_one_was() -> None:
     go.set()
     assert await again is True
     lane.close()
+
+
+@pytest.mark.fault("D21", "D22")
+async def test_an_old_thread_that_returns_does_not_free_the_new_one() -> None:
+    """Who asks is refused at once, as long as the newest thread is stuck."""
+    lane = Lane("bus")
+    old, new = threading.Event(), threading.Event()
+    returned = threading.Event()
+
+    def call() -> None:
+        old.wait()
+        returned.set()
+
+    with pytest.raises(DriverStuckError):
+        await lane.call(call, timeout=0.01)
+    lane.close()
+    with pytest.raises(DriverStuckError):
+        await lane.call(new.wait, timeout=0.01)
+
+    old.set()
+    assert await asyncio.to_thread(returned.wait, 10)
+    await asyncio.sleep(0.05)  # it has nothing to tell, so nothing can be waited for
+
+    assert lane.stuck_since is not None
+    new.set()
+    assert await lane.join(10)
+    assert lane.stuck_since is None
+
+
+class Unspeakable:
+    """A driver whose representation is at fault."""
+
+    def __init__(self) -> None:
+        self.go = threading.Event()
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no words")
+
+    def read(self) -> None:
+        self.go.wait(30)
+
+
+@pytest.mark.fault("D21", "D25")
+async def test_a_driver_without_a_representation_is_stuck_like_any_other() -> None:
+    """Its caller is told in time, by the name of the call."""
+    lane = Lane("bus")
+    driver = Unspeakable()
+    begin = time.monotonic()
+
+    with pytest.raises(DriverStuckError, match=r"Unspeakable\.read"):
+        await lane.call(driver.read, timeout=0.01)
+    with pytest.raises(DriverStuckError, match="partial"):
+        await lane.call(functools.partial(print, driver), timeout=0.01)
+
+    assert time.monotonic() - begin < 20
+    driver.go.set()
+    assert await lane.join(10)
 
 
 async def test_what_waits_is_bounded() -> None:

@@ -981,6 +981,23 @@ async def test_a_behavior_whose_device_is_lost_waits_for_it() -> None:
         assert robot.behaviors.query("driver").restarts == 0
 
 
+@pytest.mark.promise("SUP-4")
+async def test_a_fault_of_one_device_does_not_wait_for_another() -> None:
+    """It can do without what is not there: it is restarted by its policy."""
+    device, gps = wheels(), FakeSensor("gps", 1.0)
+
+    class Roam(Driver):
+        gps = esair.reads(float)
+
+    gps.unplug()
+    async with esair.Robot(resources=[device, gps], behaviors=[Roam()]) as robot:
+        await device.until(1.0)
+        device.fail(OSError("glitch"))
+        await asyncio.sleep(1.0)
+        status = robot.behaviors.query("roam")
+        assert (status.state, status.restarts) == (State.RUNNING, 1)
+
+
 @pytest.mark.promise("SUP-5")
 async def test_a_removed_resource_tells_its_users_at_once() -> None:
     """Waiting reads end at once, and the actuator is safe before it is gone."""

@@ -214,6 +214,12 @@ class ActuatorChannel:
         if self.state is ResourceState.READY and not self.is_safe:
             self.make_safe()
 
+    def leaving(self, error: EsairError) -> None:
+        """The device is about to go: only its safe command may leave, no write that waits."""
+        self.error = error
+        self._accepts = False
+        self._wake()
+
     def down(self, state: ResourceState, error: EsairError) -> None:
         """The device is gone: forget who held it and what it was told."""
         self.state = state
@@ -354,7 +360,9 @@ class ActuatorChannel:
             return self.registrations.refusal(registration)
         if self.latched:
             return StoppingError(self.name, "stopping")
-        return self.error or DeviceLostError(self.name, f"it is {self.state.value}")
+        error = self.error or DeviceLostError(self.name, f"it is {self.state.value}")
+        # Anew: else each who asks would leave its frames in the traceback.
+        return error.with_traceback(None)
 
     async def _when_idle(
         self, registration: Registration, command: Any, hold: float | None

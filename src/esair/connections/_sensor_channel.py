@@ -222,7 +222,11 @@ class SensorChannel:
         if not registration.usable:
             raise self.registrations.refusal(registration)
         if self.state is not ResourceState.READY:
-            raise self.error or DeviceLostError(self.name, f"it is {self.state.value}")
+            error = self.error or DeviceLostError(
+                self.name, f"it is {self.state.value}"
+            )
+            # Anew: else each who asks would leave its frames in the traceback.
+            raise error.with_traceback(None)
 
     def _expire(self, future: asyncio.Future[Reading[Any]], timeout: float) -> None:
         if not future.done():
@@ -304,8 +308,9 @@ class SensorChannel:
 
     async def _finish(self, suspended: Suspended, number: int) -> None:
         sensor = self.sensor
-        if self._asked is None:
-            self._polled = asyncio.current_task()
+        task = asyncio.current_task()
+        if task is not self._asked:
+            self._polled = task
         try:
             value = await finish(suspended, sensor.deadline)
         except TimeoutError as error:

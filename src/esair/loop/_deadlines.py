@@ -5,11 +5,10 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any
 
+from esair.loop._of_loop import of_loop
 from esair.loop._timer import clock_of
-
-_OF_LOOP: Final = "_esair_deadlines"
 
 
 class Deadline:
@@ -59,13 +58,7 @@ class Deadlines:
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Deadlines:
         """Return those of a loop."""
-        # An attribute of the loop: the timer and the clock refer to it, so a table
-        # elsewhere would keep every loop that ever was.
-        attributes = vars(loop)
-        found: Deadlines | None = attributes.get(_OF_LOOP)
-        if found is None:
-            found = attributes[_OF_LOOP] = cls(loop)
-        return found
+        return of_loop(loop, cls)
 
     def after(
         self, seconds: float, function: Callable[..., object], *arguments: Any

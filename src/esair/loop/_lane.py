@@ -56,6 +56,7 @@ class Lane:
         self.limit = limit
         self.stuck_since: float | None = None
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._results: Results | None = None
         self._thread: threading.Thread | None = None
 
     @property
@@ -74,6 +75,7 @@ class Lane:
         *args: Any,
         timeout: float,
         guard: Callable[[], bool] | None = None,
+        bounded: bool = True,
     ) -> T:
         """Call a blocking function in the thread and wait for its result.
 
@@ -84,13 +86,15 @@ class Lane:
                 infinite only for a lane that serves nothing else.
             guard: Asked in the thread, immediately before the call; if it says
                 no, the function is not called.
+            bounded: Refuse it if too many calls wait; not if it is a close, without
+                which something would stay open.
 
         Raises:
             BusyError: Too many calls wait, or there can be no more threads.
             DriverStuckError: It did not return in time.
             CallRefused: The guard said no.
         """
-        if self._jobs.qsize() >= self.limit:
+        if bounded and self._jobs.qsize() >= self.limit:
             raise BusyError(f"lane {self.name}", "number of waiting calls", self.limit)
         loop = asyncio.get_running_loop()
         future: asyncio.Future[T] = loop.create_future()
@@ -122,22 +126,28 @@ class Lane:
         if self._thread is None:
             return True
         try:
-            await self.call(_nothing, timeout=timeout)
-        except (DriverStuckError, BusyError):
+            await self.call(_nothing, timeout=timeout, bounded=False)
+        except DriverStuckError:
             return False
         else:
             return True
         finally:
             self.close()
 
+    def returned(self, results: Results) -> None:
+        """Be stuck no more, if it is the newest thread that has returned."""
+        if results is self._results:
+            self.stuck_since = None
+
     def _start(self, loop: asyncio.AbstractEventLoop) -> None:
         if self._thread is None:
             # A thread that was told to end may still work off its own queue.
             self._jobs = queue.SimpleQueue()
+            self._results = Results(self, loop)
             self.stuck_since = None
             thread = threading.Thread(
                 target=_work,
-                args=(self._jobs, Results(self, loop)),
+                args=(self._jobs, self._results),
                 name=f"esair-{self.name}",
                 daemon=True,
             )
@@ -160,7 +170,8 @@ class Lane:
             return
         if self.stuck_since is None:
             self.stuck_since = loop.time()
-        call = getattr(function, "__qualname__", repr(function))
+        # Not repr(): it is the driver's own code, may fail, and is long for a partial.
+        call = getattr(function, "__qualname__", type(function).__qualname__)
         future.set_exception(DriverStuckError(self.name, call, timeout))
 
 
@@ -193,14 +204,16 @@ class Results:
 
     def _deliver(self) -> None:
         self._wakes = False  # before the look: what comes later wakes the loop again
-        self._lane.stuck_since = None
+        self._lane.returned(self)
         done = self._done
         while done:
             future, result, error = done.popleft()
             in_flight(self._loop, -1)
             if future.done():  # it came too late, or its caller has gone
                 continue
-            if isinstance(error, StopIteration | KeyboardInterrupt | SystemExit):
+            if isinstance(error, StopIteration) or (
+                error is not None and not isinstance(error, Exception)
+            ):  # raised in a task, it would end the task, or the process
                 wrapped = RuntimeError(f"the driver raised {type(error).__name__}")
                 wrapped.__cause__ = error
                 future.set_exception(wrapped)

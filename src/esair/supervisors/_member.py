@@ -255,7 +255,7 @@ class Member(Mailbox):
             ready.exception()  # whoever adds it may be cancelled in this moment
             return
         self._is_ready()
-        absent = self._absent() if isinstance(error, _ABSENCE) else []
+        absent = self._absent_for(error)
         if absent:
             # Not its own fault: it begins anew when everything it uses is there.
             self.state = BehaviorState.PARKED
@@ -289,6 +289,15 @@ class Member(Mailbox):
         self._mediator.peer_failed(self, error)
         if pause is None:
             self._supervisor.ended(self)
+
+    def _absent_for(self, error: BaseException) -> list[str]:
+        """Return what is not there, if the error may come from that."""
+        if not isinstance(error, _ABSENCE):
+            return []
+        absent = self._absent()
+        named = error.name if isinstance(error, UnknownNameError) else error.resource
+        is_there = named in {need.resource for need in self.action.needs.values()}
+        return [] if is_there and named not in absent else absent
 
     def _absent(self) -> list[str]:
         """Return what it declares to use, and is not there or not ready."""

@@ -224,11 +224,13 @@ class ResourceSupervisor(abc.Supervisor):
                     self._registrations.revoke(
                         registration, lambda: ResourceRemovedError(name)
                     )
-            await self._make_safe(name)
             life = self._lives[name]
             channel = life.channel
+            error = DeviceLostError(name, "it is being replaced")
+            if keep and isinstance(channel, ActuatorChannel):
+                channel.leaving(error)
+            await self._make_safe(name)
             if keep:
-                error = DeviceLostError(name, "it is being replaced")
                 channel.down(ResourceState.LOST, error)
             else:
                 channel.removed()
