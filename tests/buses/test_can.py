@@ -411,6 +411,30 @@ async def test_of_two_waiting_frames_the_newer_is_sent(link: Link, bus: CanBus) 
     await bus.close()
 
 
+async def test_a_frame_that_found_no_room_does_not_follow_a_newer_one(
+    link: Link, bus: CanBus
+) -> None:
+    """Also where the answer of the controller takes its time."""
+    send = link.send
+
+    async def answer_late(frame: Frame, timeout: float) -> bool:
+        sent = await send(frame, timeout)
+        await asyncio.sleep(0.01)
+        return sent
+
+    link.send = answer_late  # type: ignore[method-assign]
+    await bus.open()
+    link.full = 1
+    older = asyncio.create_task(bus.send(1, b"old"))
+    await asyncio.sleep(0)
+    await bus.send(1, b"new")
+
+    with pytest.raises(BusyError):
+        await older
+    assert [frame.data for frame in link.sent] == [b"new"]
+    await bus.close()
+
+
 async def test_only_so_many_frames_wait(link: Link, bus: CanBus) -> None:
     """The bound is named; nothing is sent that was refused."""
     await bus.open()
@@ -505,6 +529,32 @@ async def test_a_failed_send_is_a_loss_of_the_bus() -> None:
     await bus.send(1, b"again")
     await bus.until(1)
     assert bus._wire._robots == [bus._link]
+    await bus.close()
+
+
+@pytest.mark.fault("B12")
+async def test_a_behavior_that_meets_the_loss_may_end_at_once(link: Link) -> None:
+    """The node is closed in any case."""
+
+    async def close() -> None:
+        await asyncio.sleep(0.1)
+        link.closed += 1
+
+    async def fail(frame: Frame, timeout: float) -> bool:
+        raise OSError(errno.ENETDOWN, "network is down")
+
+    class Once(esair.Behavior):
+        async def run(self) -> None:
+            with pytest.raises(DeviceLostError):
+                await bus.send(1, b"")
+
+    bus = CanBus(name="drive", opener=link.open)
+    link.close, link.send = close, fail  # type: ignore[method-assign]
+    await bus.open()
+    async with esair.Robot(behaviors=[Once()]):
+        await asyncio.sleep(1.0)
+
+    assert link.closed == 1
     await bus.close()
 
 

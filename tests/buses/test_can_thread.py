@@ -152,6 +152,43 @@ async def test_every_kind_of_frame_is_counted(
     await bus.close()
 
 
+@pytest.mark.parametrize(
+    ("echoes", "heard"), [(False, [b"far"]), (True, [b"own", b"far"])]
+)
+async def test_what_the_adapter_echoes_is_heard_only_by_who_asks_for_it(
+    made: list[Scripted], echoes: bool, heard: list[bytes]
+) -> None:
+    """A gs_usb adapter gives back each frame that it has sent."""
+    bus = CanBus(
+        name="drive", interface="gs_usb", channel="x", receive_own_messages=echoes
+    )
+    await bus.open()
+    inbox = bus.frames(1)
+    made[0].incoming.put(message(1, b"own", is_rx=False))
+    made[0].incoming.put(message(1, b"far"))
+
+    assert [(await inbox.take(timeout=PATIENCE)).data for _ in heard] == heard
+    assert bus.stats.received == len(heard)
+    await bus.close()
+
+
+@pytest.mark.fault("C03")
+async def test_error_frames_of_another_form_are_counted_and_no_more(
+    made: list[Scripted],
+) -> None:
+    """What PCAN numbers 4 with 0x1B is no state of the controller."""
+    bus = CanBus(name="drive", interface="pcan", channel="x", lost_when="warning")
+    await bus.open()
+    made[0].incoming.put(message(4, bytes((0, 0x1B, 0, 0)), is_error_frame=True))
+    made[0].incoming.put(message(0x40, bytes(4), is_error_frame=True))
+    await until(lambda: bus.stats.errors == 2)
+
+    assert bus.is_open
+    assert bus.state is CanState.ACTIVE
+    assert bus.stats.dropped == 0
+    await bus.close()
+
+
 @pytest.mark.fault("C07")
 async def test_frames_that_come_faster_than_the_loop_turns_are_counted(
     made: list[Scripted], bus: CanBus

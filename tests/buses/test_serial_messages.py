@@ -557,3 +557,46 @@ async def test_unplugged_at_each_byte_of_a_message(
 async def rest(inbox: Inbox[bytes]) -> list[bytes]:
     """Take everything that is there."""
     return [await inbox.take() for _ in range(len(inbox))]
+
+
+@pytest.mark.fault("D16", "D22")
+async def test_a_message_sent_after_a_stall_is_not_thrown_away_with_it(
+    fake_serial: Make,
+) -> None:
+    """Several wait for a line that is stuck; whoever is told first sends the stop."""
+    line = fake_serial("front", write_timeout=0.2)
+    await line.open()
+    line.stall()
+
+    async def drive_and_stop() -> None:
+        try:
+            await line.send(b"drive")
+        except DriverStuckError:
+            asyncio.get_running_loop().call_later(0.05, line.resume)
+            await line.send(b"stop")
+
+    async def blink() -> None:
+        with pytest.raises(DriverStuckError):
+            await line.send(b"blink", timeout=0.3)
+
+    await asyncio.gather(drive_and_stop(), blink())
+
+    assert list(line.sent)[-1] == b"stop"
+    assert line.stats.errors == 1
+    await line.close()
+
+
+async def test_the_error_of_a_lost_line_does_not_grow(line: FakeSerial) -> None:
+    """Whoever asks again and again leaves nothing in its traceback."""
+    await line.open()
+    inbox = line.frames()
+    line.unplug()
+    depths = []
+
+    for _ in range(20):
+        with pytest.raises(DeviceLostError) as caught:
+            await inbox.take(timeout=1)
+        depths.append(len(caught.traceback))
+
+    assert depths[1:] == depths[1:2] * 19
+    await line.close()

@@ -15,18 +15,16 @@ import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import serial
 
 from esair import discovery
-from esair.buses import SerialBus
-from esair.buses._serial_port import (
-    Opening,
-    Port,
-    SerialPlace,
-    _explain,
-    open_link,
-)
+from esair.buses import SerialBus, _serial_port
+from esair.buses._serial_owner import explain
+from esair.buses._serial_place import SerialPlace
+from esair.buses._serial_port import Port, reach_port
 from esair.exceptions import ConfigError, DeviceLostError
 from esair.loop import Lane
 
@@ -130,6 +128,23 @@ async def test_a_usb_device_that_is_swapped_while_it_is_opened(
     other = SerialBus(name="other", port=first.path)  # nobody has kept it
     await other.open()
     await other.close()
+
+
+@pytest.mark.fault("D06")
+async def test_a_link_that_udev_has_just_made_is_the_same_device(
+    monkeypatch: pytest.MonkeyPatch, first: Terminal, tmp_path: Path
+) -> None:
+    """The kernel makes the port first and udev its name: what counts is the device."""
+    link = tmp_path / "usb-FTDI_FT232R_A1-if00-port0"
+    link.symlink_to(first.path)
+    answers = iter([first.path, first.path, str(link)])
+    monkeypatch.setattr(discovery, "find_port", lambda _identity: next(answers))
+    bus = SerialBus(name="front", port="usb:0403:6001")
+
+    await bus.open()
+
+    assert bus.path == first.path
+    await bus.close()
 
 
 async def test_a_usb_device_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,11 +270,11 @@ async def test_an_opener_without_a_lock_is_found_too(
     first: Terminal, tmp_path: Path
 ) -> None:
     """Programs that lock nothing, and ports that nobody has."""
-    assert str(os.getpid()) in _explain(first.path, OSError(errno.EBUSY, "busy"))
+    assert str(os.getpid()) in explain(first.path, OSError(errno.EBUSY, "busy"))
     plain = tmp_path / "file"
     plain.touch()
-    assert "another process" in _explain(str(plain), OSError(errno.EAGAIN, "locked"))
-    assert "somebody else" in _explain("/dev/none", OSError(errno.EBUSY, "busy"))
+    assert "another process" in explain(str(plain), OSError(errno.EAGAIN, "locked"))
+    assert "somebody else" in explain("/dev/none", OSError(errno.EBUSY, "busy"))
 
 
 @pytest.mark.fault("O17")
@@ -268,7 +283,7 @@ async def test_a_port_that_may_not_be_opened_names_its_group(tmp_path: Path) -> 
     plain = tmp_path / "port"
     plain.touch()
 
-    told = _explain(str(plain), PermissionError(errno.EACCES, "no"))
+    told = explain(str(plain), PermissionError(errno.EACCES, "no"))
 
     assert told == f"{plain} may be opened by the group {plain.group()!r} only"
 
@@ -281,19 +296,22 @@ class SlowOpening:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.go = threading.Event()
+        self.opened = threading.Event()
         self.ended = threading.Event()
-        really = Opening._open_device
+        really = _serial_port.open_port
 
-        def open_device(opening: Opening, path: str) -> object:
+        def open_port(*args: Any) -> Port:
             self.go.wait(30)
-            return really(opening, path)
+            port = really(*args)
+            self.opened.set()
+            return port
 
         def shut(port: Port) -> None:
             shut_really(port)
             self.ended.set()
 
         shut_really = Port.shut
-        monkeypatch.setattr(Opening, "_open_device", open_device)
+        monkeypatch.setattr(_serial_port, "open_port", open_port)
         monkeypatch.setattr(Port, "shut", shut)
 
 
@@ -323,13 +341,12 @@ async def test_an_opening_that_nobody_waits_for_any_more(
     """Closed while it opens, or in the moment in which it is open: no port is left."""
     slow = SlowOpening(monkeypatch)
     lane = Lane("front")
-    opening = Opening(SerialPlace("front", first.path), 115200, {})
-    asking = asyncio.create_task(open_link(opening, asyncio.Protocol(), lane))
+    place = SerialPlace("front", first.path)
+    asking = asyncio.create_task(reach_port(lane, place, 115200, {}, {}))
     await asyncio.sleep(0.02)
     if finished:
         slow.go.set()
-        while opening._port is None:  # the thread is done, the loop has not looked
-            time.sleep(0.001)  # noqa: ASYNC251 - so that it does not look
+        assert slow.opened.wait(10)  # the thread is done, the loop has not looked
 
     asking.cancel()
     await asyncio.wait({asking})
@@ -487,6 +504,31 @@ async def test_settings_that_no_port_has(first: Terminal) -> None:
         await bus.open()
 
     await bus.close()
+
+
+async def test_dtr_and_rts_are_set_before_the_port_is_open(
+    monkeypatch: pytest.MonkeyPatch, first: Terminal
+) -> None:
+    """DTR resets many boards, and RTS keeps some transceivers sending."""
+    levels: list[tuple[str, bool]] = []
+    for name in ("dtr", "rts"):
+        monkeypatch.setattr(
+            serial.Serial,
+            f"_update_{name}_state",
+            lambda port, name=name: levels.append((name, getattr(port, name))),
+        )
+    bus = SerialBus(name="front", port=first.path, dtr=False, rts=False)
+
+    await bus.open()
+
+    assert levels == [("dtr", False), ("rts", False)]
+    await bus.close()
+
+
+def test_a_level_is_true_or_false() -> None:
+    """A word, which would count as true, is refused."""
+    with pytest.raises(ConfigError, match="front: dtr: expected true or false"):
+        SerialBus(name="front", port="/dev/ttyUSB0", dtr="off")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("port", ["", "usb:403:6001", "usb:0403", "usb:0403:6001:"])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
 
 import pytest
 
 from esair.config import check
-from esair.discovery import _can, devices, toml
+from esair.discovery import _can, _gpio, devices, toml
 
 pytestmark = pytest.mark.promise("BUS-2")
 
@@ -163,6 +164,30 @@ def test_a_can_interface_that_is_down_comes_with_its_command(full) -> None:
 
     assert "sudo ip link set can0 up type can bitrate 500000" in texts["can0"]
     assert "sudo" not in texts["vcan0"]
+
+
+def test_a_virtual_can_interface_has_no_bit_rate(tree) -> None:
+    """The kernel makes it down, and would refuse the command of a real one."""
+    tree.can("vcan0", flags="0x80")
+    (device,) = devices(tree.root)
+
+    assert "# it is down: sudo ip link set vcan0 up\n" in toml(device)
+
+
+class OldGpiod:
+    """The module of libgpiod 1, which has the same name."""
+
+    class Chip:
+        """It knows nothing of ``get_info``."""
+
+
+@pytest.mark.parametrize("module", [OldGpiod, None])
+def test_gpio_chips_are_listed_without_libgpiod_2(monkeypatch, module) -> None:
+    """With the bindings of version 1, as distributions have them, or with none."""
+    monkeypatch.setitem(sys.modules, "gpiod", module)
+
+    assert _gpio._gpiod() is None
+    assert all(each.kind == "gpio" for each in _gpio.gpio_chips())
 
 
 @pytest.mark.parametrize(

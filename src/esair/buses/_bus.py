@@ -9,14 +9,17 @@ from collections.abc import Callable, Hashable
 from typing import TypeVar
 
 from esair.buses._stats import BusStats
-from esair.exceptions import describe
-from esair.loop import Lane
+from esair.exceptions import DeviceLostError, describe
+from esair.loop import Lane, spawn
 from esair.messages import check_name
 
 T = TypeVar("T")
 
 LOOK_TIMEOUT = 1.0
 """How long a bus looks what is there before it opens it, in seconds."""
+
+CANCEL_TIMEOUT = 0.2
+"""How long a close waits for the end of an opening that is under way, in seconds."""
 
 
 class Bus(abc.ABC):
@@ -66,14 +69,25 @@ class Bus(abc.ABC):
         """Let the wire go. Must not wait for anything that may never come."""
 
     async def open(self) -> None:
-        """Open the bus unless it is open. All who ask at once share one opening."""
+        """Open the bus unless it is open. All who ask at once share one opening.
+
+        Raises:
+            DeviceLostError: The wire is not there, or the bus was closed meanwhile.
+            ConfigError: Its settings are none that it can have.
+        """
         if self.is_open:
             return
-        if self._opening is None:
-            self._opening = asyncio.get_running_loop().create_task(
-                self._open_once(), name=f"open bus {self.name}"
-            )
-        await asyncio.shield(self._opening)
+        opening = self._opening
+        if opening is None:
+            loop = asyncio.get_running_loop()
+            opening = spawn(loop, self._open_once(), name=f"open bus {self.name}")
+            self._opening = opening
+            opening.add_done_callback(_heard)
+        # Not awaited itself: if it is cancelled by a close, its callers are not.
+        await asyncio.wait({opening})
+        if opening.cancelled():
+            raise DeviceLostError(self.name, "it was closed while it was opened")
+        opening.result()
 
     async def _open_once(self) -> None:
         task = asyncio.current_task()
@@ -121,12 +135,14 @@ class Bus(abc.ABC):
 
     async def close(self) -> None:
         """Close the bus and end its thread."""
-        if self._opening is not None:
-            self._opening.cancel()
+        opening = self._opening
+        if opening is not None:
+            opening.cancel()
+            await asyncio.wait({opening}, timeout=CANCEL_TIMEOUT)
         self._is_missed = False
         self._keep_watch()
         was_open, self.is_open = self.is_open, False
-        if was_open or self.error is not None:
+        if was_open or opening is not None or self.error is not None:
             await self._close()
         await self.lane.join(timeout=0.2)
 
@@ -182,6 +198,20 @@ class Bus(abc.ABC):
         if self.error is not None:
             state = describe(self.error)
         return f"<{type(self).__name__} {self.name!r} {state}>"
+
+
+def _heard(opening: asyncio.Task[None]) -> None:
+    """Have heard of an error, also if all who waited for it have been cancelled."""
+    if not opening.cancelled():
+        opening.exception()
+
+
+def wanted() -> bool:
+    """Guard a call that is not to be made once nobody waits for it any more.
+
+    A lane asks only guarded calls whether that is so: a close is made in any case.
+    """
+    return True
 
 
 def _listen(listeners: list[T], listener: T) -> Callable[[], None]:

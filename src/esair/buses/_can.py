@@ -30,6 +30,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
+from esair.loop import spawn
 
 RETRY_PERIOD = 0.001
 """The first pause before a frame is offered again to a full queue, in seconds."""
@@ -127,8 +128,8 @@ class CanBus(Bus):
 
     @property
     def waiting(self) -> int:
-        """How many frames wait for room."""
-        return len(self._waiting) + self.lane.waiting
+        """How many frames, each with another id, are on their way to the controller."""
+        return len(self._waiting)
 
     def on_state(self, listener: Callable[[CanState], None]) -> Callable[[], None]:
         """Call a function when the controller enters another state.
@@ -214,13 +215,12 @@ class CanBus(Bus):
             data = bytes(data)
         frame = Frame(id, data, extended)
         seconds = self.send_timeout if timeout is None else timeout
-        if self._waiting:
-            older = self._waiting.pop(key, None)
-            if older is not None:
-                older.obsolete = True
+        if (older := self._waiting.get(key)) is not None:
+            older.obsolete = True
+        mine = self._waiting[key] = _Waiting()
         try:
             if not await link.send(frame, seconds):
-                await self._send_again(link, key, frame, seconds)
+                await self._send_again(link, mine, frame, seconds)
         except EsairError as error:
             self._count(error)
             raise
@@ -230,44 +230,39 @@ class CanBus(Bus):
             if self._link is link:
                 self._gone(self._epoch, loss)
             raise loss from error
+        finally:
+            if self._waiting.get(key) is mine:
+                del self._waiting[key]
         self.stats.sent += 1
 
     async def _send_again(
-        self, link: FrameLink, key: int, frame: Frame, seconds: float
+        self, link: FrameLink, mine: _Waiting, frame: Frame, seconds: float
     ) -> None:
-        if len(self._waiting) >= WAITING_LIMIT:
+        if len(self._waiting) > WAITING_LIMIT:
             raise BusyError(
                 f"bus {self.name}", "number of waiting frames", WAITING_LIMIT
             )
-        older = self._waiting.get(key)
-        if older is not None:
-            older.obsolete = True
-        mine = self._waiting[key] = _Waiting()
         heard = self.stats.received
         loop = asyncio.get_running_loop()
         give_up = loop.time() + seconds
         pause = RETRY_PERIOD
-        try:
-            while (left := give_up - loop.time()) > 0:
-                await asyncio.sleep(min(pause, left))
-                pause = min(2 * pause, LONGEST_RETRY_PERIOD)
-                if mine.obsolete:
-                    raise BusyError(
-                        f"bus {self.name}", f"frames waiting with id {frame.id:#x}", 1
-                    )
-                if self._link is not link:
-                    raise DeviceLostError(
-                        self.name, "the bus was lost while a frame waited"
-                    )
-                left = give_up - loop.time()
-                if left <= 0:
-                    break
-                self.stats.retries += 1
-                if await link.send(frame, max(RETRY_PERIOD, left)):
-                    return
-        finally:
-            if self._waiting.get(key) is mine:
-                del self._waiting[key]
+        while (left := give_up - loop.time()) > 0:
+            await asyncio.sleep(min(pause, left))
+            pause = min(2 * pause, LONGEST_RETRY_PERIOD)
+            if mine.obsolete:
+                raise BusyError(
+                    f"bus {self.name}", f"frames waiting with id {frame.id:#x}", 1
+                )
+            if self._link is not link:
+                raise DeviceLostError(
+                    self.name, "the bus was lost while a frame waited"
+                )
+            left = give_up - loop.time()
+            if left <= 0:
+                break
+            self.stats.retries += 1
+            if await link.send(frame, max(RETRY_PERIOD, left)):
+                return
         self.stats.discarded += 1
         if self._unacknowledged:
             raise DeviceFaultError(
@@ -442,8 +437,10 @@ class CanBus(Bus):
         self._epoch += 1
         link, self._link = self._link, None
         if link is not None:  # hear nothing more, hold nothing any longer
-            self._leaving = asyncio.get_running_loop().create_task(
-                self._leave(link), name=f"leave bus {self.name}"
+            self._leaving = spawn(  # nobody's: it does not end with who met the loss
+                asyncio.get_running_loop(),
+                self._leave(link),
+                name=f"leave bus {self.name}",
             )
         self._fail_listeners(loss)
         self.lost(loss)
@@ -469,7 +466,7 @@ class CanBus(Bus):
 
 
 class _Waiting:
-    """A frame that waits for room, until a newer one makes it obsolete."""
+    """A frame on its way, until it is sent or a newer one makes it obsolete."""
 
     __slots__ = ("obsolete",)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import random
 from collections.abc import Callable, Hashable, Iterable
@@ -11,9 +12,10 @@ from typing import NamedTuple, TypeVar, cast
 
 from esair.buses import _i2c_kernel as kernel
 from esair.buses import _i2c_link as wire
-from esair.buses._bus import Bus
+from esair.buses._bus import Bus, wanted
 from esair.buses._i2c_errors import OCCUPIED, SILENT, explained, stuck_with
 from esair.buses._i2c_link import RegisterLink
+from esair.buses._opening import open_on, shut_on
 from esair.exceptions import (
     BadValueError,
     BusyError,
@@ -24,6 +26,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
+from esair.loop import spawn
 
 T = TypeVar("T")
 
@@ -32,6 +35,9 @@ RETRIES = 3
 
 RETRY_PERIOD = 0.001
 """The first pause before that, in seconds; it doubles, and varies by half."""
+
+OPEN_TIMEOUT = 2.0
+"""How long opening a bus may take, in seconds."""
 
 SCANNED = range(0x08, 0x78)
 """The addresses that a chip may have; the others mean something else on every bus."""
@@ -370,7 +376,7 @@ class I2CBus(Bus):
             return function(link, *args)
         try:
             return await self.lane.call(
-                function, link, *args, timeout=timeout, guard=_wanted
+                function, link, *args, timeout=timeout, guard=wanted
             )
         except DriverStuckError:
             raise self._failed(stuck_with(self.name, address, timeout)) from None
@@ -487,8 +493,8 @@ class I2CBus(Bus):
         if not self.is_open:
             return
         super().lost(error)
-        self._letting_go = asyncio.get_running_loop().create_task(
-            self._close(), name=f"let go bus {self.name}"
+        self._letting_go = spawn(
+            asyncio.get_running_loop(), self._close(), name=f"let go {self.name}"
         )
 
     async def _open(self) -> None:
@@ -498,7 +504,9 @@ class I2CBus(Bus):
             if self._inline:
                 self._link = self._opener()
             else:
-                self._link = await self.lane.call(self._opener, timeout=2.0)
+                self._link = await open_on(
+                    self.lane, self._opener, _shut, timeout=OPEN_TIMEOUT
+                )
         except OSError as error:
             detail = f"cannot be opened: {describe(error)}"
             raise DeviceLostError(self.name, detail) from error
@@ -512,9 +520,7 @@ class I2CBus(Bus):
             link.close()
             return
         try:
-            await self.lane.call(link.close, timeout=0.2)
-        except (DriverStuckError, BusyError):
-            pass  # it is closed behind the transfer that is stuck
+            await shut_on(self.lane, link.close, timeout=0.2)
         except OSError as error:
             self.stats.last_error = describe(error)
 
@@ -549,6 +555,6 @@ class _Failure(NamedTuple):
     code: int | None
 
 
-def _wanted() -> bool:
-    """Guard a transfer: a lane asks only guarded calls whether they are wanted still."""
-    return True
+def _shut(link: RegisterLink) -> None:
+    with contextlib.suppress(OSError):
+        link.close()

@@ -74,7 +74,8 @@ class Inbox(Generic[T]):
         """
         while not self._items:
             if self._error is not None:
-                raise self._error
+                # Anew: else each who asks would leave its frames in the traceback.
+                raise self._error.with_traceback(None)
             if self._closed:
                 raise StopAsyncIteration
             if self._waiter is not None:

@@ -50,6 +50,11 @@ HEARTBEAT = 1.0
 MISSED_BEATS = 3
 """After how many heartbeats without a sign of it the reading thread is given up."""
 
+_OWN_ERRORS: Final = frozenset(
+    {"ixxat", "kvaser", "neovi", "nican", "nixnet", "pcan", "usb2can", "vector"}
+)
+"""Interfaces whose error frames have a form of their own, not that of the kernel."""
+
 _REMOTE: Final = 0x4000_0000
 _ERROR: Final = 0x2000_0000
 _NUMBER: Final = 0x1FFF_FFFF
@@ -100,7 +105,16 @@ def python_can(
         try:
             if state is not None:
                 return _SocketNode(bus, state, lane, counts, received, gone, fd=fd)
-            return _ThreadNode(bus, lane, counts, received, gone, fd=fd)
+            return _ThreadNode(
+                bus,
+                lane,
+                counts,
+                received,
+                gone,
+                fd=fd,
+                echoes=bool(options.get("receive_own_messages")),
+                decodes_errors=interface not in _OWN_ERRORS,
+            )
         except BaseException:
             opening.abandon()
             raise
@@ -369,6 +383,8 @@ class _ThreadNode:
         gone: Callable[[Exception], None],
         *,
         fd: bool,
+        echoes: bool,
+        decodes_errors: bool,
     ) -> None:
         import can
 
@@ -384,6 +400,8 @@ class _ThreadNode:
         self._received = received
         self._gone = gone
         self._fd = fd
+        self._echoes = echoes
+        self._decodes_errors = decodes_errors
         self._loop = asyncio.get_running_loop()
         self._time = clock_of(self._loop)
         self._closed = False
@@ -463,6 +481,10 @@ class _ThreadNode:
         kind = FrameKind.DATA
         if message.is_error_frame:
             kind = FrameKind.ERROR
+            if not self._decodes_errors:
+                return Frame(0, b"", False, self._time(), kind)
+        elif not (message.is_rx or self._echoes):
+            return None  # what was sent from here, which nobody asked for
         else:
             wanted, number = self._wanted, message.arbitration_id
             if message.is_extended_id:

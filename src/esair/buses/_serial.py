@@ -12,7 +12,8 @@ from esair.buses._bus import Bus
 from esair.buses._framing import make_framing, resync_bytes
 from esair.buses._inbox import Inbox, within
 from esair.buses._serial_line import Line, SerialLink, SerialOpener
-from esair.buses._serial_port import Opening, Port, SerialPlace, close_port, open_link
+from esair.buses._serial_place import SerialPlace
+from esair.buses._serial_port import Port, close_port, link_of, reach_port
 from esair.buses._turns import Turns
 from esair.exceptions import (
     BusyError,
@@ -60,6 +61,9 @@ class SerialBus(Bus):
         bad_limit: After how many damaged messages in a row everybody who listens is
             told that the device is at fault.
         opener: Opens something else than a port, such as a wire in memory.
+        dtr: Whether DTR is raised while the port is open, as usual. Lowering it keeps
+            some boards from starting anew, and starts the motor of some others.
+        rts: The same for RTS.
         **options: Further settings of ``serial.Serial``, such as ``parity="E"``.
 
     Attributes:
@@ -77,6 +81,8 @@ class SerialBus(Bus):
         out_limit: int = 4096,
         write_timeout: float = 0.5,
         bad_limit: int = 100,
+        dtr: bool = True,
+        rts: bool = True,
         opener: SerialOpener | None = None,
         **options: Any,
     ) -> None:
@@ -88,6 +94,11 @@ class SerialBus(Bus):
         for field, limit in (("out_limit", out_limit), ("bad_limit", bad_limit)):
             if type(limit) is not int or limit < 1:
                 raise ConfigError(name, field, f"expected 1 or more, not {limit!r:.80}")
+        for field, level in (("dtr", dtr), ("rts", rts)):
+            if not isinstance(level, bool):
+                raise ConfigError(
+                    name, field, f"expected true or false, not {level!r:.80}"
+                )
         if not 0 < write_timeout < math.inf:
             raise ConfigError(
                 name,
@@ -102,6 +113,7 @@ class SerialBus(Bus):
         self.bad_limit = bad_limit
         self.path = ""
         self._options = options
+        self._levels = {"dtr": dtr, "rts": rts}
         if opener is None:
             place = SerialPlace(name, port)
             self._presence = None if place.is_url else place.look
@@ -226,6 +238,8 @@ class SerialBus(Bus):
         writer = line.wait()
         try:
             await within(writer, seconds)
+        except DriverStuckError:  # another writer's time was up: all is thrown away
+            raise
         except TimeoutError:
             stuck = self._stuck("write", seconds)
             self._discard(line, stuck)
@@ -285,13 +299,14 @@ class SerialBus(Bus):
 
     async def _open_port(self, protocol: asyncio.Protocol) -> SerialLink:
         place = SerialPlace(self.name, self.port)
-        opening = Opening(place, self.baudrate, self._options)
-        link, self._open_device = await open_link(opening, protocol, self.lane)
-        self.path = self._open_device.path
-        advice = self._open_device.advice
-        if advice and self.stats.opened == 0:
-            _log.warning("%s: %s", self.name, advice)
-        return link
+        port = await reach_port(
+            self.lane, place, self.baudrate, self._options, self._levels
+        )
+        self._open_device = port
+        self.path = port.path
+        if port.advice and self.stats.opened == 0:
+            _log.warning("%s: %s", self.name, port.advice)
+        return link_of(port, protocol, self.name)
 
     def _received(self, data: bytes) -> None:
         framing = self.framing

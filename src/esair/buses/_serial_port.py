@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import fcntl
 import functools
 import os
-import re
 import select
 import stat
 import termios
-import threading
 import time
-from collections.abc import Callable, Hashable
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from esair.buses._opening import open_on, shut_on
 from esair.buses._serial_line import SerialLink
+from esair.buses._serial_owner import explain
+from esair.buses._serial_place import SerialPlace
 from esair.buses._serial_threads import READ_PERIOD, ThreadLink
 from esair.exceptions import (
-    BusyError,
     ConfigError,
     DeviceLostError,
     DriverStuckError,
@@ -34,94 +32,6 @@ OPEN_TIMEOUT = 2.0
 
 DRAIN_TIMEOUT = 0.2
 """How long a close waits for bytes that the kernel still holds, in seconds."""
-
-_TAKEN = frozenset({errno.EAGAIN, errno.EBUSY})
-"""What the kernel says about a port that somebody else has."""
-
-_NUMBERED = re.compile(r"/dev/tty(USB|ACM)\d+\Z")
-
-_USB = re.compile(r"usb:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{4}(:.+)?\Z")
-
-
-class SerialPlace:
-    """Where a port is to be found: a device file, a USB device, or a URL of pyserial.
-
-    Args:
-        owner: The name of the bus, for errors.
-        port: ``/dev/ttyUSB0``, ``usb:VID:PID[:SERIAL]`` or ``loop://``.
-
-    Raises:
-        ConfigError: It is none of them.
-    """
-
-    def __init__(self, owner: str, port: str) -> None:
-        if not isinstance(port, str) or not port:
-            raise ConfigError(
-                owner,
-                "port",
-                "expected the path of a device file, usb:VID:PID[:SERIAL], or a URL "
-                f"such as loop://, not {port!r:.80}",
-            )
-        if port.startswith("usb:") and not _USB.match(port):
-            raise ConfigError(
-                owner,
-                "port",
-                "expected usb:VID:PID or usb:VID:PID:SERIAL, both numbers with four "
-                f"hexadecimal digits, not {port!r:.80}",
-            )
-        self.owner = owner
-        self.port = port
-        self.is_usb = port.startswith("usb:")
-        self.is_url = "://" in port
-
-    def find(self) -> str:
-        """Return the path, or the URL, to open. Blocks.
-
-        Raises:
-            ConnectionError: The USB device is not there.
-        """
-        if not self.is_usb:
-            return self.port
-        from esair import discovery
-
-        return discovery.find_port(self.port)
-
-    def look(self) -> Hashable | None:
-        """Return what is at the place now; None if nothing is. Blocks.
-
-        Another value means that something was plugged in since.
-        """
-        try:
-            path = self.find()
-            found = os.stat(path)
-        except OSError:
-            return None
-        return path, found.st_rdev, found.st_ino, found.st_ctime_ns
-
-    def check(self, path: str, fd: int) -> None:
-        """Make sure that an open descriptor is of the device that is meant. Blocks.
-
-        Raises:
-            ConnectionError: Another device was plugged in while it was opened.
-        """
-        if not self.is_usb:
-            return
-        try:
-            same = self.find() == path and os.stat(path).st_rdev == os.fstat(fd).st_rdev
-        except OSError:
-            same = False
-        if not same:
-            raise ConnectionError(f"{path} is no longer {self.port}")
-
-    def advice(self, path: str) -> str:
-        """Say how to name a port whose number is chance; empty if it is none. Blocks."""
-        if self.is_usb or not _NUMBERED.match(path):
-            return ""
-        from esair import discovery
-
-        identity = discovery.serial_identity(path)
-        better = f"now it is {identity!r}" if identity else "see /dev/serial/by-path"
-        return f"{path} is another device after the next start, perhaps: {better}"
 
 
 class Port:
@@ -224,115 +134,104 @@ class Port:
         return bool(poll.poll(0))
 
 
-class Opening:
-    """One attempt to open a port, in a thread that nobody may wait for any more.
+def open_port(
+    place: SerialPlace,
+    baudrate: int,
+    options: Mapping[str, Any],
+    levels: Mapping[str, bool],
+) -> Port:
+    """Open a port, exclusively. Blocks.
 
     Args:
         place: Where the port is.
         baudrate: Bits per second.
         options: Further settings of ``serial.Serial``.
-    """
-
-    def __init__(
-        self, place: SerialPlace, baudrate: int, options: dict[str, Any]
-    ) -> None:
-        self._place = place
-        self._baudrate = baudrate
-        self._options = options
-        self._lock = threading.Lock()
-        self._abandoned = False
-        self._port: Port | None = None
-
-    def open(self) -> Port:
-        """Open the port, exclusively. Blocks.
-
-        Raises:
-            DeviceLostError: It is not there, or belongs to somebody else.
-            ConfigError: Its driver does not know the settings.
-        """
-        place = self._place
-        path = place.port
-        try:
-            path = place.find()
-            port = Port(self._open_device(path), path)
-            try:
-                if port.has_descriptor:
-                    place.check(path, port.fileno())
-                    port.advice = place.advice(path)
-            except BaseException:
-                port.shut()
-                raise
-        except ConfigError:
-            raise
-        except (OSError, termios.error) as error:
-            raise DeviceLostError(place.owner, _explain(path, error)) from error
-        except (ValueError, TypeError, LookupError) as error:  # its own word for no
-            raise ConfigError(place.owner, "port", f"{path}: {error}") from error
-        with self._lock:
-            self._port = port
-            if self._abandoned:
-                port.shut()
-            return port
-
-    def abandon(self) -> None:
-        """Close the port as soon as it is open: nobody will use it."""
-        with self._lock:
-            self._abandoned = True
-            if self._port is not None:  # closing can block whoever does it
-                threading.Thread(target=self._port.shut, daemon=True).start()
-
-    def _open_device(self, path: str) -> Any:
-        import serial
-
-        if self._place.is_url:
-            return serial.serial_for_url(
-                path, self._baudrate, timeout=READ_PERIOD, **self._options
-            )
-        return serial.Serial(
-            path,
-            self._baudrate,
-            timeout=0,
-            write_timeout=0,
-            exclusive=True,
-            **self._options,
-        )
-
-
-async def open_link(
-    opening: Opening, protocol: asyncio.Protocol, lane: Lane
-) -> tuple[SerialLink, Port]:
-    """Open a port in a thread and hand it to the event loop.
-
-    Args:
-        opening: The attempt.
-        protocol: Is told what comes.
-        lane: The thread of the bus.
+        levels: Whether ``dtr`` and ``rts`` are raised as the port is opened.
 
     Raises:
-        DeviceLostError: It is not there, belongs to somebody else, or the opening
-            took too long; what is opened late is closed at once.
+        DeviceLostError: It is not there, or belongs to somebody else.
         ConfigError: Its driver does not know the settings.
     """
+    path = place.port
     try:
-        port = await lane.call(opening.open, timeout=OPEN_TIMEOUT)
-    except DriverStuckError as error:
-        opening.abandon()
-        raise DeviceLostError(lane.name, describe(error)) from error
-    except BaseException:
-        opening.abandon()
+        path = place.find()
+        port = Port(_open_device(place, path, baudrate, options, levels), path)
+        try:
+            if port.has_descriptor:
+                place.check(path, port.fileno())
+                port.advice = place.advice(path)
+        except BaseException:
+            port.shut()
+            raise
+    except ConfigError:
         raise
+    except (OSError, termios.error) as error:
+        raise DeviceLostError(place.owner, explain(path, error)) from error
+    except (ValueError, TypeError, LookupError) as error:  # its own word for no
+        raise ConfigError(place.owner, "port", f"{path}: {error}") from error
+    return port
+
+
+def _open_device(
+    place: SerialPlace,
+    path: str,
+    baudrate: int,
+    options: Mapping[str, Any],
+    levels: Mapping[str, bool],
+) -> Any:
+    import serial
+
+    own: dict[str, Any] = {"timeout": READ_PERIOD}
+    if not place.is_url:
+        own = {"timeout": 0, "write_timeout": 0, "exclusive": True}
+    device = serial.serial_for_url(path, baudrate, do_not_open=True, **own, **options)
+    for name, level in levels.items():
+        setattr(device, name, level)
+    device.open()
+    return device
+
+
+async def reach_port(
+    lane: Lane,
+    place: SerialPlace,
+    baudrate: int,
+    options: Mapping[str, Any],
+    levels: Mapping[str, bool],
+) -> Port:
+    """Open a port on the thread of a bus; what is opened late is closed at once.
+
+    Errors are those of `open_port`; one that takes too long is a `DeviceLostError`.
+    """
+    try:
+        return await open_on(
+            lane,
+            functools.partial(open_port, place, baudrate, options, levels),
+            Port.shut,
+            timeout=OPEN_TIMEOUT,
+        )
+    except DriverStuckError as error:
+        raise DeviceLostError(lane.name, describe(error)) from error
+
+
+def link_of(port: Port, protocol: asyncio.Protocol, name: str) -> SerialLink:
+    """Hand an open port to the event loop.
+
+    Args:
+        port: The port.
+        protocol: Is told what comes.
+        name: Names the threads of a port that the loop cannot wait for.
+    """
     port.failed = protocol.connection_lost
     loop = asyncio.get_running_loop()
     if port.has_descriptor:
-        transport = _transport_class()(loop, protocol, port)
-        return transport, port
-    return ThreadLink(loop, protocol, port.device, name=lane.name), port
+        link: SerialLink = _transport_class()(loop, protocol, port)
+        return link
+    return ThreadLink(loop, protocol, port.device, name=name)
 
 
 async def close_port(port: Port, lane: Lane) -> None:
     """Close a port in a thread; one that is stuck there is left to it."""
-    with contextlib.suppress(DriverStuckError, BusyError):
-        await lane.call(port.shut, timeout=DRAIN_TIMEOUT + 0.5)
+    await shut_on(lane, port.shut, timeout=DRAIN_TIMEOUT + 0.5)
 
 
 @functools.cache
@@ -356,51 +255,3 @@ def _descriptor(device: Any) -> int:
         return int(device.fileno())
     except (OSError, AttributeError):  # loop://, rfc2217://
         return -1
-
-
-def _explain(path: str, error: BaseException) -> str:
-    code = getattr(error, "errno", None)
-    if code in _TAKEN:
-        return f"{path} belongs to {_owner(path)}: a port has one user"
-    if code == errno.EACCES:
-        with contextlib.suppress(OSError, KeyError):
-            return f"{path} may be opened by the group {Path(path).group()!r} only"
-    return f"{path} cannot be opened: {describe(error)}"
-
-
-def _owner(path: str) -> str:
-    """Name the process that has a port open, as far as this user may know."""
-    try:
-        wanted = os.stat(path)
-    except OSError:
-        return "somebody else"
-    pid = _lock_holder(wanted) or _opener(wanted)
-    if pid is None:
-        return "another process"
-    if pid == os.getpid():
-        return f"this process ({pid}) already"
-    with contextlib.suppress(OSError):
-        return f"process {pid} ({Path(f'/proc/{pid}/comm').read_text().strip()})"
-    return f"process {pid}"
-
-
-def _lock_holder(wanted: os.stat_result) -> int | None:
-    node = (
-        f"{os.major(wanted.st_dev):02x}:{os.minor(wanted.st_dev):02x}:{wanted.st_ino}"
-    )
-    # A line: number, FLOCK, ADVISORY, WRITE, pid, device and inode, 0, EOF.
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/locks").read_text().splitlines():
-            fields = line.split()
-            if fields[1] == "FLOCK" and fields[5] == node and int(fields[4]) > 0:
-                return int(fields[4])
-    return None
-
-
-def _opener(wanted: os.stat_result) -> int | None:
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with contextlib.suppress(OSError):  # another user's, or closed meanwhile
-            found = link.stat()
-            if found.st_rdev == wanted.st_rdev and stat.S_ISCHR(found.st_mode):
-                return int(link.parts[2])
-    return None

@@ -16,6 +16,9 @@ from esair.discovery._sysfs import entries, read
 ARPHRD_CAN = "280"  # linux/if_arp.h
 IFF_UP = 1
 
+VIRTUAL = "virtual CAN"
+"""What an interface is called that has no wire, and so no bit rate."""
+
 ROOT = Path("/")
 
 
@@ -39,7 +42,7 @@ def _interface(place: Path, root: Path, data: dict[str, Any]) -> Device:
         driver = os.path.basename(os.path.realpath(place / "device/driver"))
         words = f"controller of the computer ({driver})"
     else:
-        words = "virtual CAN"
+        words = VIRTUAL
     bitrate = data.get("bittiming", {}).get("bitrate")
     return Device(
         kind="can",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
+import contextlib
 from pathlib import Path
+from typing import Any
 
 from esair.discovery._device import Device
 from esair.discovery._sysfs import entries, read
@@ -13,9 +14,9 @@ ROOT = Path("/")
 
 def gpio_chips(root: Path = ROOT) -> list[Device]:
     """Return the GPIO chips that are there, by their numbers."""
-    ask = _ask if root == ROOT and importlib.util.find_spec("gpiod") else _look
+    gpiod = _gpiod() if root == ROOT else None
     known = {
-        place.name: ask(place, root)
+        place.name: _look(place, root) if gpiod is None else _ask(gpiod, place.name)
         for place in entries(root / "sys/bus/gpio/devices")
         if place.name.startswith("gpiochip") and (root / "dev" / place.name).exists()
     }
@@ -34,11 +35,18 @@ def gpio_chips(root: Path = ROOT) -> list[Device]:
     ]
 
 
-def _ask(place: Path, root: Path) -> tuple[str, int | None, str]:
-    import gpiod
+def _gpiod() -> Any:
+    """Return the bindings of libgpiod; None if they are not there, or those of 1.x."""
+    with contextlib.suppress(ImportError):
+        import gpiod
 
+        return gpiod if hasattr(gpiod, "LineSettings") else None
+    return None
+
+
+def _ask(gpiod: Any, name: str) -> tuple[str, int | None, str]:
     try:
-        with gpiod.Chip(str(root / "dev" / place.name)) as chip:
+        with gpiod.Chip(f"/dev/{name}") as chip:
             info = chip.get_info()
     except PermissionError:
         return "", None, "no permission"

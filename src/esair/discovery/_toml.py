@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterable
 
+from esair.discovery._can import VIRTUAL
 from esair.discovery._device import Device
 
 
@@ -56,7 +57,8 @@ def toml(device: Device) -> str:
 def _how_to_start(device: Device) -> tuple[str, ...]:
     if not device.state.startswith("down"):
         return ()
-    kind = " type can bitrate 500000" if device.bitrate is None else ""
+    is_set = device.bitrate is not None or device.description == VIRTUAL
+    kind = "" if is_set else " type can bitrate 500000"
     return (f"# it is down: sudo ip link set {device.path} up{kind}",)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from esair.buses import SerialBus, SerialLink
+from esair.buses._inbox import within
 from esair.exceptions import DeviceLostError
 from esair.framing import Framing
 from esair.wires import MemoryLine, PtyLine
@@ -167,8 +168,7 @@ class FakeSerial(SerialBus):
         waiter = (matches, future)
         self._waiting_tests.append(waiter)
         try:
-            async with asyncio.timeout(timeout):
-                return await future
+            return await within(future, timeout)
         except TimeoutError:
             raise TimeoutError(
                 f"{self.name}: {wanted!r} was not sent in {timeout:g} s; "

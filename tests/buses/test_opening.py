@@ -1,0 +1,205 @@
+"""Opening a bus: shared by all who ask, ended by a close, and nothing left behind."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from esair.buses import Bus, I2CBus
+from esair.drivers.servo import ServoBus
+from esair.exceptions import DeviceLostError
+from esair.testing import FakeSerial
+
+
+class Slow:
+    """Opens when it is told to, in a thread, and counts what is closed."""
+
+    def __init__(self) -> None:
+        self.begun = threading.Event()
+        self.go = threading.Event()
+        self.opened = threading.Event()
+        self.closed = threading.Event()
+
+    def __call__(self) -> Slow:
+        self.begun.set()
+        self.go.wait(30)
+        self.opened.set()
+        return self
+
+    def close(self) -> None:
+        self.closed.set()
+
+
+@pytest.fixture
+def slow() -> Iterator[Slow]:
+    found = Slow()
+    yield found
+    found.go.set()
+
+
+def i2c(opener: Slow) -> Bus:
+    return I2CBus(name="front", opener=opener)  # type: ignore[arg-type, return-value]
+
+
+def servos(opener: Slow) -> Bus:
+    return ServoBus(name="front", opener=opener)  # type: ignore[arg-type, return-value]
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("X09", "D21")
+@pytest.mark.parametrize("make", [i2c, servos])
+@pytest.mark.parametrize("finished", [False, True])
+async def test_what_opens_after_a_close_is_closed(
+    slow: Slow, make: Callable[[Slow], Bus], finished: bool
+) -> None:
+    """Also what is open, if the loop has not seen it yet: no descriptor is left."""
+    bus = make(slow)
+    opening = asyncio.ensure_future(bus.open())
+    assert await asyncio.to_thread(slow.begun.wait, 10)
+    if finished:
+        slow.go.set()
+        assert slow.opened.wait(10)  # the thread is done, the loop has not looked
+
+    await bus.close()
+    slow.go.set()
+
+    with pytest.raises(DeviceLostError, match="closed while it was opened"):
+        await opening
+    assert await asyncio.to_thread(slow.closed.wait, 10)
+    assert not bus.is_open
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D21")
+@pytest.mark.parametrize("make", [i2c, servos])
+async def test_what_opens_too_late_is_closed(
+    slow: Slow, make: Callable[[Slow], Bus], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody waits for it any more; the next opening gets another."""
+    monkeypatch.setattr("esair.buses._i2c.OPEN_TIMEOUT", 0.05)
+    monkeypatch.setattr("esair.drivers.servo.OPEN_TIMEOUT", 0.05)
+    bus = make(slow)
+
+    with pytest.raises(DeviceLostError, match=r"0\.05 s"):
+        await bus.open()
+    slow.go.set()
+
+    assert await asyncio.to_thread(slow.closed.wait, 10)
+    await bus.open()
+    await bus.close()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D18", "D21")
+@pytest.mark.parametrize("make", [i2c, servos])
+async def test_what_is_closed_behind_too_many_calls_is_closed(
+    slow: Slow, make: Callable[[Slow], Bus]
+) -> None:
+    """A close is not one more call that could be refused."""
+    slow.go.set()
+    bus = make(slow)
+    await bus.open()
+    stuck = threading.Event()
+    bus.lane.limit = 1
+    calls = [asyncio.ensure_future(bus.lane.call(stuck.wait, timeout=20))]
+    await asyncio.sleep(0)
+    while bus.lane.waiting:  # noqa: ASYNC110 - nobody tells
+        await asyncio.sleep(0.001)
+    calls.append(asyncio.ensure_future(bus.lane.call(stuck.wait, timeout=20)))
+    await asyncio.sleep(0)
+    assert bus.lane.waiting == bus.lane.limit
+
+    await bus.close()
+    stuck.set()
+
+    assert await asyncio.to_thread(slow.closed.wait, 10)
+    await asyncio.gather(*calls)
+
+
+class Waiting(Bus):
+    """A bus that opens when it is told to."""
+
+    def __init__(self) -> None:
+        super().__init__(name="front")
+        self.go = asyncio.Event()
+        self.ended = 0
+
+    async def _open(self) -> None:
+        try:
+            await self.go.wait()
+        finally:
+            await asyncio.sleep(0.01)  # it tidies up
+            self.ended += 1
+
+    async def _close(self) -> None:
+        return None
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("X09")
+async def test_a_close_ends_the_opening_and_cancels_nobody_who_waits_for_it() -> None:
+    """They are told; a task that is cancelled though nobody asked would just be gone."""
+    bus = Waiting()
+    waiting = [asyncio.ensure_future(bus.open()) for _ in range(2)]
+    await asyncio.sleep(0.01)
+
+    await bus.close()
+
+    assert bus.ended == 1
+    results = await asyncio.gather(*waiting, return_exceptions=True)
+    assert [type(each) for each in results] == [DeviceLostError] * 2
+
+
+@pytest.mark.virtual_clock
+async def test_a_bus_opens_again_right_after_a_close() -> None:
+    """Nobody joins the opening that the close has ended."""
+    bus = Waiting()
+    first = asyncio.ensure_future(bus.open())
+    await asyncio.sleep(0.01)
+    await bus.close()
+    bus.go.set()
+
+    await bus.open()
+
+    assert bus.is_open
+    with pytest.raises(DeviceLostError):
+        await first
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("X09")
+async def test_whoever_gives_up_waiting_leaves_the_opening_to_the_others() -> None:
+    """One of two who wait is cancelled: it is, and the other gets an open bus."""
+    bus = Waiting()
+    one, other = (asyncio.ensure_future(bus.open()) for _ in range(2))
+    await asyncio.sleep(0.01)
+    one.cancel()
+    bus.go.set()
+    await other
+
+    assert one.cancelled()
+    assert bus.is_open
+    await bus.close()
+
+
+@pytest.mark.skipif(sys.version_info < (3, 12), reason="eager tasks came with 3.12")
+@pytest.mark.virtual_clock
+@pytest.mark.fault("D04")
+async def test_a_lost_bus_opens_again_in_a_loop_with_eager_tasks() -> None:
+    """Its opening may be over before anybody has noted that it began."""
+    loop = asyncio.get_running_loop()
+    loop.set_task_factory(asyncio.eager_task_factory)
+    bus = FakeSerial("front")
+    await bus.open()
+    bus.lost(DeviceLostError("front", "gone"))
+
+    await bus.open()
+
+    assert bus.is_open
+    assert bus.stats.opened == 2
+    await bus.close()
