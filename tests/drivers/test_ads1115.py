@@ -107,6 +107,21 @@ async def test_sensors_of_one_chip_convert_in_turn() -> None:
 
 
 @pytest.mark.virtual_clock
+@pytest.mark.fault("I07")
+async def test_a_conversion_that_nobody_waits_for_is_not_taken_for_another() -> None:
+    """The chip begins no other while one is under way: its end is waited for first."""
+    chip = FakeAds1115(0.1, 0.2)
+    first, second = await sensors_on(chip, 0, 1, full_scale=0.512, data_rate=8)
+    reading = asyncio.ensure_future(first.read())
+    await asyncio.sleep(0.01)
+    reading.cancel()
+
+    assert await second.read() == pytest.approx(0.2, abs=2e-5)
+    assert await first.read() == pytest.approx(0.1, abs=2e-5)
+    assert chip.conversions == ["0", "1", "0"]
+
+
+@pytest.mark.virtual_clock
 @pytest.mark.parametrize("data_rate", DATA_RATES)
 async def test_a_reading_takes_as_long_as_a_conversion(data_rate: int) -> None:
     """With the tolerance of the chip's clock; the bus is free for others meanwhile."""

@@ -196,11 +196,36 @@ async def test_a_chip_that_lost_its_power_is_at_fault() -> None:
     await sensor.read()
 
     chip.write(0xE0, b"\xb6")
-    with pytest.raises(DeviceFaultError, match=r"has not measured.*lost its power"):
+    with pytest.raises(DeviceFaultError, match=r"settings are gone.*lost its power"):
         await sensor.read()
 
     await sensor.open()
     assert (await sensor.read()).temperature == pytest.approx(21.0, abs=0.02)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("D26")
+@pytest.mark.parametrize("place", [0, 1, 2])
+async def test_a_value_may_be_the_number_of_what_was_not_measured(place: int) -> None:
+    """One air temperature, near 26 °C, is that number, and one humidity."""
+    usual = [0x65A00, 0x7FF00, 0x6000]
+    chip = FakeBme280()
+    chip.raw = (usual[0], usual[1], usual[2])
+    sensor = await sensor_on(chip)
+    before = await sensor.read()
+
+    usual[place] = [0x80000, 0x80000, 0x8000][place]
+    chip.raw = (usual[0], usual[1], usual[2])
+    value = await sensor.read()
+
+    assert value == compensate(block(*usual), CALIBRATION)
+    assert value != before
+
+
+def test_what_nothing_was_measured_of_is_no_climate() -> None:
+    """All three numbers of a chip that has only just got its power."""
+    with pytest.raises(ValueError, match="not measured"):
+        compensate(block(0x80000, 0x80000, 0x8000), CALIBRATION)
 
 
 @pytest.mark.virtual_clock

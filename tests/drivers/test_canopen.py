@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import os
+import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from canopen.objectdictionary import import_od
+from hypothesis import given
+from hypothesis import strategies as st
 
 import esair
 from esair.buses import CanBus, SerialBus
-from esair.drivers.canopen import CanopenActuator, CanopenNetwork, CanopenSensor
+from esair.drivers.canopen import (
+    CanopenActuator,
+    CanopenNetwork,
+    CanopenSensor,
+    Mapped,
+)
 from esair.exceptions import (
     BusyError,
     ConfigError,
@@ -266,6 +275,39 @@ async def test_a_pdo_is_a_reading(rig: Any) -> None:
         await stream.aclose()
     assert not position.can_be_asked
     assert sensor(wire).can_be_asked
+
+
+@given(
+    index=st.sampled_from([0x6064, 0x6041, 0x2001]),
+    length=st.integers(1, 32),
+    offset=st.integers(0, 40),
+    around=st.integers(0, 2**72 - 1),
+    data=st.data(),
+)
+def test_an_object_may_lie_anywhere_in_a_pdo(
+    index: int, length: int, offset: int, around: int, data: st.DataObject
+) -> None:
+    """Between bytes too, and with fewer bits than it has itself."""
+    variable: Any = import_od(str(MOTOR), 5)[index]
+    length = 1 if index == 0x2001 else min(length, len(variable))
+    signed = index == 0x6064
+    least = -(1 << length - 1) if signed else 0
+    value = data.draw(st.integers(least, least + (1 << length) - 1))
+    mask = (1 << length) - 1
+    bits = around & ~(mask << offset) | (value & mask) << offset
+    mapped = Mapped(variable, 0x185, 9, offset, length)
+
+    assert mapped.decode(bits.to_bytes(9, "little")) == value
+
+
+def test_a_number_with_a_point_may_lie_anywhere_in_a_pdo() -> None:
+    """It has all its bits."""
+    dictionary: Any = import_od(str(MOTOR), 5)
+    packed = int.from_bytes(struct.pack("<f", -0.75), "little") << 5
+
+    mapped = Mapped(dictionary[0x2000][1], 0x185, 5, 5, 32)
+
+    assert mapped.decode(packed.to_bytes(5, "little")) == -0.75
 
 
 async def test_an_object_that_is_in_no_pdo_is_told(rig: Any) -> None:

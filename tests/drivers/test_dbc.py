@@ -427,6 +427,8 @@ async def test_without_a_cycle_each_command_is_sent_once(fake_can: Any) -> None:
         ),
         ({"safe": 0.0}, "safe: expected a table of signals"),
         ({"safe": {"left": 0.0, "right": 0.0}, "limits": {"left": (1, 2)}}, "1 to 2"),
+        ({"limits": (1, 2)}, "limits: expected a table by signal, not (1, 2)"),
+        ({"limits": {"left": ("a", "b")}}, "limits.left: expected (least, greatest)"),
         ({"signal": "left"}, "safe: expected a number"),
         ({"fixed": {"gear": "hihg"}}, "safe:"),
         ({"cycle": 0.0}, "cycle: expected a number of seconds"),
@@ -527,3 +529,113 @@ async def test_repeats_that_find_no_room_are_left_out_until_they_are_a_fault(
 
         assert [type(error) for error in errors] == told
         assert (len(wire.sent) > before + 5) is (told == [])
+
+
+def described(folder: Path, *lines: str, length: int = 8) -> Path:
+    """A file with one message, M, of these signals."""
+    (file := folder / "one.dbc").write_text(
+        f'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 100 M: {length} A\n' + "\n".join(lines)
+    )
+    return file
+
+
+MODES = (
+    ' SG_ mode M : 0|8@1+ (1,0) [0|3] "" A',
+    ' SG_ low m0 : 8|8@1+ (1,0) [0|0] "" A',
+    ' SG_ high m1 : 8|8@1+ (1,0) [5|9] "" A',
+    ' SG_ gear : 16|8@1+ (1,0) [0|3] "" A',
+    ' SG_ ratio : 32|32@1- (1,0) [0|0] "" A\n',
+    'VAL_ 100 gear 0 "off" 1 "on" 15 "missing" ;',
+    "SIG_VALTYPE_ 100 ratio : 1;\n",
+)
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize(
+    ("signal", "fixed", "safe", "good", "bad", "told"),
+    [
+        ("ratio", {}, 0.0, 3.4e38, 3.5e38, r"expected -3\.40282e\+38 to"),
+        ("gear", {}, 0, 15, 4, "expected 0 to 3, not 4"),
+        ("mode", {}, 0, 1, 2, "Expected one of {0 or 1}"),
+        ("high", {"mode": 1}, 5.0, 9, 10, "expected 5 to 9, not 10"),
+    ],
+)
+async def test_no_bad_value_of_one_signal_is_a_fault_of_the_device(
+    fake_can: Any,
+    tmp_path: Path,
+    signal: str,
+    fixed: Any,
+    safe: Any,
+    good: float,
+    bad: float,
+    told: str,
+) -> None:
+    """It is refused before it leaves, however often; none becomes infinite."""
+    wire = fake_can("drive")
+    device = DbcActuator(
+        name="one",
+        bus=wire,
+        database=described(tmp_path, *MODES),
+        message="M",
+        signal=signal,
+        fixed=fixed,
+        safe=safe,
+    )
+    async with driven(device) as robot:
+        right = await robot.resources.register("me", "one", esair.Access.WRITE)
+        for _ in range(4):
+            with pytest.raises(BadValueError, match=told):
+                await robot.actuators.write(right, bad)
+        assert await robot.actuators.write(right, good)
+        await asyncio.sleep(0)
+
+        sent = device.codec.decode(wire.sent[-1].data)[signal]
+        assert sent == pytest.approx(good, rel=1e-6)
+        assert robot.resources.query("one").faults == 0
+
+
+async def test_a_message_that_no_frame_fits_has_bytes_to_spare(
+    fake_can: Any, tmp_path: Path
+) -> None:
+    """With CAN FD 10 bytes travel in a frame of 12."""
+    wire = fake_can("drive", fd=True)
+    file = described(tmp_path, ' SG_ last : 72|8@1+ (1,0) [0|0] "" A\n', length=10)
+    far = DbcActuator(
+        name="far", bus=wire, database=file, message="M", signal="last", safe=0
+    )
+    near = DbcSensor(name="near", bus=wire, database=file, message="M", signal="last")
+    async with (
+        opened(near),
+        opened(far),
+        aclosing(near.stream()) as stream,  # type: ignore[type-var]
+    ):
+        waiting = asyncio.ensure_future(anext(stream))
+        await asyncio.sleep(0)
+        await far.write(7.0)
+        await asyncio.sleep(0)
+        assert wire.sent[-1].data == bytes([*[0] * 9, 7, 0, 0])
+        wire.feed(100, wire.sent[-1].data)
+        assert await waiting == 7
+
+
+async def test_a_number_of_frames_may_have_a_name(
+    fake_can: Any, tmp_path: Path
+) -> None:
+    """It counts on in any case."""
+    wire = fake_can("drive")
+    sensor = DbcSensor(
+        bus=wire,
+        database=described(tmp_path, *MODES),
+        message="M",
+        sequence="gear",
+        choices="names",
+        name="counted",
+    )
+    async with opened(sensor), aclosing(sensor.stream()) as stream:  # type: ignore[type-var]
+        waiting = asyncio.ensure_future(anext(stream))
+        await asyncio.sleep(0)
+        for number in (0, 2, 2, 3):
+            wire.feed(100, bytes([0, 0, number, 0, 0, 0, 0, 0]))
+        assert [(await waiting)["gear"], (await anext(stream))["gear"]] == ["off", 2]
+        assert (await anext(stream))["gear"] == 3
+    assert (sensor.missed, sensor.repeated) == (1, 1)

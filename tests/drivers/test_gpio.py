@@ -79,6 +79,23 @@ async def test_each_change_is_a_reading(chip: FakeGpioChip) -> None:
         assert device.missed == 0
 
 
+async def test_a_stream_that_begins_again_goes_on_where_it_was(
+    chip: FakeGpioChip,
+) -> None:
+    """As after a fault: not with what the line was when it was opened."""
+    device = button(chip)
+    async with followed(device) as (_, stream):
+        chip.drive(3, True)
+        assert await anext(stream) is True
+        await stream.aclose()
+
+        again: Any = device.stream()
+        assert await anext(again) is True
+        chip.drive(3, False)
+        assert await anext(again) is False
+        await again.aclose()
+
+
 async def test_active_low_turns_values_around(chip: FakeGpioChip) -> None:
     """A button to ground is True when it is pressed."""
     chip.drive(3, True)
@@ -100,6 +117,8 @@ async def test_a_bounce_is_no_change(chip: FakeGpioChip) -> None:
             await asyncio.sleep(0.001)
         assert await anext(stream) is True
         waiting = asyncio.ensure_future(anext(stream))
+        for level in (False, True):  # it was not steady, and is what it was
+            chip.drive(3, level)
         await asyncio.sleep(1.0)
         assert not waiting.done()
         device.apply(debounce=0.0)

@@ -195,6 +195,25 @@ async def test_idle_takes_its_power_with_the_safe_command(rig: Any) -> None:
     assert fake.state is IDLE
 
 
+async def test_an_arming_that_found_no_room_is_tried_with_the_next_command(
+    rig: Any,
+) -> None:
+    """It is no fault of the axis."""
+    wire, fake, axis = rig()
+    async with robot_with(axis) as robot:
+        wire.full(1000)
+        with pytest.raises(OSError, match=r"no frame was sent|did not return"):
+            await write(robot, 3.0)
+        wire.full(0)
+        assert not axis.is_armed
+
+        await write(robot, 3.0)
+        assert fake.requests == [CLOSED_LOOP]
+        assert fake.velocity == pytest.approx(3.0)
+        await asyncio.sleep(1.0)
+        assert state_of(robot) is esair.ResourceState.READY
+
+
 async def test_one_that_was_left_armed_gets_its_safe_command_first(rig: Any) -> None:
     """The program before this one was killed while the motor turned."""
     _, fake, axis = rig()

@@ -269,3 +269,9 @@ def test_a_fake_locks_its_frequency_while_it_runs() -> None:
     assert chip.frequency == pytest.approx(1017.3, abs=0.1)
     chip.write(0xFA, encode_steps(1024))
     assert [chip.duty(each) for each in range(16)] == [0.25] * 16
+
+
+@pytest.mark.virtual_clock
+async def test_what_was_never_opened_closes() -> None:
+    """Also without a bus: it has claimed no channel."""
+    await PwmChannel(channel=0).close()

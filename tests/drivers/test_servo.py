@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 import esair
+from esair.buses import _serial_port
 from esair.drivers.servo import (
     CENTER,
     GOAL_POSITION,
@@ -420,6 +421,75 @@ async def test_a_call_that_never_returns_costs_only_its_caller(
 
     assert asyncio.get_running_loop().time() - begin < 5.0
     release.set()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D22")
+async def test_a_request_that_nobody_waits_for_any_more_is_not_made(
+    fakes: FakeServos, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind a slow one: whoever was told that it failed finds nothing has moved."""
+    go = threading.Event()
+    really = fakes.heard
+    monkeypatch.setattr(fakes, "heard", lambda data: go.wait(30) and really(data))
+    bus = ServoBus(name="arm", opener=fakes.open, timeout=0.05)
+    await bus.open()
+    results = await asyncio.gather(
+        bus.ping(1),
+        bus.write(2, GOAL_POSITION, 4, 1234),
+        return_exceptions=True,
+    )
+    assert [type(each) for each in results] == [DriverStuckError] * 2
+
+    go.set()
+    assert await bus.lane.join(10)
+
+    assert [instruction for _, instruction, _ in fakes.written] == [PING]
+    await bus.close()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("X09")
+async def test_an_opening_that_a_close_has_ended_keeps_no_port(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another bus gets the port, which has one user."""
+    begun, go, shut = threading.Event(), threading.Event(), threading.Event()
+    really, shut_really = _serial_port.open_port, _serial_port.Port.shut
+
+    def open_port(*args: Any) -> _serial_port.Port:
+        begun.set()
+        go.wait(30)
+        return really(*args)
+
+    def shut_port(port: _serial_port.Port) -> None:
+        shut_really(port)
+        shut.set()
+
+    monkeypatch.setattr(_serial_port, "open_port", open_port)
+    monkeypatch.setattr(_serial_port.Port, "shut", shut_port)
+    bus = ServoBus(name="arm", port=terminal.path)
+    opening = asyncio.ensure_future(bus.open())
+    assert await asyncio.to_thread(begun.wait, 10)
+
+    await bus.close()
+    go.set()
+
+    with pytest.raises(DeviceLostError):
+        await opening
+    assert await asyncio.to_thread(shut.wait, 10)
+    other = ServoBus(name="leg", port=terminal.path)
+    await other.open()
+    await other.close()
+
+
+def test_its_limits_are_the_angles_that_it_can_reach(bus: ServoBus) -> None:
+    """A whole turn is one step less than two π: the servo refuses step 4096."""
+    servo = Servo(name="elbow", bus=bus, safe=RELEASE)
+
+    low, high = servo.limits["angle"]  # type: ignore[call-overload, index, misc]
+
+    assert (to_steps(low), to_steps(high)) == (0, 4095)
 
 
 @pytest.mark.real_clock

@@ -118,6 +118,7 @@ class Channel:
             )
         self.number = channel
         self.frequency = float(frequency)
+        self._chip: Chip | None = None
 
     @property
     def register(self) -> int:
@@ -152,7 +153,7 @@ class Channel:
 
     def close(self) -> None:
         """Leave the channel to others."""
-        chip = _chips.get(self.owner.bus, {}).get(self.address)
+        chip, self._chip = self._chip, None
         if chip is not None and chip.channels.get(self.number) is self.owner:
             del chip.channels[self.number]
 
@@ -179,6 +180,7 @@ class Channel:
                 "a chip has one frequency for all its channels",
             )
         chip.channels[self.number] = self.owner
+        self._chip = chip
 
     def _set_up(self, link: RegisterLink) -> int:
         """Wake the chip and set its frequency, if nobody has; then be off.

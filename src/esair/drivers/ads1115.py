@@ -9,6 +9,8 @@ import asyncio
 import weakref
 from typing import Any
 
+import attrs
+
 from esair.buses import I2CBus
 from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
 from esair.exceptions import ConfigError, DeviceFaultError
@@ -43,9 +45,23 @@ TOLERANCE = 1.1
 """How much longer a conversion may take: the chip's clock is good to 10 percent."""
 
 _PATIENCE = 10
-_chips: weakref.WeakKeyDictionary[I2CBus, dict[int, asyncio.Lock]] = (
-    weakref.WeakKeyDictionary()
-)
+
+
+@attrs.define
+class Chip:
+    """What is known of a chip that several sensors use.
+
+    Attributes:
+        turn: Who converts.
+        under_way: The data rate of a conversion whose end nobody has seen yet, in Hz;
+            None if there is none.
+    """
+
+    turn: asyncio.Lock = attrs.field(factory=asyncio.Lock)
+    under_way: int | None = None
+
+
+_chips: weakref.WeakKeyDictionary[I2CBus, dict[int, Chip]] = weakref.WeakKeyDictionary()
 
 
 def config_for(channel: str, full_scale: float, data_rate: int) -> int:
@@ -123,25 +139,36 @@ class Ads1115(Sensor[float]):
     async def read(self) -> float:
         """Convert once and wait for it."""
         bus = i2c_bus(self)
-        lock = _chips.setdefault(bus, {}).setdefault(self.address, asyncio.Lock())
-        async with lock:  # or another sensor would change what is converted
+        chip = _chips.setdefault(bus, {}).setdefault(self.address, Chip())
+        async with chip.turn:  # or another sensor would change what is converted
+            if chip.under_way is not None:
+                # Whoever began it was cancelled. Until its end the chip begins no other,
+                # and what it gives is the voltage at that one's input.
+                await self._end_of_conversion(bus, chip, chip.under_way)
             full_scale = self._full_scale
             config = config_for(self.channel, full_scale, self._data_rate)
+            chip.under_way = self._data_rate
             await bus.write(
                 self.address, CONFIG, config.to_bytes(2, "big"), idempotent=True
             )
-            await asyncio.sleep(TOLERANCE / self._data_rate)
-            for _ in range(_PATIENCE):
-                state = await bus.read(self.address, CONFIG, 2)
-                now = int.from_bytes(state, "big")
-                if now & ~START != config & ~START:
-                    raise DeviceFaultError(
-                        self.name,
-                        f"CONFIG is {now:#06x} instead of {config:#06x}: the chip has "
-                        "lost its power, or somebody else uses it",
-                    )
-                if now & START:
-                    block = await bus.read(self.address, CONVERSION, 2)
-                    return decode_volts(block, full_scale)
-                await asyncio.sleep(0.001)
+            now = await self._end_of_conversion(bus, chip, chip.under_way)
+            if now & ~START != config & ~START:
+                raise DeviceFaultError(
+                    self.name,
+                    f"CONFIG is {now:#06x} instead of {config:#06x}: the chip has "
+                    "lost its power, or somebody else uses it",
+                )
+            block = await bus.read(self.address, CONVERSION, 2)
+            return decode_volts(block, full_scale)
+
+    async def _end_of_conversion(self, bus: I2CBus, chip: Chip, data_rate: int) -> int:
+        """Wait until no conversion is under way; return what is in ``CONFIG`` then."""
+        await asyncio.sleep(TOLERANCE / data_rate)
+        for _ in range(_PATIENCE):
+            state = await bus.read(self.address, CONFIG, 2)
+            now = int.from_bytes(state, "big")
+            if now & START:
+                chip.under_way = None
+                return now
+            await asyncio.sleep(0.001)
         raise DeviceFaultError(self.name, "the conversion does not end")

@@ -43,7 +43,7 @@ FORCED = 0x01
 """The mode of ``CTRL_MEAS``: measure once, then sleep."""
 
 SKIPPED = 0x80000
-"""A raw temperature or pressure that was not measured."""
+"""A raw temperature or pressure that was not measured, or happens to be this."""
 
 SKIPPED_HUMIDITY = 0x8000
 
@@ -136,13 +136,14 @@ def compensate(block: bytes, calibration: Calibration) -> Climate:
     """Turn the eight registers from ``DATA`` on into SI units.
 
     Raises:
-        ValueError: Something was not measured.
+        ValueError: Nothing was measured.
         ZeroDivisionError: The calibration is that of no chip.
     """
     pressure = int.from_bytes(block[0:3], "big") >> 4
     temperature = int.from_bytes(block[3:6], "big") >> 4
     humidity = int.from_bytes(block[6:8], "big")
-    if SKIPPED in {pressure, temperature} or humidity == SKIPPED_HUMIDITY:
+    # One of them alone is a value: at some 26 °C the temperature is that very number.
+    if pressure == temperature == SKIPPED and humidity == SKIPPED_HUMIDITY:
         raise ValueError("the chip has not measured")
     fine = fine_temperature(temperature, calibration)
     return Climate(
@@ -177,6 +178,7 @@ class Bme280(Sensor[Climate]):
         self.address = check_address(self, address, range(0x76, 0x78))
         self._calibration: Calibration | None = None
         self._samples = 1
+        self._filter = 1
 
     async def open(self) -> None:
         """Check that it is the chip, read its calibration and set it up."""
@@ -221,9 +223,15 @@ class Bme280(Sensor[Climate]):
         )
         await asyncio.sleep(measuring_time(self._samples))
         await self._until_not(bus, MEASURING, "does not end its measurement")
-        block = await bus.read(self.address, DATA, 8)
+        # The settings too, which a chip forgets that was without power.
+        block = await bus.read(self.address, CTRL_HUM, DATA + 8 - CTRL_HUM)
+        humidity, smoothing = block[0] & 0x07, block[CONFIG - CTRL_HUM] >> 2 & 0x07
+        if humidity != code or smoothing != _FILTER.index(self._filter):
+            raise DeviceFaultError(
+                self.name, "its settings are gone: it has lost its power"
+            )
         try:
-            return compensate(block, self._calibration)
+            return compensate(block[DATA - CTRL_HUM :], self._calibration)
         except (ValueError, ZeroDivisionError) as error:
             raise DeviceFaultError(
                 self.name, f"{error}: it has lost its power, or its memory"
@@ -238,7 +246,7 @@ class Bme280(Sensor[Climate]):
             (CONFIG, _FILTER.index(smoothing) << 2),
         ]:
             await bus.write(self.address, register, bytes([value]), idempotent=True)
-        self._samples = oversampling
+        self._samples, self._filter = oversampling, smoothing
 
     async def _until_not(self, bus: I2CBus, bit: int, what: str) -> None:
         for _ in range(_PATIENCE):

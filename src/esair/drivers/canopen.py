@@ -36,6 +36,7 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import attrs
 import canopen
 from canopen.nmt import NmtError
 from canopen.objectdictionary import (
@@ -279,6 +280,36 @@ class _Node:
             )
 
 
+@attrs.frozen
+class Mapped:
+    """Where an object is in a PDO, and what its bits mean.
+
+    Attributes:
+        variable: The object.
+        id: The CAN id of the PDO.
+        size: How many bytes the PDO has.
+        offset: The first bit of the object in it.
+        length: How many bits the object has there.
+    """
+
+    variable: ODVariable
+    id: int
+    size: int
+    offset: int
+    length: int
+
+    def decode(self, data: bytes) -> Any:
+        """Unpack the object from the bytes of the PDO, which are not too few."""
+        number = int.from_bytes(data, "little") >> self.offset & (1 << self.length) - 1
+        kind = self.variable.data_type
+        if kind == _BOOLEAN:
+            return bool(number)
+        if kind in INTEGER_TYPES:
+            negative = kind in SIGNED_TYPES and number >> (self.length - 1)
+            return number - (1 << self.length) if negative else number
+        return self.variable.decode_raw(number.to_bytes(-(-self.length // 8), "little"))
+
+
 _nodes: weakref.WeakKeyDictionary[CanBus, dict[int, _Node]] = (
     weakref.WeakKeyDictionary()
 )
@@ -413,7 +444,7 @@ class CanopenSensor(_OnNode, Sensor[Any]):
         self._describe(node, eds, object, factor, heartbeat, sdo_timeout)
         self.pdo = pdo
         self.bad_frames = 0
-        self._map: Any = None
+        self._mapped: Mapped | None = None
         if not pdo and not self.variable.readable:
             raise ConfigError(
                 self.name, "object", f"{self.variable.qualname!r} cannot be read"
@@ -438,7 +469,7 @@ class CanopenSensor(_OnNode, Sensor[Any]):
         """Open the node; find the PDO that has the object, if it is to come in one."""
         await self._join()
         if self.pdo:
-            self._map = await self._call(self._find_map)
+            self._mapped = await self._call(self._find_mapped)
 
     async def close(self) -> None:
         """Leave the node."""
@@ -450,18 +481,17 @@ class CanopenSensor(_OnNode, Sensor[Any]):
 
     async def stream(self) -> AsyncIterator[Any]:
         """Yield the object from each PDO."""
-        mapped, pdo = self._map
-        inbox = can_bus(self).frames(pdo.cob_id, limit=64)
-        size = (sum(each.length for each in pdo.map) + 7) // 8
+        mapped = self._mapped
+        assert mapped is not None  # as it is open
+        inbox = can_bus(self).frames(mapped.id, limit=64)
         with contextlib.closing(inbox):
             async for frame in inbox:
-                if len(frame.data) < size:
+                if len(frame.data) < mapped.size:
                     self.bad_frames += 1
                     continue
-                pdo.data = bytearray(frame.data)
-                yield self._to_value(mapped.raw)
+                yield self._to_value(mapped.decode(frame.data))
 
-    def _find_map(self) -> tuple[Any, Any]:
+    def _find_mapped(self) -> Mapped:
         """Find a PDO of the node with the object, in the thread."""
         assert self._link is not None
         for pdo in self._link.remote.tpdo.values():
@@ -476,7 +506,14 @@ class CanopenSensor(_OnNode, Sensor[Any]):
                     self.variable.index,
                     self.variable.subindex,
                 ):
-                    return mapped, pdo
+                    bits = sum(each.length for each in pdo.map)
+                    return Mapped(
+                        self.variable,
+                        pdo.cob_id,
+                        (bits + 7) // 8,
+                        mapped.offset,
+                        mapped.length,
+                    )
         raise DeviceFaultError(
             self.name, f"the node sends no PDO with {self.variable.qualname!r}"
         )

@@ -26,15 +26,18 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import math
+import sys
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import cantools.database
 from cantools.database.can import Database, Message, Signal
 from cantools.database.errors import Error as CantoolsError
 
 from esair.buses import CanBus
+from esair.buses._can_frame import FD_SIZES
 from esair.drivers._on_can import can_bus
 from esair.exceptions import (
     BadValueError,
@@ -52,6 +55,9 @@ __all__ = ["DbcActuator", "DbcSensor"]
 
 _NUMBERS = (int, float)
 
+_LARGEST: Final = {16: 65_504.0, 32: (2 - 2**-23) * 2.0**127, 64: sys.float_info.max}
+"""The largest number of a floating-point signal, by its bits; IEEE 754."""
+
 Signals = dict[str, Any]
 """Signals by name: numbers in the unit of each, or the names of its choices."""
 
@@ -63,6 +69,8 @@ class FrameError(ValueError):
 class MessageCodec:
     """What the frames of one message mean: bytes to signals and back, without I/O.
 
+    With CAN FD a message has more bytes than it describes if no frame is that short.
+
     Args:
         message: The message, as cantools read it.
         names: Whether choices are decoded to their names; else they are numbers.
@@ -71,6 +79,8 @@ class MessageCodec:
     def __init__(self, message: Message, *, names: bool = False) -> None:
         self.message = message
         self.names = names
+        fitting = [size for size in FD_SIZES if size >= message.length]
+        self.size: int = min(fitting, default=message.length)
         self.signals: dict[str, Signal] = {
             signal.name: signal for signal in message.signals
         }
@@ -82,12 +92,12 @@ class MessageCodec:
             FrameError: The length is wrong, or the multiplexer selects nothing.
         """
         message = self.message
-        if len(data) != message.length:
-            raise FrameError(
-                f"{message.name} has {message.length} bytes, not {len(data)}"
-            )
+        if len(data) != self.size:
+            raise FrameError(f"{message.name} has {self.size} bytes, not {len(data)}")
         try:
-            values = message.decode_simple(data, decode_choices=self.names)
+            values = message.decode_simple(
+                data[: message.length], decode_choices=self.names
+            )
         except (CantoolsError, ValueError, KeyError) as error:
             raise FrameError(f"{message.name}: {describe(error)}") from error
         if self.names:  # a choice is an object of cantools
@@ -104,9 +114,15 @@ class MessageCodec:
             FrameError: A signal is missing, or its value does not fit.
         """
         try:
-            return self.message.encode(values)
+            return self.message.encode(values).ljust(self.size, b"\0")
         except (CantoolsError, ValueError, KeyError, TypeError) as error:
             raise FrameError(f"{self.message.name}: {describe(error)}") from error
+
+    def number(self, name: str, value: float | str) -> float:
+        """Return the number behind a value of a signal, which may be a choice's name."""
+        if isinstance(value, str):
+            return float(self.signals[name].conversion.choice_to_number(value))
+        return value
 
     def selected(self, values: Mapping[str, Any]) -> set[str]:
         """Return which signals a frame with these values has.
@@ -121,23 +137,23 @@ class MessageCodec:
             raise FrameError(text) from error
 
 
-def bounds(signal: Signal) -> tuple[float, float] | None:
+def bounds(signal: Signal) -> tuple[float, float]:
     """Return what a signal can be at least and at most, by its limits and its bits."""
-    low: Any = signal.minimum
-    high: Any = signal.maximum
-    if not signal.is_float:
+    raw: tuple[float, float]
+    if signal.is_float:
+        raw = (-_LARGEST[signal.length], _LARGEST[signal.length])
+    else:
         bits = signal.length - 1 if signal.is_signed else signal.length
         raw = (-(1 << bits) if signal.is_signed else 0, (1 << bits) - 1)
-        ends = sorted(
-            _number(signal.conversion.raw_to_scaled(each, decode_choices=False))
-            for each in raw
-        )
-        low = ends[0] if low is None else max(float(low), ends[0])
-        high = ends[1] if high is None else min(float(high), ends[1])
-    if low is None and high is None:
-        return None
-    inf = float("inf")
-    return (-inf if low is None else float(low), inf if high is None else float(high))
+    low, high = sorted(
+        _number(signal.conversion.raw_to_scaled(each, decode_choices=False))
+        for each in raw
+    )
+    if signal.minimum is not None:
+        low = max(float(signal.minimum), low)
+    if signal.maximum is not None:
+        high = min(float(signal.maximum), high)
+    return low, high
 
 
 def _number(value: Any) -> float:
@@ -266,7 +282,7 @@ class DbcSensor(Sensor[Any]):
             self.bad_frames += 1
             raise
         if self.sequence is not None and self.sequence in values:
-            number = int(values[self.sequence])
+            number = int(self.codec.number(self.sequence, values[self.sequence]))
             before, self._number = self._number, number
             if before is not None:
                 step = (number - before) % self._modulus
@@ -437,23 +453,26 @@ class DbcActuator(Actuator[Any]):
     def _narrowed(self, given: Any) -> Any:
         """Return the limits of the file, narrowed by those that were given."""
         by_file = {
-            name: limit
+            name: bounds(signal)
             for name, signal in self.codec.signals.items()
             if self._is_free(name)
             and not signal.choices
-            and not signal.multiplexer_ids
-            and (limit := bounds(signal)) is not None
+            and (not signal.multiplexer_ids or self.signal is not None)
         }
         if self.signal is not None:
             free = {} if given is None else {self.signal: given}
-        else:
+        elif given is None or isinstance(given, Mapping):
             free = dict(given or {})
+        else:
+            raise ConfigError(
+                self.name, "limits", f"expected a table by signal, not {given!r:.80}"
+            )
         for name, limit in free.items():
             field = "limits" if self.signal is not None else f"limits.{name}"
             signal = find_signal(self.name, field, self.codec, name)
             try:
                 low, high = limit
-                fits = low <= high
+                fits = -math.inf <= low <= high <= math.inf
             except (TypeError, ValueError):
                 fits = False
             if not fits:
@@ -465,7 +484,7 @@ class DbcActuator(Actuator[Any]):
                     self.name, field, "it is multiplexed: it has the limits of the file"
                 )
             allowed = bounds(signal)
-            if allowed is not None and not (allowed[0] <= low and high <= allowed[1]):
+            if not (allowed[0] <= low and high <= allowed[1]):
                 raise ConfigError(
                     self.name,
                     field,
@@ -493,11 +512,11 @@ class DbcActuator(Actuator[Any]):
     def _type_of_commands(self) -> Any:
         if self.signal is None:
             return _checked_type(self.codec.message.name, dict, self._check_signals)
+        signal = self.codec.signals[self.signal]
         if isinstance(self.safe, str):
-            choices = self.codec.signals[self.signal]
-            return _checked_type(
-                self.signal, str, lambda name: self._check(choices, name)
-            )
+            return _checked_type("str", str, self._check_alone)
+        if signal.choices or signal.is_multiplexer:  # limits do not tell what is good
+            return _checked_type("float", float, self._check_alone)
         return float
 
     def _check_safe(self) -> None:
@@ -563,6 +582,15 @@ class DbcActuator(Actuator[Any]):
                     self.name, name, "the multiplexer does not select this signal"
                 )
 
+    def _check_alone(self, command: Any) -> None:
+        """Refuse a value of the only signal with which there is no frame."""
+        assert self.signal is not None
+        self._check(self.codec.signals[self.signal], command)
+        try:
+            self._values(command)
+        except FrameError as error:
+            raise BadValueError(self.name, self.signal, str(error)) from error
+
     def _check(self, signal: Signal, value: Any) -> None:
         name = signal.name
         choices = choices_of(signal)
@@ -578,9 +606,9 @@ class DbcActuator(Actuator[Any]):
                 self.name, name, f"expected a number, not {value!r:.80}"
             )
         limits = self.limits if isinstance(self.limits, Mapping) else {}
-        allowed = bounds(signal)
-        if name in limits or self.signal is not None or allowed is None:
+        if name in limits or value in choices:
             return
+        allowed = bounds(signal)
         if not allowed[0] <= value <= allowed[1]:
             raise BadValueError(
                 self.name,
@@ -667,7 +695,7 @@ def _at_rest(signal: Signal) -> float:
     if signal.initial is not None and not isinstance(signal.initial, str):
         with contextlib.suppress(TypeError, ValueError):
             return _number(signal.initial)
-    low, high = bounds(signal) or (0.0, 0.0)
+    low, high = bounds(signal)
     return min(max(0.0, low), high)
 
 
@@ -677,14 +705,14 @@ class _Checked(type):
     check: Callable[[Any], None]
 
     def __instancecheck__(cls, value: object) -> bool:
-        plain = cls.__mro__[1]
-        if not isinstance(value, plain):
+        if not issubclass(type(value), cls):
             return False
         cls.check(value)
         return True
 
-    def __subclasscheck__(cls, other: type) -> bool:
-        return issubclass(other, cls.__mro__[1])  # each value is looked at
+    def __subclasscheck__(cls, other: type) -> bool:  # each value is looked at
+        plain = cls.__mro__[1]
+        return issubclass(other, plain) or (plain is float and other is int)
 
 
 def _checked_type(name: str, plain: type, check: Callable[[Any], None]) -> type:

@@ -194,12 +194,13 @@ class DigitalInput(_OnLine, Sensor[bool]):
             LineRequest(self.name, chip, line, bias=bias, active_low=active_low), opener
         )
         self.missed = 0
-        self._first = False
+        self._seen = False
+        """What it is as far as the stream has told, or was at the opening."""
 
     def open(self) -> None:
         """Request the line."""
         line = self._open_line(attrs.evolve(self._request, debounce=self.debounce))
-        self._first = line.get()
+        self._seen = line.get()
 
     def close(self) -> None:
         """Let the line go."""
@@ -231,18 +232,18 @@ class DigitalInput(_OnLine, Sensor[bool]):
                 changes.fail(error)
 
         loop.add_reader(descriptor, readable)
-        seen: int | None = None
+        number: int | None = None
         try:
-            yield self._first
+            yield self._seen
             while True:
                 try:
                     edge = await changes.take(timeout=CHECK_PERIOD)
                 except TimeoutError:
                     _check_hang_up(descriptor)
                     continue
-                if seen is not None:
-                    self.missed += edge.number - seen - 1
-                seen = edge.number
+                if number is not None:
+                    self.missed += edge.number - number - 1
+                number, self._seen = edge.number, edge.value
                 yield edge.value
         finally:
             loop.remove_reader(descriptor)

@@ -444,11 +444,11 @@ class OdriveAxis(Actuator[float]):
                 await self._send(Message.SET_AXIS_STATE, encode_state(AxisState.IDLE))
             return
         if self._armed_at is None:
-            self._armed_at = asyncio.get_running_loop().time()
-            self._confirmed = False
             await self._send(
                 Message.SET_AXIS_STATE, encode_state(AxisState.CLOSED_LOOP_CONTROL)
             )
+            self._armed_at = asyncio.get_running_loop().time()
+            self._confirmed = False
         await self._send(message, data)
 
     async def _send(self, message: Message, data: bytes) -> None:

@@ -5,8 +5,18 @@ A series: request and response packets, SCAN, STOP, GET_INFO, GET_HEALTH. The na
 those of that document. Only the plain SCAN is used, which every model answers.
 
 The line runs at 115200 bits per second and has no frames of one kind: ``framing="raw"``.
-The motor is turned by the adapter board, through DTR on most of them; that is outside
-this driver.
+The adapter board of an A1 stops the motor while DTR is raised, which an opened port
+does unless it is told not to::
+
+    [bus.lidar]
+    type = "serial"
+    port = "usb:10c4:ea60"
+    framing = "raw"
+    dtr = false
+
+    [sensor.scan]
+    driver = "rplidar"
+    bus = "lidar"
 """
 
 from __future__ import annotations

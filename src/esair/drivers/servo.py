@@ -40,13 +40,10 @@ from dynamixel_sdk import (  # type: ignore[import-untyped]
 )
 
 from esair.buses import Bus
-from esair.buses._serial_port import (
-    OPEN_TIMEOUT,
-    Opening,
-    Port,
-    SerialPlace,
-    close_port,
-)
+from esair.buses._bus import wanted
+from esair.buses._opening import open_on, shut_on
+from esair.buses._serial_place import SerialPlace
+from esair.buses._serial_port import OPEN_TIMEOUT, Port, close_port, reach_port
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -222,7 +219,7 @@ class ServoBus(Bus):
         self.stats.sent += 1
         try:
             value, result, error = await self.lane.call(
-                self._run, link, call, timeout=self.timeout
+                self._run, link, call, timeout=self.timeout, guard=wanted
             )
         except DriverStuckError as stuck:
             self._count(stuck)
@@ -269,17 +266,23 @@ class ServoBus(Bus):
 
     async def _open(self) -> None:
         await self._close()  # what a loss has left behind
-        place = self._place
-        attempt = None if place is None else Opening(place, self.baudrate, {})
-        try:
-            link = await self.lane.call(self._reach, attempt, timeout=OPEN_TIMEOUT)
-        except DeviceLostError:
-            raise
-        except OSError as error:  # DriverStuckError is one
-            if attempt is not None:
-                attempt.abandon()
-            raise DeviceLostError(self.name, describe(error)) from error
-        self._link = _SdkPort(link, self.baudrate)
+        line: ServoLink
+        if self._opener is None:
+            assert self._place is not None
+            self._device = await reach_port(
+                self.lane, self._place, self.baudrate, {}, {}
+            )
+            line = _PortLink(self._device.fileno())
+        else:
+            try:
+                line = await open_on(
+                    self.lane, self._opener, _close_line, timeout=OPEN_TIMEOUT
+                )
+            except DeviceLostError:
+                raise
+            except OSError as error:  # DriverStuckError is one
+                raise DeviceLostError(self.name, describe(error)) from error
+        self._link = _SdkPort(line, self.baudrate)
 
     async def _close(self) -> None:
         link, self._link = self._link, None
@@ -287,15 +290,12 @@ class ServoBus(Bus):
         if device is not None:
             await close_port(device, self.lane)
         elif link is not None:
-            with contextlib.suppress(DriverStuckError):
-                await self.lane.call(link.line.close, timeout=0.5)
+            await shut_on(self.lane, lambda: _close_line(link.line), timeout=0.5)
 
-    def _reach(self, attempt: Opening | None) -> ServoLink:
-        if attempt is None:
-            assert self._opener is not None
-            return self._opener()
-        self._device = attempt.open()
-        return _PortLink(self._device.fileno())
+
+def _close_line(line: ServoLink) -> None:
+    with contextlib.suppress(OSError):
+        line.close()
 
 
 _LOOK: Final = f"read {HARDWARE_ERROR}"
@@ -447,7 +447,8 @@ class Servo(Actuator[Goal]):
         safe: What makes it safe: ``Goal(mode=Mode.RELEASE)`` takes the torque away (an
             arm sinks), ``Goal(mode=Mode.HOLD)`` holds it where it is (a hand stays
             squeezed). That is a question of the robot, so there is no default.
-        limits: Least and greatest angle, in rad.
+        limits: Least and greatest angle, in rad; the whole turn, which ends one step
+            before π, unless given.
     """
 
     bus: ServoBus
@@ -460,7 +461,7 @@ class Servo(Actuator[Goal]):
         *,
         safe: Goal,
         id: int = 1,  # noqa: A002 - the maker's word
-        limits: tuple[float, float] = (-math.pi, math.pi),
+        limits: tuple[float, float] = (to_angle(0), to_angle(STEPS - 1)),
         **keywords: Any,
     ) -> None:
         super().__init__(**keywords)

@@ -34,6 +34,7 @@ class FakeAds1115:
         self.busy = 1
         self.conversions: list[str] = []
         self._busy = 0
+        self._under_way = _POWER_UP
         self._registers = [0, _POWER_UP, 0x8000, 0x7FFF]
 
     def read(self, register: int, length: int) -> bytes:
@@ -43,10 +44,10 @@ class FakeAds1115:
         if number == CONFIG:
             value = value & ~START if self._busy > 0 else value | START
             if self._busy == 1:
-                self._convert()
+                self._convert(self._under_way)
             self._busy -= 1
         elif number == CONVERSION and not self._registers[CONFIG] & SINGLE:
-            self._convert()
+            self._convert(self._registers[CONFIG])
             value = self._registers[CONVERSION]
         return (value.to_bytes(2, "big") * (length // 2 + 1))[:length]
 
@@ -55,13 +56,15 @@ class FakeAds1115:
         if len(data) < 2 or register & 3 == CONVERSION:
             return
         self._registers[register & 3] = int.from_bytes(data[:2], "big")
-        if register & 3 == CONFIG and self._registers[CONFIG] & START:
-            self._busy = self.busy
-            if not self.busy:
-                self._convert()
-
-    def _convert(self) -> None:
         config = self._registers[CONFIG]
+        # While a conversion is under way no other is begun, and it stays what it is.
+        if register & 3 == CONFIG and config & START and self._busy <= 0:
+            self._busy = self.busy
+            self._under_way = config
+            if not self.busy:
+                self._convert(config)
+
+    def _convert(self, config: int) -> None:
         name = _NAMES[config >> 12 & 7]
         plus, _, minus = name.partition("-")
         volts = self.inputs[int(plus)] - (self.inputs[int(minus)] if minus else 0.0)

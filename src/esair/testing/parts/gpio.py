@@ -105,6 +105,8 @@ class _FakeLine:
         self._steady_for = request.debounce
         self._edges: collections.deque[Edge] = collections.deque(maxlen=chip.edge_limit)
         self._count = 0
+        self._steady = chip.level(number) if request.output is None else None
+        """What an input was last, for longer than it may bounce."""
         self._pending: asyncio.TimerHandle | None = None
         self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         if request.output is not None:
@@ -152,9 +154,9 @@ class _FakeLine:
             os.eventfd_write(self._event, 1)
 
     def _edge(self, level: bool) -> None:
-        value = level is not self.request.active_low
-        if self._edges and self._edges[-1].value is value:
+        if level is self._steady:
             return  # it bounced back
+        self._steady = level
         self._count += 1
-        self._edges.append(Edge(value, self._count))
+        self._edges.append(Edge(level is not self.request.active_low, self._count))
         self.wake()
