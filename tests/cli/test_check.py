@@ -16,6 +16,9 @@ class Motor(esair.Actuator[float]):
     limits = (-1.0, 1.0)
     async def write(self, command: float) -> None: ...
 
+class Endless(Motor):
+    command_timeout = None
+
 class Guarded(Motor):
     safe = 0.0
     own_timeout = 0.5
@@ -164,6 +167,22 @@ def test_an_actuator_without_a_safe_command_is_found(
     assert report["findings"][0]["key"] == "actuator.motor.safe"
     assert report["actuators"][0]["safe"] is None
     assert report["actuators"][0]["when_the_host_dies"] == "it keeps its last command"
+
+
+@pytest.mark.fault("G08")
+def test_an_actuator_that_lacks_more_than_a_safe_command_is_found(
+    robot_file, esair_command, capsys
+) -> None:
+    """Each mistake of its class, beside those of the reaction that writes it."""
+    path = robot_file(
+        '[actuator.motor]\ndriver = "{m}:Endless"\n'
+        '[behavior.blink]\ndriver = "{m}:Blink"\n'
+    )
+    assert esair_command("check", path, "--json") == 1
+
+    found = json.loads(capsys.readouterr().out)["findings"]
+    keys = {each["key"] for each in found if each["severity"] == "error"}
+    assert keys == {"actuator.motor.safe", "actuator.motor.command_timeout"}
 
 
 def test_behaviors_of_one_priority_can_starve_each_other(findings) -> None:

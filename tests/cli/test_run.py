@@ -52,6 +52,15 @@ class Chatter(esair.Behavior):
             for _ in range(20):
                 logging.getLogger("esair").warning("%s", "so much to say " * 20)
 
+class Clumsy(esair.Behavior):
+    async def run(self) -> None:
+        things = ["one"]
+        logging.getLogger("esair").warning("%d is no number", "x")
+        logging.getLogger("esair").warning("there is %s", things)
+        things.append("two")
+        for thing in things:
+            logging.getLogger("esair").warning("it was %s", thing)
+
 class Which(esair.Behavior):
     async def run(self) -> None:
         note(type(asyncio.get_running_loop()).__module__)
@@ -131,6 +140,32 @@ def test_a_log_that_nobody_reads_holds_nothing_up(folder, start) -> None:
 
     assert process.returncode == 0
     assert sent(where).count(1.0) > 50
+    assert sent(where)[-1] == 0.0
+
+
+def test_a_line_that_cannot_be_shown_is_not_the_last_one(folder, start) -> None:
+    """And each is shown as it was when it was said."""
+    process = start("run", "robot.toml", cwd=folder("Clumsy"))
+    _, log = process.communicate(timeout=20)
+
+    assert process.returncode == 0
+    assert "a line of 'esair' cannot be shown: TypeError: %d format" in log
+    assert "there is ['one']" in log
+    assert "it was two" in log
+    assert "Traceback" not in log
+
+
+def test_nobody_needs_to_see_the_log(folder, start) -> None:
+    """A service may start it with its error output closed."""
+    where = folder("Once")
+    code = (
+        "import os, sys; os.close(2); "
+        "os.execv(sys.executable, [sys.executable, '-m', 'esair', 'run', 'robot.toml'])"
+    )
+    process = start(cwd=where, code=code)
+    process.communicate(timeout=20)
+
+    assert process.returncode == 0
     assert sent(where)[-1] == 0.0
 
 

@@ -16,6 +16,8 @@ from typing import Final
 from rich.console import Console
 from rich.logging import RichHandler
 
+from esair.exceptions import describe
+
 LIMIT: Final = 1000
 """How many records may wait for the terminal; what comes then is dropped and counted."""
 
@@ -33,11 +35,7 @@ def shown_log(*, verbose: bool) -> Iterator[None]:
     Args:
         verbose: Whether every line is shown, with tracebacks.
     """
-    # A file of its own and without a buffer: the thread that is stuck in it must not
-    # hold a lock that the interpreter takes when it ends.
-    file = io.FileIO(os.dup(sys.stderr.fileno()), "w")
-    text = io.TextIOWrapper(file, "utf-8", errors="replace", write_through=True)
-    console = Console(file=text, highlight=False)
+    console = _console()
     kind = RichHandler if verbose else _Lines
     handler = _Beside(
         kind(console=console, show_path=False, log_time_format="%H:%M:%S")
@@ -54,12 +52,23 @@ def shown_log(*, verbose: bool) -> Iterator[None]:
         handler.close()
 
 
+def _console() -> Console:
+    try:
+        descriptor = os.dup(sys.stderr.fileno())
+    except (AttributeError, OSError):  # it is closed, or no file at all
+        return Console(stderr=True, highlight=False)
+    # A file of its own and without a buffer: the thread that is stuck in it must not
+    # hold a lock that the interpreter takes when it ends.
+    file = io.FileIO(descriptor, "w")
+    text = io.TextIOWrapper(file, "utf-8", errors="replace", write_through=True)
+    return Console(file=text, highlight=False)
+
+
 class _Lines(RichHandler):
     """Shows what happened, without tracebacks."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        record = copy.copy(record)  # another handler may want the traceback
-        record.exc_info = record.exc_text = None
+        record.exc_info = record.exc_text = None  # the record is a copy
         super().emit(record)
 
 
@@ -77,6 +86,12 @@ class _Beside(logging.Handler):
         self._thread.start()
 
     def emit(self, record: logging.LogRecord) -> None:
+        record = copy.copy(record)
+        try:  # now: what is in the line may be another thing when it is shown
+            record.msg = record.getMessage()
+        except Exception as error:  # the caller's mistake, or a __str__ of anybody
+            record.msg = f"a line of {record.name!r} cannot be shown: {describe(error)}"
+        record.args = None
         try:
             self._records.put_nowait(record)
         except queue.Full:
@@ -92,12 +107,16 @@ class _Beside(logging.Handler):
     def _show(self) -> None:
         told = 0
         while (record := self._records.get()) is not None:
-            self._shown.emit(record)  # not handle(): its lock is taken at the exit
+            self._write(record)
             if self.dropped > told:
                 text = f"{self.dropped - told} lines were dropped: they came too fast"
                 told = self.dropped
-                self._shown.emit(
+                self._write(
                     logging.LogRecord(
                         "esair", logging.WARNING, __file__, 0, text, None, None
                     )
                 )
+
+    def _write(self, record: logging.LogRecord) -> None:
+        with contextlib.suppress(Exception):  # the next line may be better
+            self._shown.emit(record)  # not handle(): its lock is taken at the exit

@@ -138,8 +138,8 @@ def _command_type(cls: type) -> Any:
 
 
 def _is_sound(draft: Draft, actuator: Actuator[Any], key: str) -> bool:
-    """Check what an actuator declares; one without a safe command can be shown."""
+    """Check what an actuator declares; one that only lacks a safe command is shown."""
     errors = check_declaration(actuator)
     for error in errors:
         draft.source.mistakes.caught(key, error, "its declaration")
-    return not errors or not hasattr(actuator, "safe")
+    return not errors or (len(errors) == 1 and not hasattr(actuator, "safe"))
