@@ -229,7 +229,7 @@ async def test_a_device_that_takes_no_bytes_stops_nobody(far: Far, size: int) ->
     assert bus.stats.errors == 1
     assert "stuck" in bus.stats.last_error
     assert bus.waiting == 0
-    assert longest < 0.15
+    assert longest < 1.0
     begin = loop.time()
     await bus.close()
     assert loop.time() - begin < 1.0

@@ -55,6 +55,8 @@ def stub() -> str:
 class TestStub(BusContract):
     """An adapter of the kernel that has the calls of SMBus, and no plain I²C."""
 
+    longest_stall = 3.0  # one slow processor has the kernel and all processes
+
     def make(self) -> I2CBus:
         return I2CBus(name="stub", bus=stub(), timeout=TIMEOUT)
 
@@ -191,6 +193,8 @@ def tiny_bus(**options: Any) -> I2CBus:
 @with_usb
 class TestUsbAdapter(BusContract):
     """An adapter with plain I²C that is pulled out, found again by its name."""
+
+    longest_stall = 3.0  # one slow processor has the kernel and all processes
 
     @pytest.fixture(autouse=True)
     def _plugged(self, adapter) -> None:
