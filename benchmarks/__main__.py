@@ -21,6 +21,7 @@ from benchmarks.cases import (
     garbage,
     lifecycle,
     mediator,
+    minimal,
     reactions,
     starting,
 )
@@ -34,6 +35,7 @@ CASES = {
     "P10,P12": lifecycle,
     "P11": starting,
     "P13": garbage,
+    "P15": minimal,
 }
 
 

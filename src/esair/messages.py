@@ -34,7 +34,7 @@ def check_name(kind: str, name: object) -> str:
 
 def snake_case(name: str) -> str:
     """Turn the name of a class into the name of a component: ``MyArm`` → ``my_arm``."""
-    words = re.sub(r"([A-Z]+)([A-Z][a-z])|([a-z0-9])([A-Z])", r"\1\3_\2\4", name)
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name)
     return words.lower().strip("_")
 
 

@@ -39,6 +39,23 @@ def test_a_digital_input_is_false(machine, level, inverted) -> None:
     assert part.read() is True
 
 
+@pytest.mark.parametrize(
+    ("pull", "level"), [("up", True), ("down", False), ("", False)]
+)
+def test_a_pull_holds_an_open_input(machine, pull, level) -> None:
+    """Nothing is connected: the pull says what is read."""
+    assert opened(DigitalIn(4, pull)).read() is level
+
+
+def test_a_board_without_a_pull_down(machine, monkeypatch) -> None:
+    """Its other pull works all the same."""
+    monkeypatch.delattr(machine.Pin, "PULL_DOWN")
+
+    assert opened(DigitalIn(4, "up")).read() is True
+    with pytest.raises(AttributeError, match="PULL_DOWN"):
+        opened(DigitalIn(4, "down"))
+
+
 def test_a_wrong_pull_is_refused() -> None:
     """There are two."""
     with pytest.raises(ValueError, match="'up', 'down'"):
@@ -72,6 +89,30 @@ def test_a_servo_goes_where_it_is_told(machine) -> None:
     assert machine.outputs[6] == [1750000, 1000000, 1500000, 2000000, 0]
 
 
+def test_a_servo_has_its_own_range_of_pulses(machine) -> None:
+    """And what is outside -1.0 to 1.0 does not get to it."""
+    servo = PwmServo(6, pulse_us=(500, 2500), name="servo")
+
+    class Swing(Reaction):
+        dial = reads(float)
+        servo = writes(float)
+
+        def react(self, dial: float) -> float:
+            return dial
+
+    loop = Loop([Swing()], [AnalogIn(26, 2.0, name="dial")], [servo])
+    machine.analog[26] = 65535
+    loop.step()  # 2.0: refused
+    machine.analog[26] = 32767
+    loop.step()
+    loop.close()
+
+    assert [each // 1000 for each in machine.outputs[6]] == [
+        1500, 1500, 2499, 1500, 0,
+    ]  # fmt: skip
+    assert loop.faults == 1
+
+
 def test_an_analog_input_gives_volts(machine) -> None:
     """Full scale is the reference, times the factor of the divider."""
     machine.analog[26] = 65535
@@ -89,6 +130,23 @@ def test_an_echo_is_a_distance(machine) -> None:
     machine.echoes[3] = 30000
     assert part.read() == math.inf
     assert machine.outputs[2] == [0, 1, 0, 1, 0]
+
+
+def test_an_old_pulse_is_not_taken_for_a_short_one(machine) -> None:
+    """Without an echo the pin stays high for a while; nothing is measured meanwhile."""
+    part = opened(UltrasonicRange(2, 3, reach=2.0))
+    machine.echoes[3] = 38000
+    assert part.read() == math.inf
+    machine.inputs[3] = 1
+    machine.echoes[3] = 1000  # what is left of the pulse
+    assert part.read() == math.inf
+    assert machine.outputs[2] == [0, 1, 0]  # it was not triggered again
+
+    with pytest.raises(OSError, match="the echo pin is high"):
+        part.read()  # it is stuck
+
+    machine.inputs[3] = 0
+    assert part.read() == pytest.approx(0.1715)
 
 
 def test_a_range_finder_that_is_not_there_raises(machine) -> None:

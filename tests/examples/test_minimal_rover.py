@@ -58,9 +58,7 @@ async def test_it_turns_away_in_std_too(pins) -> None:
     sensors, wheels = parts()
     pins.echoes[5] = 800
 
-    async with esair.Robot(
-        resources=[*sensors, wheels], behaviors=[Bump(), Avoid()]
-    ):
+    async with esair.Robot(resources=[*sensors, wheels], behaviors=[Bump(), Avoid()]):
         await asyncio.sleep(0.5)
 
     left, right = pins.outputs[16], pins.outputs[17]

@@ -2,12 +2,16 @@
 
 import asyncio
 import textwrap
+import threading
 
+import hypothesis
 import pytest
-import rules
+from hypothesis import strategies as st
+from tests.minimal import rules
 
 import esair
 from esair import minimal
+from esair.messages import snake_case
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.promise("MIN-2")
@@ -28,7 +32,9 @@ async def test_plain_devices_run_on_worker_threads() -> None:
         assert robot.behaviors.query("go").state is esair.BehaviorState.RUNNING
 
     assert motor.told[0] == motor.told[-1] == 0.0
-    assert 3 <= motor.told.count(0.5) <= 6  # ten times a second, unless it says otherwise
+    assert (
+        3 <= motor.told.count(0.5) <= 6
+    )  # ten times a second, unless it says otherwise
     assert motor.state == "closed"
 
 
@@ -53,14 +59,14 @@ async def test_a_reaction_of_min_beside_one_of_std(fake_sensor, fake_actuator) -
         await motor.until(0.125, timeout=1.0)
 
 
-async def test_it_is_parked_while_its_sensor_is_away(fake_sensor, fake_actuator) -> None:
+async def test_it_is_parked_while_its_sensor_is_away(
+    fake_sensor, fake_actuator
+) -> None:
     """A lost sensor parks it, as any reaction."""
     sonar: FakeSensor[float] = fake_sensor("sonar", 0.5, rate=20.0)
     motor: FakeActuator[float] = fake_actuator("motor", safe=0.0)
 
-    async with esair.Robot(
-        resources=[sonar, motor], behaviors=[Slow("go")]
-    ) as robot:
+    async with esair.Robot(resources=[sonar, motor], behaviors=[Slow("go")]) as robot:
         await motor.until(0.5, timeout=1.0)
         sonar.unplug()
         await motor.until(0.0, timeout=1.0)
@@ -106,6 +112,147 @@ async def test_mistakes_are_named_as_in_std() -> None:
     text = " ".join(str(error) for error in caught.value.exceptions)
     assert "no_safe: safe: an actuator must declare its safe command" in text
     assert "'sonar'" in text
+
+
+@pytest.mark.virtual_clock
+async def test_methods_that_are_missing_are_named_at_the_start() -> None:
+    """A class that forgot its one method does not get into a robot."""
+
+    class Still(minimal.Actuator):
+        safe = 0.0
+
+    class Thoughtless(minimal.Reaction):
+        mute = minimal.reads()
+        still = minimal.writes()
+
+    robot = esair.Robot(
+        resources=[minimal.Sensor("mute"), Still()], behaviors=[Thoughtless()]
+    )
+
+    with pytest.raises(ExceptionGroup) as caught:
+        await robot.__aenter__()
+    assert [str(error) for error in caught.value.exceptions] == [
+        "mute: read: a sensor must have a read or stream method",
+        "still: write: an actuator must have a write method",
+        "thoughtless: react: a reaction must have a react method",
+    ]
+
+
+@hypothesis.given(st.from_regex(r"[A-Z]+([a-z0-9]|_?[A-Z]){0,12}", fullmatch=True))
+def test_names_are_the_same_in_both(name) -> None:
+    """The class name in snake case is the same name on a computer and on a board."""
+    part = type(name, (minimal.Sensor,), {"read": lambda self: 1})()
+    minimal.Loop([], [part], [])
+
+    assert part.name == snake_case(name)
+
+
+@pytest.mark.virtual_clock
+async def test_they_are_added_replaced_and_removed_at_run_time() -> None:
+    """The supervisors take them as they take components of STD."""
+
+    class Back(rules.Go):
+        def react(self, sonar):
+            return -sonar
+
+    motor, other = rules.Motor(), rules.Motor()
+
+    async with esair.Robot() as robot:
+        await robot.resources.add(rules.Sonar(0.5))
+        await robot.resources.add(motor)
+        await robot.behaviors.add(rules.Go())
+        await asyncio.sleep(0.2)
+        assert motor.told[-1] == 0.5
+        await robot.behaviors.replace("go", Back())
+        await asyncio.sleep(0.2)
+        assert motor.told[-1] == -0.5
+        await robot.resources.replace("motor", other)
+        await asyncio.sleep(0.2)
+        assert motor.told[-1] == 0.0
+        assert other.told[-1] == -0.5
+        await robot.behaviors.remove("go")
+        assert other.told[-1] == 0.0
+        assert [motor.state, other.state] == ["closed", "open"]
+
+
+@pytest.mark.virtual_clock
+async def test_a_class_may_say_what_only_std_asks() -> None:
+    """As attributes: how often it restarts, how many faults are too many."""
+
+    class Once(rules.Go):
+        restart = esair.Restart(max=0)
+
+        def react(self, sonar):
+            raise ValueError("a mistake of the user")
+
+    class Fragile(rules.Sonar):
+        fault_limit = 1
+        deadline = 0.25
+
+    sonar = Fragile(0.5)
+    sonar.name = "sonar"
+
+    async with esair.Robot(
+        resources=[sonar, rules.Motor()], behaviors=[Once(), rules.Go()]
+    ) as robot:
+        await asyncio.sleep(0.5)
+        assert robot.behaviors.query("once").state is esair.BehaviorState.FAILED
+        assert robot.behaviors.query("once").restarts == 0
+        sonar.values = [OSError(5)]
+        await asyncio.sleep(0.1)
+        assert robot.resources.query("sonar").losses == 1
+
+
+@pytest.mark.virtual_clock
+async def test_a_sensor_that_cannot_be_opened_comes_when_it_comes() -> None:
+    """What its ``open`` raises makes it lost, and it is tried again."""
+
+    class Late(rules.Sonar):
+        tries = 0
+
+        def open(self):
+            self.tries += 1
+            if self.tries < 3:
+                raise OSError(5, "not there yet")
+
+    sonar, motor = Late(0.5), rules.Motor()
+    sonar.name = "sonar"
+
+    async with esair.Robot(resources=[sonar, motor], behaviors=[rules.Go()]) as robot:
+        assert robot.resources.query("sonar").state is esair.ResourceState.LOST
+        await asyncio.sleep(10.0)
+        assert robot.resources.query("sonar").state is esair.ResourceState.READY
+        assert motor.told[-1] == 0.5
+
+
+@pytest.mark.real_clock
+async def test_a_read_that_hangs_holds_nothing_up() -> None:
+    """It hangs on its own thread; removing the sensor and the stop return in time."""
+    go_on = threading.Event()
+
+    class Stuck(rules.Sonar):
+        deadline = 0.05
+
+        def read(self):
+            go_on.wait(30.0)
+            return 0.5
+
+    sonar = Stuck()
+    sonar.name = "sonar"
+    motor = rules.Motor()
+    try:
+        async with asyncio.timeout(10.0):
+            robot = esair.Robot(
+                resources=[sonar, motor], behaviors=[rules.Go()], grace=0.1
+            )
+            async with robot:
+                await asyncio.sleep(0.1)
+                await robot.resources.remove("sonar")
+                await robot.behaviors.add(esair.Behavior(name="alive"))
+    finally:
+        go_on.set()
+
+    assert set(motor.told) == {0.0}
 
 
 def test_reactions_of_std_run_in_min() -> None:

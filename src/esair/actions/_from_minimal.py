@@ -11,6 +11,9 @@ from esair.messages import snake_case
 
 T = TypeVar("T")
 
+_OF_STD = ("rate", "restart", "budget", "overrun_limit")
+"""What a class of MIN may say about itself; all but the rate is for STD alone."""
+
 
 class MinimalReaction(Reaction):
     """Runs a reaction that was written for `esair.minimal`, as it is.
@@ -20,33 +23,34 @@ class MinimalReaction(Reaction):
     """
 
     def __init__(self, reaction: minimal.Reaction) -> None:
+        reaction.name = reaction.name or snake_case(type(reaction).__name__)
         needs = minimal.declared(reaction)
         super().__init__(
-            name=reaction.name or snake_case(type(reaction).__name__),
+            name=reaction.name,
             reads={
-                key: Reads(need.type, need.name, need.max_age, need.configure)
+                key: Reads(_type_of(need), need.name, need.max_age, need.configure)
                 for key, need in needs
                 if isinstance(need, minimal.Reads)
             },
             writes={
                 key: Writes(
-                    need.type, need.name, need.priority, need.hold, need.configure
+                    _type_of(need), need.name, need.priority, need.hold, need.configure
                 )
                 for key, need in needs
                 if isinstance(need, minimal.Writes)
             },
         )
         self.reaction = reaction
-        self.rate = reaction.rate
-        if hasattr(reaction, "restart"):
-            self.restart = reaction.restart
+        for name in _OF_STD:
+            if hasattr(reaction, name):
+                setattr(self, name, getattr(reaction, name))
         if type(reaction).react is not minimal.Reaction.react:
             # In the instance: its parameters are looked at, and nothing lies between.
             self.react = reaction.react  # type: ignore[method-assign]
 
-    def react(self, *args: Any, **readings: Any) -> Any:
-        """Decide as the reaction does."""
-        return self.reaction.react(*args, **readings)
+
+def _type_of(need: minimal.Reads | minimal.Writes) -> Any:
+    return Any if need.type is None else need.type
 
 
 @overload

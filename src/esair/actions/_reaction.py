@@ -92,7 +92,7 @@ def mistakes_in_reaction(reaction: Reaction) -> list[ConfigError]:
                 name, "rate", "it reads no sensor, so it needs a rate (Hz) to run at"
             )
         )
-    if type(reaction).react is Reaction.react:
+    if getattr(reaction.react, "__func__", None) is Reaction.react:
         found.append(ConfigError(name, "react", "a reaction must have a react method"))
         return found
     if inspect.iscoroutinefunction(reaction.react):

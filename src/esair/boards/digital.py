@@ -31,8 +31,9 @@ class DigitalIn(Sensor):
         """Make the pin an input."""
         from machine import Pin
 
-        pulls = {"": None, "up": Pin.PULL_UP, "down": Pin.PULL_DOWN}
-        self._value = Pin(self.pin, Pin.IN, pulls[self.pull]).value
+        # By its name: some boards have no pull-down.
+        pull = getattr(Pin, "PULL_" + self.pull.upper()) if self.pull else None
+        self._value = Pin(self.pin, Pin.IN, pull).value
 
     def read(self) -> bool:
         """Return whether it is high (low if inverted)."""

@@ -14,7 +14,10 @@ class I2CRegister(Sensor):
         little: Whether its first byte is the lowest.
         scale: What one step stands for.
         offset: Added after the scale.
-        i2c: The number of the bus; with ``scl`` and ``sda``, its pins.
+        i2c: The number of the bus.
+        scl: The pin of its clock; those that the board has for the bus unless given.
+        sda: The pin of its data; given if ``scl`` is.
+        frequency: The clock of the bus, in Hz.
         setup: Pairs of register and byte that are written when it is opened.
         name: The name of the sensor.
     """

@@ -6,7 +6,6 @@ from esair.minimal import Actuator
 class PwmServo(Actuator):
     """A servo that is told a position from -1.0 to 1.0.
 
-
     Args:
         pin: Its number, or whatever the board calls it.
         safe: The position when nobody says anything else.
@@ -37,9 +36,10 @@ class PwmServo(Actuator):
         """Make the pulses, at the safe position from the first moment."""
         from machine import PWM, Pin
 
-        self._pwm = PWM(Pin(self.pin))
-        self._pwm.freq(self.frequency)
-        self.write(self.safe)
+        # In one call: some boards begin with other pulses of their own.
+        self._pwm = PWM(
+            Pin(self.pin), freq=self.frequency, duty_ns=self._width(self.safe)
+        )
 
     def close(self) -> None:
         """Make no more pulses."""
@@ -47,4 +47,8 @@ class PwmServo(Actuator):
 
     def write(self, command: float) -> None:
         """Go to a position."""
-        self._pwm.duty_ns(int(self.middle + command * self.reach))
+        self._pwm.duty_ns(self._width(command))
+
+    def _width(self, position: float) -> int:
+        """Return the length of the pulses, in nanoseconds."""
+        return int(self.middle + position * self.reach)

