@@ -184,27 +184,12 @@ class Reaction(_Part):
         raise NotImplementedError
 
 
-class _Paced:
-    """Something that has its turn in each step, or less often."""
-
-    def set_pace(self, rate: "float | None", every: int) -> bool:
-        """Have a turn at a rate (Hz) of a loop; tells whether turns are left out."""
-        self.pace = every if rate is None else int(rate * 1000 + 0.5)
-        self.phase = every - self.pace
-        self.due = True
-        return self.phase > 0
-
-
-class _Input(_Paced):
+class _Input:
     """A sensor, and its newest reading."""
 
-    def __init__(self, sensor: "Any") -> None:
-        self.name = sensor.name
-        self.read = sensor.read
-        self.forget()
-
-    def forget(self) -> None:
-        """Have no reading."""
+    def __init__(self, name: str, read: "Any") -> None:
+        self.name = name
+        self.read = read
         self.value: "Any" = None
         self.time = -1
         self.failed = 0
@@ -214,23 +199,29 @@ class _Input(_Paced):
 class _Output:
     """An actuator, and whose will it does."""
 
-    def __init__(self, actuator: "Any", rate: float) -> None:
-        self.name = actuator.name
-        self.write = actuator.write
-        self.safe = actuator.safe
-        self.kind = type(actuator.safe)
-        self.timeout = _steps(actuator.command_timeout, rate)
-        self.clamp = actuator.clamp
-        limits = actuator.limits or ()
-        self.least, self.most = -_MOST, _MOST
-        if isinstance(limits, dict):
-            self.limits = tuple([(key,) + tuple(limits[key]) for key in limits])
-        else:
-            self.limits = (("",) + tuple(limits),) if limits else ()
-            if limits:
-                self.least, self.most = limits
-        self.number = self.kind if self.kind in (int, float) else None
+    def __init__(
+        self,
+        name: str,
+        write: "Any",
+        safe: "Any",
+        timeout: int,
+        limits: "Any",
+        clamp: bool,
+    ) -> None:
+        self.name = name
+        self.write = write
+        self.safe = safe
+        self.timeout = timeout
+        self.clamp = clamp
+        self.limits = limits
+        """Of each limited field: its name, or nothing, its least and greatest value."""
+        self.number: "Any" = type(self.safe)
         """The type of commands for which `least` and `most` are the whole check."""
+        if self.number not in (int, float):
+            self.number = None
+        self.least, self.most = -_MOST, _MOST
+        if limits:
+            self.least, self.most = limits[0][1:]
         self.last: "Any" = None
         """A command that was checked, and cannot change."""
         self.bad = False
@@ -245,484 +236,33 @@ class _Output:
 class _Port:
     """What one reaction may do with one actuator."""
 
-    def __init__(
-        self, key: str, owner: "Any", output: "Any", need: "Any", rate: float
-    ) -> None:
+    owner: "Any" = None
+
+    def __init__(self, key: str, output: "Any", priority: int, hold: int) -> None:
         self.key = key
-        self.owner = owner
         self.output = output
-        self.priority = need.priority
-        self.hold = _steps(need.hold, rate) if need.hold else output.timeout
+        self.priority = priority
+        self.hold = hold
 
 
-class _Task(_Paced):
-    """A reaction with its wiring."""
-
-    def __init__(
-        self, reaction: "Any", inputs: "Any", outputs: "Any", rate: float
-    ) -> None:
-        self.name = reaction.name
-        self.react = reaction.react
-        self.timed = reaction.rate is not None
-        names, terms, ports = [], [], []
-        for key, need in declared(reaction):
-            if hasattr(need, "max_age"):
-                names.append(key)
-                age = need.max_age
-                terms.append((inputs[need.name or key], age and _steps(age, rate)))
-            else:
-                ports.append(_Port(key, self, outputs[need.name or key], need, rate))
-        self.names = names
-        self.inputs = tuple(terms)
-        self.ports = tuple(ports)
-        self.port = ports[0] if len(ports) == 1 else None
-        self.first: "Any" = terms[0][0] if len(terms) == 1 else _Never
-        # By name, as the order of the parameters is not known on a board. The text is
-        # made of names of attributes, and evaluated once.
-        self.call = eval(
-            "lambda r%s:lambda:r(%s)"
-            % (
-                "".join([",a%d" % i for i in range(len(names))]),
-                ",".join(["%s=a%d.value" % (k, i) for i, k in enumerate(names)]),
-            )
-        )(self.react, *[each[0] for each in terms])
-
-
-class _Never:
-    """In place of the only input of a reaction that has several, or none, or a pace."""
-
-    time = -1
-    value = None
-
-
-def _steps(seconds: float, rate: float) -> int:
-    """The number of steps after which a duration has passed."""
-    count = int(seconds * rate)
-    return count if count >= seconds * rate - 1e-4 else count + 1
-
-
-def declared(reaction: "Any") -> "list[tuple[str, Any]]":
-    """Return what a reaction declares to use, by attribute, in the order written."""
-    needs = getattr(reaction, "needs", None)
-    if isinstance(needs, dict):  # a reaction of STD
-        return list(needs.items())
-    found = []
-    for key in dir(reaction):
-        need = getattr(type(reaction), key, None)
-        if isinstance(need, _Declared):
-            found.append((key, need))
-    found.sort(key=lambda each: each[1].made)
-    return found
-
-
-class Loop:
-    """Reads sensors, lets reactions decide, and writes actuators, at a fixed rate.
-
-    Args:
-        reactions: In the order in which they decide.
-        sensors: Whatever has a plain ``read``.
-        actuators: Whatever has a plain ``write``, and a ``safe`` command.
-        rate: Steps per second.
-
-    Attributes:
-        steps: How many steps were made.
-        late: How many steps were left out because they came too late.
-        refused: How many commands met an actuator that somebody else held.
-        faults: How many times a sensor, reaction or actuator raised an error, or a
-            command was no good (wrong type, not finite, outside the limits).
-        fault: The name of the component with the last fault, and the error.
-
-    Raises:
-        ValueError: The parts do not fit together; every mistake is named.
-    """
+class _Task:
+    """A reaction with its wiring: its inputs with their names and greatest ages."""
 
     def __init__(
-        self,
-        reactions: "Iterable[Any]" = (),
-        sensors: "Iterable[Any]" = (),
-        actuators: "Iterable[Any]" = (),
-        rate: float = 50,
+        self, name: str, react: "Any", timed: bool, inputs: "Any", ports: "Any"
     ) -> None:
-        reactions, sensors = list(reactions), list(sensors)
-        actuators = list(actuators)
-        for part in reactions + sensors + actuators:
-            if not part.name:
-                part.name = _snake_case(type(part).__name__)
-        if __debug__:
-            found = mistakes(reactions, sensors, actuators, rate)
-            if found:
-                raise ValueError("; ".join(found))
-        self.steps = self.late = self.refused = self.faults = 0
-        self.fault: "Any" = None
-        self._every = int(rate * 1000 + 0.5)
-        self._running = False
-        self._alarm = 0
-        self._devices = sensors + actuators
-        self._outputs = tuple([_Output(each, rate) for each in actuators])
-        nodes = [_Input(each) for each in sensors]
-        inputs = {each.name: each for each in nodes}
-        outputs = {each.name: each for each in self._outputs}
-        tasks = [_Task(each, inputs, outputs, rate) for each in reactions]
-        paced: "list[Any]" = []
-        for node, part in zip(nodes + tasks, sensors + reactions):  # type: ignore[operator]
-            if node.set_pace(part.rate, self._every):
-                paced.append(node)
-        for task in tasks:
-            if task in paced:
-                task.first = _Never
-        self._paced = tuple(paced)
-        self._inputs = tuple([each for each in nodes if each not in paced])
-        self._slow = tuple([each for each in nodes if each in paced])
-        self._tasks = tuple(tasks)
-        self.step = _fused(self)  # type: ignore[method-assign]
-
-    def run(
-        self, steps: "int | None" = None, feed: "Callable[[], Any] | None" = None
-    ) -> None:
-        """Open the devices and run; every exit ends with each actuator's safe command.
-
-        Args:
-            steps: How many steps; None for ever.
-            feed: Called after each step: the hook for a hardware watchdog.
-        """
-        try:
-            self.open()
-            self._run(steps, feed)
-        finally:
-            self.close()
-
-    def _run(self, steps: "Any", feed: "Any") -> None:
-        period, rest = divmod(_SECOND * 1000, self._every)
-        due = _ticks()
-        debt = 0
-        while steps is None or steps > 0:
-            self.step()
-            if feed is not None:
-                feed()
-            if steps is not None:
-                steps -= 1
-            debt += rest  # the part of a tick that each period is longer
-            due = (due + period + debt // self._every) & _MASK
-            debt %= self._every
-            left = (due - _ticks()) & _MASK
-            if left > _MASK >> 1:  # it is late already
-                skipped = ((-left) & _MASK) // period
-                self.late += skipped
-                due = (due + skipped * period) & _MASK
-            elif steps != 0:
-                _sleep(left)
-
-    def open(self) -> None:
-        """Open every device, and give each actuator its safe command.
-
-        `run` does this, and the first `step`.
-        """
-        self._running = True
-        for source in self._inputs + self._slow:
-            source.forget()
-        for each in self._devices:
-            if _is_plain(each, "open"):
-                each.open()
-        for output in self._outputs:
-            self._make_safe(output)
-
-    def close(self) -> None:
-        """Give each actuator its safe command, three tries each, and close all."""
-        self._running = False
-        self._alarm = 0
-        stop = None
-        for output in self._outputs:
-            for _ in range(3):
-                try:
-                    self._make_safe(output)
-                    if not output.bad:
-                        break
-                except BaseException as error:  # Ctrl-C: the safe command first
-                    stop = error
-        for each in self._devices:
-            try:
-                if _is_plain(each, "close"):
-                    each.close()
-            except Exception as error:
-                self._note(each, error)
-            except BaseException as error:
-                stop = error
-        if stop is not None:
-            raise stop
-
-    def step(self) -> None:
-        """Make one step, for tests and for boards with a loop of their own.
-
-        Time is counted in periods: such a loop adds to `late` the periods that it
-        missed. It calls `close` at its end.
-        """
-        now = self.steps = self.steps + 1
-        now += self.late
-        if now >= self._alarm:
-            self._look(now)
-        for source in self._inputs:
-            try:
-                source.value = source.read()
-                source.time = now
-            except Exception as error:
-                self._no_reading(source, now, error)
-        if self._paced:
-            self._turn(now)
-        command = None
-        for task in self._tasks:
-            source = task.first
-            try:
-                if source.time == now:
-                    command = task.react(source.value)
-                elif self._may_run(task, now):
-                    command = task.call()
-                else:
-                    continue
-            except Exception as error:
-                self._crashed(task, error)
-                continue
-            port = task.port
-            if port is None:
-                self._write_all(task, command, now)
-                continue
-            output = port.output
-            if command is None:
-                if output.holder is port:
-                    output.holder = output.steady = None
-            elif output.steady is port and (
-                command is output.last
-                or (
-                    command.__class__ is output.number
-                    and output.least <= command <= output.most
-                )
-            ):
-                # What mostly happens: the holder goes on. All else is in _write.
-                output.written = now
-                try:
-                    output.write(command)
-                except Exception as error:
-                    self._failed(output, error)
-            elif command.__class__ is dict:
-                self._write_all(task, command, now)
-            else:
-                self._write(port, command, now)
-
-    # Sensors.
-
-    def _turn(self, now: int) -> None:
-        """Find out who has its turn in this step, and read those sensors."""
-        for node in self._paced:
-            node.phase += node.pace
-            node.due = node.phase >= self._every
-            if node.due:
-                node.phase -= self._every
-        for source in self._slow:
-            if source.due:
-                try:
-                    source.value = source.read()
-                    source.time = now
-                except Exception as error:
-                    self._no_reading(source, now, error)
-
-    def _no_reading(self, source: "Any", now: int, error: BaseException) -> None:
-        source.failed = now
-        self._note(source, error)
-
-    def _may_run(self, task: "Any", now: int) -> bool:
-        """Tell whether a reaction has its turn; park it if a reading is too old."""
-        if not task.due:
-            return False
-        news = task.timed
-        for source, max_age in task.inputs:
-            age = now - source.time
-            if age == 0:
-                news = True
-            elif (
-                source.time < 0 or age >= max_age
-                if max_age
-                else source.failed > source.time
-            ):
-                self._drop(task)
-                return False
-        return bool(news)
-
-    # Actuators.
-
-    def _write_all(self, task: "Any", command: "Any", now: int) -> None:
-        port = task.port
-        if port is not None and port.key not in command:
-            self._write(port, command, now)  # its commands are dictionaries
-            return
-        if command is not None:
-            known = [each.key for each in task.ports]
-            if type(command) is not dict or [k for k in command if k not in known]:
-                self._note(task, ValueError("expected commands for %s" % known))
-                self._drop(task)
-                return
-        for port in task.ports:
-            one = None if command is None else command.get(port.key)
-            if one is not None:
-                self._write(port, one, now)
-            elif port.output.holder is port:
-                port.output.holder = port.output.steady = None
-
-    def _write(self, port: "Any", command: "Any", now: int) -> None:
-        """Send a command, unless somebody else holds the actuator or it is no good."""
-        output = port.output
-        holder = output.holder
-        if (
-            holder is not port
-            and holder is not None
-            and port.priority <= holder.priority
-            and now - output.written < holder.hold
-            and holder.owner is not port.owner
-        ):
-            self.refused += 1
-            return
-        if output.bad:
-            return
-        if command is not output.last:
-            try:
-                command = _checked(output, command)
-            except Exception as error:
-                self._note(output, error)
-                return
-        output.holder = output.writer = output.steady = port
-        output.written = now
-        self._alarm = min(self._alarm, now + output.timeout)
-        try:
-            output.write(command)
-        except Exception as error:
-            self._failed(output, error)
-
-    def _failed(self, output: "Any", error: BaseException) -> None:
-        self._note(output, error)
-        self._make_safe(output)
-
-    def _look(self, now: int) -> None:
-        """Make safe whatever nobody has written for its command timeout."""
-        if not self._running:
-            self.open()
-        alarm = now + 1000000
-        for output in self._outputs:
-            if output.bad:
-                self._make_safe(output)
-                if output.bad:
-                    alarm = 0
-            elif output.writer is not None and now - output.written >= output.timeout:
-                holder = output.holder
-                self._make_safe(output)
-                if holder is not None and now - output.written < holder.hold:
-                    output.holder = holder  # a longer hold keeps lower priorities away
-            if output.writer is not None:
-                alarm = min(alarm, output.written + output.timeout)
-        self._alarm = alarm
-
-    def _crashed(self, task: "Any", error: BaseException) -> None:
-        self._note(task, error)
-        self._drop(task)
-
-    def _decided(self, task: "Any", command: "Any", now: int) -> None:
-        """Send what a reaction has decided, by the long way."""
-        if task.port is None or command.__class__ is dict:
-            self._write_all(task, command, now)
-        else:
-            self._write(task.port, command, now)
-
-    def _drop(self, task: "Any") -> None:
-        """Give back what a reaction holds, safe if it does the reaction's will."""
-        for port in task.ports:
-            output = port.output
-            if output.writer is port:
-                self._make_safe(output)
-            elif output.holder is port:
-                output.holder = None
-
-    def _make_safe(self, output: "Any") -> None:
-        """Send the safe command; nobody holds the actuator afterwards."""
-        output.holder = output.writer = output.steady = None
-        try:
-            output.write(output.safe)
-            output.bad = False
-        except Exception as error:
-            output.bad = True
-            self._alarm = 0  # tried again at each step; no other command goes before it
-            self._note(output, error)
-
-    def _note(self, part: "Any", error: BaseException) -> None:
-        self.faults += 1
-        self.fault = (part.name, error)
-
-
-def _fused(loop: "Any") -> "Any":
-    """Return the step of a loop as one function without inner loops and look-ups.
-
-    It does what `Loop.step` does, three times as fast: its text is made for the wiring.
-    """
-    given = {"L": loop, "N": _Never}
-    text = " now=L.steps=L.steps+1\n now+=L.late\n if now>=L._alarm:L._look(now)\n"
-    fresh = {}
-    for i, source in enumerate(loop._inputs):
-        given["s%d" % i] = source
-        given["r%d" % i] = source.read
-        fresh[source] = "v%d" % i
-        text += (
-            " try:\n  s#.value=v#=r#()\n  s#.time=now\n"
-            " except Exception as e:\n  v#=N\n  L._no_reading(s#,now,e)\n"
-        ).replace("#", str(i))
-    if loop._paced:
-        text += " L._turn(now)\n"
-    for i, task in enumerate(loop._tasks):
-        given["t%d" % i] = task
-        given["d%d" % i] = task.react
-        values = [fresh.get(each[0]) for each in task.inputs]
-        text += " try:\n  "
-        if values and None not in values and task not in loop._paced:
-            text += "if %s:c=d#(%s)\n  el" % (
-                " and ".join([each + " is not N" for each in values]),
-                ",".join(["%s=%s" % pair for pair in zip(task.names, values)])
-                if len(values) > 1
-                else values[0],
-            )
-        text += (
-            "if L._may_run(t#,now):c=t#.call()\n  else:c=N\n"
-            " except Exception as e:\n  c=N\n  L._crashed(t#,e)\n"
-        )
-        if task.port is not None:
-            given["p%d" % i] = task.port
-            given["o%d" % i] = output = task.port.output
-            given["w%d" % i] = output.write
-            text += (
-                " if c is None:\n  if o#.holder is p#:o#.holder=o#.steady=None\n"
-                " elif o#.steady is p# and(c is o#.last"
-                " or c.__class__ is o#.number and o#.least<=c<=o#.most):\n"
-                "  o#.written=now\n  try:w#(c)\n"
-                "  except Exception as e:L._failed(o#,e)\n"
-                " el"
-            )
-        else:
-            text += " "
-        text += "if c is not N:L._decided(t#,c,now)\n"
-        text = text.replace("#", str(i))
-    scope: "Any" = {}
-    exec(
-        "def make(%s):\n def step():\n %s return step"
-        % (",".join(given), text.replace("\n ", "\n  ")),
-        scope,
-    )
-    return scope["make"](**given)
-
-
-def _is_plain(part: "Any", name: str) -> bool:
-    """Tell whether a part has a method that can be called without an event loop."""
-    method = getattr(part, name, None)
-    code = getattr(method, "__code__", None)
-    return method is not None and not getattr(code, "co_flags", 0) & 0x380
+        self.name = name
+        self.react = react
+        self.timed = timed
+        self.inputs = inputs
+        self.ports = ports
+        for port in ports:
+            port.owner = self
 
 
 def _checked(output: "Any", command: "Any") -> "Any":
     """Return the command that may be sent: its type, finite, within the limits."""
-    kind = output.kind
+    kind = type(output.safe)
     if type(command) is not kind:
         if kind is float and type(command) is int:
             command = float(command)
@@ -767,6 +307,431 @@ def _finite(value: "Any", depth: int) -> bool:
         if depth == 0 or not _finite(each, depth - 1):
             return False
     return True
+
+
+class _Runner:
+    """Runs what is wired: all that a tiny board has of a `Loop`."""
+
+    step: "Callable[[], None]"
+    steps: int
+    late: int
+    refused: int
+    faults: int
+    fault: "Any"
+    _every: int
+    _inputs: "Any"
+    _outputs: "Any"
+    _paced: "Any"
+    _opened: "Any"
+    _closed: "Any"
+    _running: bool
+    _alarm: int
+
+    def run(
+        self, steps: "int | None" = None, feed: "Callable[[], Any] | None" = None
+    ) -> None:
+        """Open the devices and run; every exit ends with each actuator's safe command.
+
+        Args:
+            steps: How many steps; None for ever.
+            feed: Called after each step: the hook for a hardware watchdog.
+        """
+        period, rest = divmod(_SECOND * 1000, self._every)
+        debt = 0
+        try:
+            self.open()
+            due = _ticks()
+            while steps is None or steps > 0:
+                self.step()
+                if feed is not None:
+                    feed()
+                if steps is not None:
+                    steps -= 1
+                debt += rest  # the part of a tick that each period is longer
+                due = (due + period + debt // self._every) & _MASK
+                debt %= self._every
+                left = (due - _ticks()) & _MASK
+                if left > _MASK >> 1:  # it is late already
+                    skipped = ((-left) & _MASK) // period
+                    self.late += skipped
+                    due = (due + skipped * period) & _MASK
+                elif steps != 0:
+                    _sleep(left)
+        finally:
+            self.close()
+
+    def open(self) -> None:
+        """Open every device, and give each actuator its safe command.
+
+        `run` does this, and the first `step`.
+        """
+        self._running = True
+        for source in self._inputs:
+            source.time = -1
+            source.failed = 0
+        for each in self._opened:
+            each()
+        for output in self._outputs:
+            self._make_safe(output)
+
+    def close(self) -> None:
+        """Give each actuator its safe command, three tries each, and close all."""
+        self._running = False
+        self._alarm = 0
+        stop = None
+        for output in self._outputs:
+            for _ in range(3):
+                try:
+                    self._make_safe(output)
+                    if not output.bad:
+                        break
+                except BaseException as error:  # Ctrl-C: the safe command first
+                    stop = error
+        for part in self._closed:
+            try:
+                part.close()
+            except Exception as error:
+                self._note(part, error)
+            except BaseException as error:
+                stop = error
+        if stop is not None:
+            raise stop
+
+    # Sensors.
+
+    def _turn(self, now: int) -> None:
+        """Find out who has its turn in this step."""
+        for node, pace in self._paced:
+            node.phase += pace
+            node.due = node.phase >= self._every
+            if node.due:
+                node.phase -= self._every
+
+    def _may_run(self, task: "Any", now: int) -> bool:
+        """Tell whether a reaction has news; park it if a reading is too old."""
+        news = task.timed
+        for _, source, max_age in task.inputs:
+            age = now - source.time
+            if age == 0:
+                news = True
+            elif (
+                source.time < 0 or age >= max_age
+                if max_age
+                else source.failed > source.time
+            ):
+                self._drop(task)
+                return False
+        return bool(news)
+
+    # Actuators.
+
+    def _shared(self, task: "Any", command: "Any") -> "Any":
+        """Return what a reaction has decided for each of its ports."""
+        ports = task.ports
+        if command is None:
+            return [(port, None) for port in ports]
+        several = type(command) is dict
+        if len(ports) == 1 and not (several and ports[0].key in command):
+            return [(ports[0], command)]  # its commands are dictionaries
+        known = [port.key for port in ports]
+        if several and not [key for key in command if key not in known]:
+            return [(port, command.get(port.key)) for port in ports]
+        self._note(task, ValueError("expected commands for %s" % known))
+        self._drop(task)
+        return ()
+
+    def _write(self, port: "Any", command: "Any", now: int) -> None:
+        """Send a command, unless somebody else holds the actuator or it is no good.
+
+        None gives the actuator back.
+        """
+        output = port.output
+        holder = output.holder
+        if command is None:
+            if holder is port:
+                output.holder = output.steady = None
+            return
+        if (
+            holder is not port
+            and holder is not None
+            and port.priority <= holder.priority
+            and now - output.written < holder.hold
+            and holder.owner is not port.owner
+        ):
+            self.refused += 1
+            return
+        if output.bad:
+            return
+        if command is not output.last:
+            try:
+                command = _checked(output, command)
+            except Exception as error:
+                self._note(output, error)
+                return
+        output.holder = output.writer = output.steady = port
+        output.written = now
+        self._alarm = min(self._alarm, now + output.timeout)
+        try:
+            output.write(command)
+        except Exception as error:
+            self._note(output, error)
+            self._make_safe(output)
+
+    def _look(self, now: int) -> None:
+        """Make safe whatever nobody has written for its command timeout."""
+        if not self._running:
+            self.open()
+        alarm = now + 1000000
+        for output in self._outputs:
+            if output.bad:
+                self._make_safe(output)
+                if output.bad:
+                    alarm = 0
+            elif output.writer is not None and now - output.written >= output.timeout:
+                holder = output.holder
+                self._make_safe(output)
+                if holder is not None and now - output.written < holder.hold:
+                    output.holder = holder  # a longer hold keeps lower priorities away
+            if output.writer is not None:
+                alarm = min(alarm, output.written + output.timeout)
+        self._alarm = alarm
+
+    def _drop(self, task: "Any") -> None:
+        """Give back what a reaction holds, safe if it does the reaction's will."""
+        for port in task.ports:
+            output = port.output
+            if output.writer is port:
+                self._make_safe(output)
+            elif output.holder is port:
+                output.holder = None
+
+    def _make_safe(self, output: "Any") -> None:
+        """Send the safe command; nobody holds the actuator afterwards."""
+        output.holder = output.writer = output.steady = None
+        try:
+            output.write(output.safe)
+            output.bad = False
+        except Exception as error:
+            output.bad = True
+            self._alarm = 0  # tried again at each step; no other command goes before it
+            self._note(output, error)
+
+    def _note(self, part: "Any", error: BaseException) -> None:
+        self.faults += 1
+        self.fault = (part.name, error)
+
+
+# One step, as text: a function that is made for its wiring has no loops and no look-ups,
+# which makes it three times as fast. Each # is a number. L is the loop; in place of a
+# reading or a command it says that there is none.
+_BEGIN = """
+  now = L.steps = L.steps + 1
+  now += L.late
+  if now >= L._alarm: L._look(now)
+"""
+_READ = """
+  v# = L
+  try:
+   {due}s#.value = v# = r#(); s#.time = now
+  except Exception as e: s#.failed = now; L._note(s#, e)
+"""
+_DECIDE = """
+  try:
+   {fresh}if {due}L._may_run(t#, now): c = d#({older})
+   else: c = L
+  except Exception as e: c = L; L._note(t#, e); L._drop(t#)
+"""
+# What mostly happens is that the holder goes on; all else is in _write.
+_WRITE = """
+  if c is None:
+   if o#.holder is p#: o#.holder = o#.steady = None
+  elif o#.steady is p# and (
+   c is o#.last or type(c) is o#.number and o#.least <= c <= o#.most
+  ):
+   o#.written = now
+   try: w#(c)
+   except Exception as e: L._note(o#, e); L._make_safe(o#)
+  elif type(c) is dict:
+   for p, x in L._shared(t#, c): L._write(p, x, now)
+  elif c is not L: L._write(p#, c, now)
+"""
+_WRITE_SEVERAL = """
+  if c is not L:
+   for p, x in L._shared(t#, c): L._write(p, x, now)
+"""
+
+
+def step_text(inputs: "Any", tasks: "Any", paced: "Any") -> str:
+    """Return ``make``: called with a loop and all nodes, it returns a step."""
+    turns = [each[0] for each in paced]
+    names = ["L"]
+    made = ""
+    text = _BEGIN
+    if paced:
+        text += "  L._turn(now)"
+    for i, source in enumerate(inputs):
+        names.append("s%d" % i)
+        made += " r# = s#.read\n".replace("#", str(i))
+        due = "if s#.due: " if source in turns else ""
+        text += _READ.replace("{due}", due).replace("#", str(i))
+    for i, task in enumerate(tasks):
+        names.append("t%d" % i)
+        made += " d# = t#.react\n".replace("#", str(i))
+        fresh, values, older = [], [], []
+        for key, source, _ in task.inputs:
+            number = inputs.index(source)
+            fresh.append("v%d is not L" % number)
+            values.append("%s=v%d" % (key, number))
+            older.append("%s=s%d.value" % (key, number))
+        if len(values) == 1:
+            values[0] = values[0].split("=")[1]  # by position is faster, if it is known
+        decide = _DECIDE
+        if values and task not in turns:
+            news = "if %s: c = d#(%s)\n   el" % (" and ".join(fresh), ", ".join(values))
+            decide = decide.replace("{fresh}", news)
+        due = "t#.due and " if task in turns else ""
+        decide = decide.replace("{fresh}", "").replace("{due}", due)
+        text += decide.replace("{older}", ", ".join(older)).replace("#", str(i))
+        write = _WRITE_SEVERAL
+        if len(task.ports) == 1:
+            made += " p#, = t#.ports; o# = p#.output; w# = o#.write\n".replace(
+                "#", str(i)
+            )
+            write = _WRITE
+        text += write.replace("#", str(i))
+    return "def make(%s):\n%s def step():%s return step\n" % (
+        ", ".join(names),
+        made,
+        text,
+    )
+
+
+class Loop(_Runner):
+    """Reads sensors, lets reactions decide, and writes actuators, at a fixed rate.
+
+    Args:
+        reactions: In the order in which they decide.
+        sensors: Whatever has a plain ``read``.
+        actuators: Whatever has a plain ``write``, and a ``safe`` command.
+        rate: Steps per second.
+
+    Attributes:
+        steps: How many steps were made.
+        late: How many steps were left out because they came too late.
+        refused: How many commands met an actuator that somebody else held.
+        faults: How many times a sensor, reaction or actuator raised an error, or a
+            command was no good (wrong type, not finite, outside the limits).
+        fault: The name of the component with the last fault, and the error.
+        step: Makes one step, for tests and for boards with a loop of their own. Time is
+            counted in periods: such a loop adds to `late` the periods that it missed,
+            and calls `close` at its end.
+
+    Raises:
+        ValueError: The parts do not fit together; every mistake is named.
+    """
+
+    def __init__(
+        self,
+        reactions: "Iterable[Any]" = (),
+        sensors: "Iterable[Any]" = (),
+        actuators: "Iterable[Any]" = (),
+        rate: float = 50,
+    ) -> None:
+        reactions, sensors = list(reactions), list(sensors)
+        actuators = list(actuators)
+        for part in reactions + sensors + actuators:
+            if not part.name:
+                part.name = _snake_case(type(part).__name__)
+        if __debug__:
+            found = mistakes(reactions, sensors, actuators, rate)
+            if found:
+                raise ValueError("; ".join(found))
+        self.steps = self.late = self.refused = self.faults = 0
+        self.fault = None
+        self._running = False
+        self._alarm = 0
+        devices = sensors + actuators
+        self._opened = [each.open for each in devices if _is_plain(each, "open")]
+        self._closed = [each for each in devices if _is_plain(each, "close")]
+        self._wire(reactions, sensors, actuators, rate)
+        scope: "Any" = {}
+        exec(step_text(self._inputs, self._tasks, self._paced), scope)
+        self.step = scope["make"](self, *(self._inputs + self._tasks))
+
+    def _wire(
+        self,
+        reactions: "list[Any]",
+        sensors: "list[Any]",
+        actuators: "list[Any]",
+        rate: float,
+    ) -> None:
+        every = self._every = int(rate * 1000 + 0.5)
+        inputs = self._inputs = [_Input(each.name, each.read) for each in sensors]
+        outputs = self._outputs = [_output(each, rate) for each in actuators]
+        tasks: "list[Any]" = []
+        self._tasks = tasks
+        for part in reactions:
+            terms, ports = [], []
+            for key, need in declared(part):
+                name = need.name or key
+                if hasattr(need, "max_age"):
+                    age = need.max_age and _steps(need.max_age, rate)
+                    terms += [(key, each, age) for each in inputs if each.name == name]
+                    continue
+                for each in outputs:
+                    if each.name == name:
+                        hold = _steps(need.hold, rate) if need.hold else each.timeout
+                        ports.append(_Port(key, each, need.priority, hold))
+            timed = part.rate is not None
+            tasks.append(_Task(part.name, part.react, timed, terms, ports))
+        self._paced = []
+        for node, part in zip(inputs + tasks, sensors + reactions):
+            pace = every if part.rate is None else int(part.rate * 1000 + 0.5)
+            if pace < every:
+                node.phase = every - pace
+                self._paced.append((node, pace))
+
+
+def _output(actuator: "Any", rate: float) -> _Output:
+    limits = actuator.limits or {}
+    if not isinstance(limits, dict):
+        limits = {"": limits}
+    fields = [(key,) + tuple(limits[key]) for key in limits]
+    return _Output(
+        actuator.name,
+        actuator.write,
+        actuator.safe,
+        _steps(actuator.command_timeout, rate),
+        tuple(fields),
+        actuator.clamp,
+    )
+
+
+def declared(reaction: "Any") -> "list[tuple[str, Any]]":
+    """Return what a reaction declares to use, by attribute, in the order written."""
+    needs = getattr(reaction, "needs", None)
+    if isinstance(needs, dict):  # a reaction of STD
+        return list(needs.items())
+    found = []
+    for key in dir(reaction):
+        need = getattr(type(reaction), key, None)
+        if isinstance(need, _Declared):
+            found.append((key, need))
+    found.sort(key=lambda each: each[1].made)
+    return found
+
+
+def _steps(seconds: float, rate: float) -> int:
+    """The number of steps after which a duration has passed."""
+    count = int(seconds * rate)
+    return count if count >= seconds * rate - 1e-4 else count + 1
+
+
+def _is_plain(part: "Any", name: str) -> bool:
+    """Tell whether a part has a method that can be called without an event loop."""
+    method = getattr(part, name, None)
+    code = getattr(method, "__code__", None)
+    return method is not None and not getattr(code, "co_flags", 0) & 0x380
 
 
 def _snake_case(name: str) -> str:
@@ -855,7 +820,7 @@ if __debug__:
             found.append("%s: clamp: only STD has it for fields" % name)
         if not found:
             try:
-                _checked(_Output(part, rate), part.safe)
+                _checked(_output(part, rate), part.safe)
             except Exception as error:
                 found.append("%s: safe or limits: %r" % (name, error))
         return found

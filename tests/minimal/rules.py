@@ -1,5 +1,8 @@
 """The rules of MIN as plain functions, for CPython and for MicroPython."""
 
+# ruff: noqa: PT017
+# MicroPython has no pytest.
+
 from esair import minimal
 from esair.minimal import Actuator, Loop, Reaction, Sensor, reads, writes
 
@@ -118,17 +121,17 @@ def rule_a_sensor_that_raises_parks_its_readers_and_not_the_loop():
 
 def rule_an_old_reading_is_good_until_its_greatest_age():
     values = [0.5] + [OSError(5)] * 8
-    loop, motor = told_by(values, 9, GoOn())
+    _, motor = told_by(values, 9, GoOn())
     assert motor.told == [0.0, 0.5, 0.0], motor.told  # nothing new: it does not run
     values = [0.5] + [OSError(5)] * 8
     timed = GoOn()
     timed.rate = 50
-    loop, motor = told_by(values, 9, timed)
+    _, motor = told_by(values, 9, timed)
     assert motor.told == [0.0] + [0.5] * 5 + [0.0], motor.told
 
 
 def rule_nobody_wrote_for_the_command_timeout():
-    loop, motor = told_by([0.5, -1], 10)
+    _, motor = told_by([0.5, -1], 10)
     assert motor.told == [0.0, 0.5, 0.0], motor.told
 
 
@@ -199,7 +202,7 @@ def rule_what_is_no_number_in_the_limits_never_leaves():
 
 def rule_tuples_are_looked_through():
     class Pair(Motor):
-        safe = (0.0, 0.0)
+        safe = (0.0, 0.0)  # type: ignore[assignment]
 
     class Both(Go):
         def react(self, sonar):

@@ -21,7 +21,9 @@ def misfits(path: Path, out: Path, **options) -> list[str]:
     with pytest.raises(ExceptionGroup) as caught:
         firmware.build(path, out, **options)
     assert not out.exists()
-    return [str(error).partition("robot.toml: ")[2] for error in caught.value.exceptions]
+    return [
+        str(error).partition("robot.toml: ")[2] for error in caught.value.exceptions
+    ]
 
 
 DRIVE = """
@@ -67,14 +69,16 @@ def test_the_reflexes_of_the_demo_run_on_micropython(micropython, tmp_path) -> N
     turning = next(i for i, pulse in enumerate(left) if pulse != STOP)
     assert (left[turning] < STOP) is not (right[turning] < STOP)  # it turns at once
     assert left.count(1800000) == right.count(1800000) > 5  # 0.3 m/s the free way
-    backing = [pulse for pulse in zip(left, right, strict=True) if 0 < max(pulse) < STOP]
+    backing = [
+        pulse for pulse in zip(left, right, strict=True) if 0 < max(pulse) < STOP
+    ]
     assert len(backing) == 17  # after a touch
     assert faults == 15  # the range finder ahead does not answer
     assert left[-2:] == right[-2:] == [STOP, 0]  # safe, then no pulses
 
 
-def test_the_same_wiring_decides_the_same_in_std(micropython, tmp_path) -> None:
-    """The built folder runs on CPython as well, line for line."""
+def test_the_files_are_those_of_the_robot(tmp_path) -> None:
+    """What decides in STD is what decides on the board, line for line."""
     out = tmp_path / "board"
     firmware.build(ROVER, out)
     names = {path.relative_to(out).as_posix() for path in out.rglob("*.py")}

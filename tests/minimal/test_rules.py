@@ -8,7 +8,7 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
-import rules
+from tests.minimal import rules
 
 from esair import minimal
 
@@ -48,7 +48,13 @@ def test_it_imports_nothing_but_time() -> None:
         "print(sorted(set(sys.modules) - before - {'minimal'}))"
     )
     done = subprocess.run(
-        [sys.executable, "-S", "-I", "-c", f"import sys; sys.path.insert(0, {str(SOURCE.parent)!r}); {code}"],
+        [
+            sys.executable,
+            "-S",
+            "-I",
+            "-c",
+            f"import sys; sys.path.insert(0, {str(SOURCE.parent)!r}); {code}",
+        ],
         capture_output=True,
         text=True,
         check=True,

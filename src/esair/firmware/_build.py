@@ -19,6 +19,7 @@ from esair.exceptions import ConfigError
 from esair.firmware._fit import Part, fitting_parts, loop_mistakes, rate_of
 from esair.firmware._main_file import main_file
 from esair.firmware._modules import FACADE, Modules
+from esair.firmware._wired_file import wired_file
 
 BOARDS = ("micropython", "microbit")
 """What can be built for: a current MicroPython, or the tiny one of a micro:bit."""
@@ -88,12 +89,20 @@ def build(
     }  # before anything is written: it may find something that cannot be written
     if misfits:
         raise ExceptionGroup(f"{path} does not fit into ESAIR MIN", misfits)
-    files = dict(_files_of(modules))
-    files["main.py"] = main_file(path.name, parts, keywords, steps, watchdog)
     if board == "microbit":
-        from esair.firmware._shrink import shrink
-
-        files = shrink(files)
+        try:
+            from esair.firmware._shrink import shrink
+        except ModuleNotFoundError as error:
+            raise ConfigError(
+                "esair min build",
+                "board",
+                f"a micro:bit needs {error.name}: pip install 'esair[min]'",
+            ) from error
+        program = wired_file(parts, keywords, steps, watchdog)
+        files = shrink({"esair.minimal": _minimal(), **modules.sources}, program)
+    else:
+        files = _files_of(modules)
+        files["main.py"] = main_file(path.name, parts, keywords, steps, watchdog)
     return _write(files, folder, steps, compile_too=board != "microbit")
 
 
@@ -102,12 +111,14 @@ def _keywords_for(part: Part) -> frozenset[str]:
     return frozenset(keywords_of(type(part.made)).fields) & part.table.keys()
 
 
+def _minimal() -> str:
+    return Path(minimal.__file__).read_text(encoding="utf-8")
+
+
 def _files_of(modules: Modules) -> dict[str, str]:
-    files = {"esair/minimal.py": Path(minimal.__file__).read_text(encoding="utf-8")}
+    files = {"esair/minimal.py": _minimal()}
     if modules.facade:
-        files["esair/__init__.py"] = (
-            f"from esair.minimal import {', '.join(FACADE)}\n"
-        )
+        files["esair/__init__.py"] = f"from esair.minimal import {', '.join(FACADE)}\n"
     if modules.future:
         files["__future__.py"] = "annotations = None\n"
     for name, text in modules.sources.items():

@@ -76,9 +76,7 @@ def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Pa
         if isinstance(action, Behavior):
             misfit(key, "it is a behavior: MIN has reactions, and nothing that waits")
         elif isinstance(action, Reaction):
-            whole = (
-                action.reaction if isinstance(action, MinimalReaction) else action
-            )
+            whole = action.reaction if isinstance(action, MinimalReaction) else action
             parts.append(Part("behavior", name, whole, _values(table)))
     return parts
 
@@ -122,7 +120,7 @@ def loop_mistakes(
     by_kind: dict[str, list[Any]] = {"sensor": [], "actuator": [], "behavior": []}
     keys = {}
     for part in parts:
-        if not part.made.name:
+        if part.made.name != part.name:  # the file's name is what its adapter has
             part.made.name = part.name
         by_kind[part.kind].append(part.made)
         keys[part.name] = part.key

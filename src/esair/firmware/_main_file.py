@@ -9,6 +9,25 @@ from esair.exceptions import ConfigError
 from esair.firmware._fit import Part
 
 
+class Imports:
+    """What a file has to import."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, set[str]] = {}
+
+    def add(self, module: str, name: str) -> str:
+        """Return a name that is imported from now on."""
+        self._names.setdefault(module, set()).add(name)
+        return name
+
+    def lines(self) -> list[str]:
+        """Return the lines that import everything."""
+        return [
+            f"from {module} import {', '.join(sorted(names))}"
+            for module, names in sorted(self._names.items())
+        ]
+
+
 def main_file(
     source: str,
     parts: list[Part],
@@ -25,51 +44,57 @@ def main_file(
         rate: Steps per second.
         watchdog: The time-out of the hardware watchdog, in seconds.
     """
-    imports: dict[str, set[str]] = {}
-    body = []
-    for part in parts:
-        cls = type(part.made)
-        imports.setdefault(cls.__module__, set()).add(cls.__qualname__)
-        taken = ", ".join(
-            f"{key}={_literal(value, part, key, imports)}"
-            for key, value in part.table.items()
-            if key in keywords[part.key]
-        )
-        body.append(f"{part.name} = {cls.__qualname__}({taken})")
-        body.append(f'{part.name}.name = "{part.name}"')
-        body += [
-            f"{part.name}.{key} = {_literal(getattr(part.made, key), part, key, imports)}"
-            for key in part.table
-            if key not in keywords[part.key]
-        ]
-    lists = {
-        word: ", ".join(part.name for part in parts if part.kind == kind)
-        for word, kind in (
-            ("reactions", "behavior"),
-            ("sensors", "sensor"),
-            ("actuators", "actuator"),
-        )
-    }
-    feed = ""
-    if watchdog is not None:
-        imports.setdefault("machine", set()).add("WDT")
-        feed = f"feed=WDT(timeout={round(watchdog * 1000)}).feed"
-    lines = [f"# Made by `esair min build` from {source}: change that, and make it anew."]
-    lines.append("from esair.minimal import Loop")
+    imports = Imports()
+    imports.add("esair.minimal", "Loop")
+    body = [line for part in parts for line in made(part, keywords, imports)]
+    body += ["", "_loop = Loop("]
+    for word, kind in (
+        ("reactions", "behavior"),
+        ("sensors", "sensor"),
+        ("actuators", "actuator"),
+    ):
+        names = ", ".join(part.name for part in parts if part.kind == kind)
+        body.append(f"    {word}=[{names}],")
+    body += [f"    rate={rate:g},", ")", f"_loop.run({feeding(watchdog, imports)})", ""]
+    first = f"# Made by `esair min build` from {source}: change that, and make it anew."
+    return "\n".join([first, *imports.lines(), "", *body])
+
+
+def feeding(watchdog: float | None, imports: Imports) -> str:
+    """Return the argument that has a loop feed the board's watchdog; none without one."""
+    if watchdog is None:
+        return ""
+    return (
+        f"feed={imports.add('machine', 'WDT')}(timeout={round(watchdog * 1000)}).feed"
+    )
+
+
+def made(
+    part: Part, keywords: Mapping[str, frozenset[str]], imports: Imports
+) -> list[str]:
+    """Return the lines that make a part."""
+    cls = type(part.made)
+    taken = ", ".join(
+        f"{key}={literal(value, part, key, imports)}"
+        for key, value in part.table.items()
+        if key in keywords[part.key]
+    )
+    lines = [f"{part.name} = {imports.add(cls.__module__, cls.__qualname__)}({taken})"]
+    lines.append(f'{part.name}.name = "{part.name}"')
     lines += [
-        f"from {module} import {', '.join(sorted(names))}"
-        for module, names in sorted(imports.items())
+        f"{part.name}.{key} = {literal(getattr(part.made, key), part, key, imports)}"
+        for key in part.table
+        if key not in keywords[part.key]
     ]
-    lines += ["", *body, "", "_loop = Loop("]
-    lines += [f"    {word}=[{names}]," for word, names in lists.items()]
-    lines += [f"    rate={rate:g},", ")", f"_loop.run({feed})", ""]
-    return "\n".join(lines)
+    return lines
 
 
-def _literal(
-    value: Any, part: Part, key: str, imports: dict[str, set[str]]
-) -> str:
-    """Write a value as Python, with the import that it needs."""
+def literal(value: Any, part: Part, key: str, imports: Imports) -> str:
+    """Write a value as Python, with the import that it needs.
+
+    Raises:
+        ConfigError: It is nothing that can be written.
+    """
 
     def write(one: Any) -> str:
         if one is None or type(one) in {bool, int, float, str}:
@@ -81,9 +106,8 @@ def _literal(
             pairs = (f"{write(each)}: {write(one[each])}" for each in one)
             return "{" + ", ".join(pairs) + "}"
         if isinstance(one, tuple) and hasattr(one, "_fields"):
-            cls = type(one)
-            imports.setdefault(cls.__module__, set()).add(cls.__qualname__)
-            return f"{cls.__qualname__}({', '.join(map(write, one))})"
+            name = imports.add(type(one).__module__, type(one).__qualname__)
+            return f"{name}({', '.join(map(write, one))})"
         raise ConfigError(
             part.key, key, f"MIN takes plain values from the file, not {one!r:.80}"
         )

@@ -1,5 +1,7 @@
 """The modules that go to a board, and what they import that no board has."""
 
+# ruff: noqa: SIM905
+
 from __future__ import annotations
 
 import ast
