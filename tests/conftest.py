@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import hypothesis
 import pytest
 
@@ -18,6 +20,17 @@ def pytest_configure(config: pytest.Config) -> None:
     hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
     if not config.getoption("--esair-soak"):
         hypothesis.settings.load_profile("same")
+    _let_children_hear_signals()
+
+
+def _let_children_hear_signals() -> None:
+    """Undo what nohup and ``&`` do: a signal that is ignored stays so in a child.
+
+    One with a handler, even one that does nothing, is reset when a program begins.
+    """
+    for number in (signal.SIGINT, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, lambda *_: None)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
