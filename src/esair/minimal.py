@@ -21,7 +21,7 @@ reaction decide, in the order given; a command leaves at once if nobody of the s
 higher priority holds the actuator. No memory is allocated in the steady state.
 """
 
-# ruff: noqa: A002, B905, PERF401, RUF005, SIM110, UP031, UP037
+# ruff: noqa: A002, B905, RUF005, UP031, UP037
 # MicroPython knows less of the language: what is newer is not used here.
 
 try:
@@ -112,6 +112,8 @@ class _Part:
     def __init__(self, name: "str | None" = None) -> None:
         if name:
             self.name = name
+        if __debug__:  # else a `Loop` does it
+            _give_name(self)
 
 
 class _Device(_Part):
@@ -187,9 +189,9 @@ class Reaction(_Part):
 class _Input:
     """A sensor, and its newest reading."""
 
-    def __init__(self, name: str, read: "Any") -> None:
-        self.name = name
-        self.read = read
+    def __init__(self, sensor: "Any") -> None:
+        self.name = sensor.name
+        self.read = sensor.read
         self.value: "Any" = None
         self.time = -1
         self.failed = 0
@@ -199,29 +201,22 @@ class _Input:
 class _Output:
     """An actuator, and whose will it does."""
 
-    def __init__(
-        self,
-        name: str,
-        write: "Any",
-        safe: "Any",
-        timeout: int,
-        limits: "Any",
-        clamp: bool,
-    ) -> None:
-        self.name = name
-        self.write = write
-        self.safe = safe
-        self.timeout = timeout
-        self.clamp = clamp
-        self.limits = limits
+    def __init__(self, actuator: "Any", rate: float) -> None:
+        self.name = actuator.name
+        self.write = actuator.write
+        self.safe = actuator.safe
+        self.timeout = _steps(actuator.command_timeout, rate)
+        self.clamp = actuator.clamp
+        limits = actuator.limits or {}
+        if not isinstance(limits, dict):
+            limits = {"": limits}
+        self.limits = [(field,) + tuple(limits[field]) for field in limits]
         """Of each limited field: its name, or nothing, its least and greatest value."""
         self.number: "Any" = type(self.safe)
         """The type of commands for which `least` and `most` are the whole check."""
         if self.number not in (int, float):
             self.number = None
-        self.least, self.most = -_MOST, _MOST
-        if limits:
-            self.least, self.most = limits[0][1:]
+        self.least, self.most = self.limits[0][1:] if limits else (-_MOST, _MOST)
         self.last: "Any" = None
         """A command that was checked, and cannot change."""
         self.bad = False
@@ -238,22 +233,20 @@ class _Port:
 
     owner: "Any" = None
 
-    def __init__(self, key: str, output: "Any", priority: int, hold: int) -> None:
+    def __init__(self, key: str, output: "Any", need: "Any", rate: float) -> None:
         self.key = key
         self.output = output
-        self.priority = priority
-        self.hold = hold
+        self.priority = need.priority
+        self.hold = _steps(need.hold, rate) if need.hold else output.timeout
 
 
 class _Task:
     """A reaction with its wiring: its inputs with their names and greatest ages."""
 
-    def __init__(
-        self, name: str, react: "Any", timed: bool, inputs: "Any", ports: "Any"
-    ) -> None:
-        self.name = name
-        self.react = react
-        self.timed = timed
+    def __init__(self, reaction: "Any", inputs: "Any", ports: "Any") -> None:
+        self.name = reaction.name
+        self.react = reaction.react
+        self.timed = reaction.rate is not None
         self.inputs = inputs
         self.ports = ports
         for port in ports:
@@ -294,19 +287,13 @@ def _flat(command: "Any") -> bool:
 def _finite(value: "Any", depth: int) -> bool:
     if isinstance(value, (int, float)):
         return -_INFINITE < value < _INFINITE
-    if isinstance(value, (str, bytes)) or value is None:
+    if isinstance(value, (str, bytes)):
         return True
-    parts: "Any"
     if isinstance(value, dict):
-        parts = list(value.keys()) + list(value.values())
-    elif isinstance(value, (tuple, list)):
-        parts = value
-    else:
-        parts = list(getattr(value, "__dict__", {}).values())
-    for each in parts:
-        if depth == 0 or not _finite(each, depth - 1):
-            return False
-    return True
+        value = list(value.keys()) + list(value.values())
+    elif not isinstance(value, (tuple, list)):
+        value = getattr(value, "__dict__", {}).values()
+    return all(depth and _finite(each, depth - 1) for each in value)
 
 
 class _Runner:
@@ -425,20 +412,24 @@ class _Runner:
 
     # Actuators.
 
-    def _shared(self, task: "Any", command: "Any") -> "Any":
-        """Return what a reaction has decided for each of its ports."""
+    def _share(self, task: "Any", command: "Any", now: int) -> None:
+        """Send what a reaction has decided for each of its ports."""
         ports = task.ports
-        if command is None:
-            return [(port, None) for port in ports]
         several = type(command) is dict
         if len(ports) == 1 and not (several and ports[0].key in command):
-            return [(ports[0], command)]  # its commands are dictionaries
-        known = [port.key for port in ports]
-        if several and not [key for key in command if key not in known]:
-            return [(port, command.get(port.key)) for port in ports]
-        self._note(task, ValueError("expected commands for %s" % known))
+            self._write(ports[0], command, now)  # its commands are dictionaries
+            return
+        known = 0
+        for port in ports:
+            if several and port.key in command:
+                known += 1
+        if command is None or (several and known == len(command)):
+            for port in ports:
+                self._write(port, command.get(port.key) if several else None, now)
+            return
+        keys = [port.key for port in ports]
+        self._note(task, ValueError("expected commands for %s" % keys))
         self._drop(task)
-        return ()
 
     def _write(self, port: "Any", command: "Any", now: int) -> None:
         """Send a command, unless somebody else holds the actuator or it is no good.
@@ -532,16 +523,16 @@ _BEGIN = """
 _READ = """
   v# = L
   try:
-   {due}s#.value = v# = r#(); s#.time = now
+   %ss#.value = v# = r#(); s#.time = now
   except Exception as e: s#.failed = now; L._note(s#, e)
 """
 _DECIDE = """
   try:
-   {fresh}if {due}L._may_run(t#, now): c = d#({older})
+   %sif %sL._may_run(t#, now): c = d#(%s)
    else: c = L
   except Exception as e: c = L; L._note(t#, e); L._drop(t#)
 """
-# What mostly happens is that the holder goes on; all else is in _write.
+# What mostly happens is that the holder goes on; all else is in _share.
 _WRITE = """
   if c is None:
    if o#.holder is p#: o#.holder = o#.steady = None
@@ -551,59 +542,47 @@ _WRITE = """
    o#.written = now
    try: w#(c)
    except Exception as e: L._note(o#, e); L._make_safe(o#)
-  elif type(c) is dict:
-   for p, x in L._shared(t#, c): L._write(p, x, now)
-  elif c is not L: L._write(p#, c, now)
-"""
-_WRITE_SEVERAL = """
-  if c is not L:
-   for p, x in L._shared(t#, c): L._write(p, x, now)
+  el"""
+_SHARE = """if c is not L: L._share(t#, c, now)
 """
 
 
-def step_text(inputs: "Any", tasks: "Any", paced: "Any") -> str:
-    """Return ``make``: called with a loop and all nodes, it returns a step."""
+def step_text(inputs: "Any", tasks: "Any", paced: "Any", quick: bool = True) -> str:
+    """Return ``make``: called with a loop and all nodes, it returns a step.
+
+    It is shorter, and slower, if it need not be quick.
+    """
     turns = [each[0] for each in paced]
-    names = ["L"]
-    made = ""
-    text = _BEGIN
-    if paced:
-        text += "  L._turn(now)"
+    text = ["L", "", _BEGIN + "  L._turn(now)" if paced else _BEGIN]
+
+    def add(number: int, *parts: str) -> None:
+        for i, part in enumerate(parts):
+            text[i] += part.replace("#", str(number))
+
     for i, source in enumerate(inputs):
-        names.append("s%d" % i)
-        made += " r# = s#.read\n".replace("#", str(i))
         due = "if s#.due: " if source in turns else ""
-        text += _READ.replace("{due}", due).replace("#", str(i))
+        add(i, ",s#", " r# = s#.read\n", _READ % due)
     for i, task in enumerate(tasks):
-        names.append("t%d" % i)
-        made += " d# = t#.react\n".replace("#", str(i))
         fresh, values, older = [], [], []
         for key, source, _ in task.inputs:
             number = inputs.index(source)
             fresh.append("v%d is not L" % number)
             values.append("%s=v%d" % (key, number))
             older.append("%s=s%d.value" % (key, number))
-        if len(values) == 1:
+        if len(values) == 1 and not _flags(task.react) & 8:
             values[0] = values[0].split("=")[1]  # by position is faster, if it is known
-        decide = _DECIDE
-        if values and task not in turns:
-            news = "if %s: c = d#(%s)\n   el" % (" and ".join(fresh), ", ".join(values))
-            decide = decide.replace("{fresh}", news)
-        due = "t#.due and " if task in turns else ""
-        decide = decide.replace("{fresh}", "").replace("{due}", due)
-        text += decide.replace("{older}", ", ".join(older)).replace("#", str(i))
-        write = _WRITE_SEVERAL
-        if len(task.ports) == 1:
-            made += " p#, = t#.ports; o# = p#.output; w# = o#.write\n".replace(
-                "#", str(i)
-            )
-            write = _WRITE
-        text += write.replace("#", str(i))
-    return "def make(%s):\n%s def step():%s return step\n" % (
-        ", ".join(names),
-        made,
-        text,
-    )
+        news = due = ""
+        if task in turns:
+            due = "t#.due and "
+        elif values:
+            news = "if %s: c = d#(%s)\n   el" % (" and ".join(fresh), ",".join(values))
+        add(i, ",t#", " d# = t#.react\n", _DECIDE % (news, due, ",".join(older)))
+        if quick and len(task.ports) == 1:
+            add(i, "", " p#, = t#.ports; o# = p#.output; w# = o#.write\n", _WRITE)
+        else:
+            add(i, "", "", "  ")
+        add(i, "", "", _SHARE)
+    return "def make(%s):\n%s def step():%s return step\n" % tuple(text)
 
 
 class Loop(_Runner):
@@ -611,8 +590,8 @@ class Loop(_Runner):
 
     Args:
         reactions: In the order in which they decide.
-        sensors: Whatever has a plain ``read``.
-        actuators: Whatever has a plain ``write``, and a ``safe`` command.
+        sensors: Of MIN, or on a computer those of STD that have a plain ``read``.
+        actuators: Of MIN, or on a computer those of STD that have a plain ``write``.
         rate: Steps per second.
 
     Attributes:
@@ -640,8 +619,9 @@ class Loop(_Runner):
         reactions, sensors = list(reactions), list(sensors)
         actuators = list(actuators)
         for part in reactions + sensors + actuators:
-            if not part.name:
-                part.name = _snake_case(type(part).__name__)
+            if isinstance(part, type):
+                raise ValueError("%s: expected an object, not a class" % part.__name__)
+            _give_name(part)
         if __debug__:
             found = mistakes(reactions, sensors, actuators, rate)
             if found:
@@ -653,58 +633,31 @@ class Loop(_Runner):
         devices = sensors + actuators
         self._opened = [each.open for each in devices if _is_plain(each, "open")]
         self._closed = [each for each in devices if _is_plain(each, "close")]
-        self._wire(reactions, sensors, actuators, rate)
-        scope: "Any" = {}
-        exec(step_text(self._inputs, self._tasks, self._paced), scope)
-        self.step = scope["make"](self, *(self._inputs + self._tasks))
-
-    def _wire(
-        self,
-        reactions: "list[Any]",
-        sensors: "list[Any]",
-        actuators: "list[Any]",
-        rate: float,
-    ) -> None:
-        every = self._every = int(rate * 1000 + 0.5)
-        inputs = self._inputs = [_Input(each.name, each.read) for each in sensors]
-        outputs = self._outputs = [_output(each, rate) for each in actuators]
-        tasks: "list[Any]" = []
-        self._tasks = tasks
+        inputs: "Any" = [_Input(each) for each in sensors]
+        outputs: "Any" = [_Output(each, rate) for each in actuators]
+        named = {each.name: each for each in inputs + outputs}
+        tasks: "Any" = []
         for part in reactions:
             terms, ports = [], []
             for key, need in declared(part):
-                name = need.name or key
+                node = named[need.name or key]
                 if hasattr(need, "max_age"):
                     age = need.max_age and _steps(need.max_age, rate)
-                    terms += [(key, each, age) for each in inputs if each.name == name]
-                    continue
-                for each in outputs:
-                    if each.name == name:
-                        hold = _steps(need.hold, rate) if need.hold else each.timeout
-                        ports.append(_Port(key, each, need.priority, hold))
-            timed = part.rate is not None
-            tasks.append(_Task(part.name, part.react, timed, terms, ports))
+                    terms.append((key, node, age))
+                else:
+                    ports.append(_Port(key, node, need, rate))
+            tasks.append(_Task(part, terms, ports))
+        every = self._every = int(rate * 1000 + 0.5)
         self._paced = []
         for node, part in zip(inputs + tasks, sensors + reactions):
             pace = every if part.rate is None else int(part.rate * 1000 + 0.5)
             if pace < every:
                 node.phase = every - pace
                 self._paced.append((node, pace))
-
-
-def _output(actuator: "Any", rate: float) -> _Output:
-    limits = actuator.limits or {}
-    if not isinstance(limits, dict):
-        limits = {"": limits}
-    fields = [(key,) + tuple(limits[key]) for key in limits]
-    return _Output(
-        actuator.name,
-        actuator.write,
-        actuator.safe,
-        _steps(actuator.command_timeout, rate),
-        tuple(fields),
-        actuator.clamp,
-    )
+        self._inputs, self._outputs, self._tasks = inputs, outputs, tasks
+        scope: "Any" = {}
+        exec(step_text(inputs, tasks, self._paced), scope)
+        self.step = scope["make"](self, *(inputs + tasks))
 
 
 def declared(reaction: "Any") -> "list[tuple[str, Any]]":
@@ -730,8 +683,17 @@ def _steps(seconds: float, rate: float) -> int:
 def _is_plain(part: "Any", name: str) -> bool:
     """Tell whether a part has a method that can be called without an event loop."""
     method = getattr(part, name, None)
-    code = getattr(method, "__code__", None)
-    return method is not None and not getattr(code, "co_flags", 0) & 0x380
+    return method is not None and not _flags(method) & 0x380
+
+
+def _flags(method: "Any") -> int:
+    """What a computer knows about a function; 0 on a board."""
+    return getattr(getattr(method, "__code__", None), "co_flags", 0)
+
+
+def _give_name(part: "Any") -> None:
+    if not part.name:
+        part.name = _snake_case(type(part).__name__)
 
 
 def _snake_case(name: str) -> str:
@@ -754,107 +716,101 @@ if __debug__:
         rate: float,
     ) -> "list[str]":
         """Return what is wrong with the parts of a loop, and how they fit together."""
-        found = []
-        if not _good(rate, 100000):
-            return ["loop: rate: expected Hz > 0, not %r" % (rate,)]
-        for kind, parts in (("reaction", reactions), ("device", sensors + actuators)):
+        found: "list[str]" = []
+        longest = (_MASK // 2) / _SECOND
+
+        def tell(name: str, text: str, *values: "Any") -> None:
+            found.append(name + ": " + text % values)
+
+        def check(
+            name: str, field: str, value: "Any", most: float, unit: str = "seconds"
+        ) -> None:
+            if not (isinstance(value, (int, float)) and 0 < value <= most * 1.0001):
+                text = "%s: expected %s > 0, at most %g, not %r"
+                tell(name, text, field, unit, most, value)
+
+        def check_method(part: "Any", name: str, base: "Any" = None) -> None:
+            method = getattr(part, name, None)
+            module = getattr(method, "__module__", None) or ""
+            if base:
+                module = ""
+                if getattr(type(part), name, None) is getattr(base, name):
+                    method = None
+                if method is None:
+                    tell(part.name, "it must have a method %s", name)
+            # Those of STD itself do nothing: they are left out, not refused.
+            if method and not _is_plain(part, name) and module[:6] != "esair.":
+                tell(part.name, "%s: expected a plain method, not async", name)
+
+        check("loop", "rate", rate, 100000, "Hz")
+        if found:
+            return found
+        devices = sensors + actuators
+        for parts in (reactions, devices):
             names = [part.name for part in parts]
             for name in names:
                 if names.count(name) > 1:
-                    found.append("%s: there are two %ss of this name" % (name, kind))
+                    tell(name, "there are two of this name")
+                wrong = [
+                    each
+                    for each in name.replace("_", "")
+                    if not (each.islower() or each.isdigit())
+                ]
+                if wrong or not name[0].islower():
+                    tell(name, "a name has small letters, digits and _")
+        for part in devices:
+            check_method(part, "open")
+            check_method(part, "close")
         for part in sensors + reactions:
-            if part.rate is not None and not _good(part.rate, rate * 1.0001):
-                found.append(
-                    "%s: rate: expected Hz > 0, not above the %s of the loop, not %r"
-                    % (part.name, rate, part.rate)
-                )
-        for part in sensors + actuators:
-            for name in ("open", "close"):
-                method = getattr(part, name, None)
-                module = getattr(method, "__module__", None) or ""
-                # Those of STD itself do nothing: they are left out, not refused.
-                if method and not module.startswith("esair."):
-                    found += _wrong_async(part, name)
+            pace = getattr(part, "rate", None)
+            if pace is not None:
+                check(part.name, "rate", pace, rate, "Hz")
         for part in sensors:
-            found += _wrong_method(part, "read")
+            check_method(part, "read", Sensor)
         for part in actuators:
-            found += _wrong_method(part, "write") + _wrong_actuator(part, rate)
+            check_method(part, "write", Actuator)
+            name = part.name
+            if not hasattr(part, "safe"):
+                tell(name, "safe: an actuator must declare its safe command")
+                continue
+            before = len(found)
+            timeout = part.command_timeout
+            check(name, "command_timeout", timeout, longest)
+            if len(found) == before and timeout < 1.0 / rate:
+                tell(name, "command_timeout: shorter than one step")
+            if getattr(part, "slew", None) is not None:
+                tell(name, "slew: only STD has it")
+            if part.clamp and isinstance(part.limits, dict):
+                tell(name, "clamp: only STD has it for fields")
+            if len(found) == before:
+                try:
+                    _checked(_Output(part, rate), part.safe)
+                except Exception as error:
+                    tell(name, "safe or limits: %r", error)
         for part in reactions:
-            found += _wrong_method(part, "react")
-            found += _wrong_reaction(part, sensors, actuators)
-        return found
-
-    def _good(number: "Any", most: float) -> bool:
-        return isinstance(number, (int, float)) and 0 < number <= most
-
-    def _seconds(name: str, number: "Any") -> "list[str]":
-        most = (_MASK // 2) / _SECOND
-        if _good(number, most):
-            return []
-        return ["%s: expected seconds > 0, at most %d, not %r" % (name, most, number)]
-
-    def _wrong_method(part: "Any", name: str) -> "list[str]":
-        method = getattr(part, name, None)
-        for base in (Sensor, Actuator, Reaction):
-            if getattr(type(part), name, None) is getattr(base, name, part):
-                method = None
-        if method is None:
-            return ["%s: it must have a method %s" % (part.name, name)]
-        return _wrong_async(part, name)
-
-    def _wrong_async(part: "Any", name: str) -> "list[str]":
-        if not _is_plain(part, name):
-            return ["%s: %s: expected a plain method, not async" % (part.name, name)]
-        return []
-
-    def _wrong_actuator(part: "Any", rate: float) -> "list[str]":
-        name = part.name
-        if not hasattr(part, "safe"):
-            return ["%s: safe: an actuator must declare its safe command" % name]
-        found = _seconds(name + ": command_timeout", part.command_timeout)
-        if not found and part.command_timeout < 1.0 / rate:
-            found.append("%s: command_timeout: shorter than one step" % name)
-        if getattr(part, "slew", None) is not None:
-            found.append("%s: slew: only STD has it" % name)
-        if part.clamp and isinstance(part.limits, dict):
-            found.append("%s: clamp: only STD has it for fields" % name)
-        if not found:
-            try:
-                _checked(_output(part, rate), part.safe)
-            except Exception as error:
-                found.append("%s: safe or limits: %r" % (name, error))
-        return found
-
-    def _wrong_reaction(
-        part: "Any", sensors: "list[Any]", actuators: "list[Any]"
-    ) -> "list[str]":
-        found = []
-        inputs = []
-        for key, need in declared(part):
-            where = "%s: %s" % (part.name, key)
-            is_input = hasattr(need, "max_age")
-            if is_input:
-                inputs.append(key)
-            name = need.name or key
-            known = [each.name for each in (sensors if is_input else actuators)]
-            if name not in known:
-                kind = "sensor" if is_input else "actuator"
-                found.append(
-                    "%s: there is no %s %r, only %s" % (where, kind, name, known)
-                )
-            if need.configure:
-                found.append("%s: configure: only STD has it" % where)
-            seconds = need.max_age if is_input else need.hold
-            if seconds is not None:
-                found += _seconds(where, seconds)
-        if not inputs and part.rate is None:
-            found.append("%s: rate: it reads nothing, so it needs one" % part.name)
-        code: "Any" = getattr(part.react, "__code__", None)
-        if hasattr(code, "co_varnames"):  # on a board nobody knows the parameters
-            taken = code.co_varnames[1 : code.co_argcount]
-            if sorted(taken) != sorted(inputs) or code.co_kwonlyargcount:
-                found.append(
-                    "%s: react: its parameters %s must be its readings %s"
-                    % (part.name, list(taken), inputs)
-                )
+            check_method(part, "react", Reaction)
+            inputs = []
+            for key, need in declared(part):
+                where = part.name + ": " + key
+                kind, known, field = "actuator", actuators, "hold"
+                if hasattr(need, "max_age"):
+                    kind, known, field = "sensor", sensors, "max_age"
+                    inputs.append(key)
+                name, names = need.name or key, [each.name for each in known]
+                if name not in names:
+                    tell(where, "there is no %s %r, only %s", kind, name, names)
+                if need.configure:
+                    tell(where, "configure: only STD has it")
+                seconds = getattr(need, field)
+                if seconds is not None:
+                    check(where, field, seconds, longest)
+            if not inputs and part.rate is None:
+                tell(part.name, "rate: it reads nothing, so it needs one")
+            code: "Any" = getattr(part.react, "__code__", None)
+            # On a board nobody knows the parameters.
+            if hasattr(code, "co_varnames") and not code.co_flags & 8:
+                taken = code.co_varnames[1 : code.co_argcount]
+                if sorted(taken) != sorted(inputs) or code.co_kwonlyargcount:
+                    text = "react: its parameters %s must be its readings %s"
+                    tell(part.name, text, list(taken), inputs)
         return found

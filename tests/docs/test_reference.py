@@ -46,6 +46,7 @@ PRIVATE = {"cli", "demo", "loop"}
 HIDDEN = {
     "esair.minimal.declared",
     "esair.minimal.mistakes",
+    "esair.minimal.step_text",
     "esair.sim.Simulation",
 }
 """What is there for other modules of esair only."""

@@ -73,9 +73,21 @@ def rule_names_default_to_the_class_in_snake_case():
     class MyHTTPSonar2Front(Sonar):
         pass
 
-    part = MyHTTPSonar2Front(1)
+    assert MyHTTPSonar2Front(1).name == "my_http_sonar2_front"
+    assert Motor("arm").name == "arm"
+
+
+def rule_a_part_that_forgets_its_base_class_has_a_name_too():
+    class FrontSonar(Sensor):
+        def __init__(self):
+            pass
+
+        def read(self):
+            return 1
+
+    part = FrontSonar()
     Loop([], [part], [])
-    assert part.name == "my_http_sonar2_front", part.name
+    assert part.name == "front_sonar", part.name
 
 
 def rule_the_first_and_the_last_command_is_the_safe_one():
@@ -253,6 +265,31 @@ def rule_several_commands_go_by_name():
     assert loop.faults == 1
 
 
+def rule_several_commands_that_say_nothing_give_everything_back():
+    class High(Reaction):
+        sonar = reads(float)
+        left = writes(float, priority=5)
+        right = writes(float, priority=5)
+
+        def react(self, sonar):
+            return {"left": sonar, "right": sonar} if sonar > 0 else {}
+
+    class Low(Reaction):
+        sonar = reads(float)
+        right = writes(float)
+
+        def react(self, sonar):
+            return 0.125
+
+    left, right = Motor("left"), Motor("right")
+    loop = Loop([High(), Low()], [Sonar(0.5, -1)], [left, right], rate=50)
+    loop.step()
+    loop.step()
+    assert left.told == [0.0, 0.5]
+    assert right.told == [0.0, 0.5, 0.125]
+    assert loop.faults == 0
+
+
 def rule_slower_parts_have_their_turns():
     class Seldom(Go):
         rate = 20
@@ -305,7 +342,7 @@ def rule_every_mistake_is_named_at_once():
     except ValueError as error:
         text = str(error)
     for each in (
-        "lost: rate: expected Hz > 0, not above the 50",
+        "lost: rate: expected Hz > 0, at most 50, not 100",
         "sonar: it must have a method read",
         "no_safe: safe",
         "lost: lidar: there is no sensor 'lidar', only ['sonar']",
@@ -319,9 +356,28 @@ def rule_nothing_is_allocated_in_the_steady_state():
 
     if not hasattr(gc, "mem_alloc"):
         return
-    loop, _ = told_by([0.5], 100, motor=Quiet())
+
+    class Both(Reaction):
+        sonar = reads(float)
+        left = writes(float)
+        right = writes(float)
+        commands = {"left": 0.5, "right": 0.25}  # noqa: RUF012
+
+        def react(self, sonar):
+            return self.commands
+
+    motors = [Quiet("left"), Quiet("right")]
+    several = Loop([Both()], [Sonar(0.5)], motors, rate=50)
+    for loop in (told_by([0.5], 1, motor=Quiet())[0], several):
+        allocates_nothing(loop.step)
+
+
+def allocates_nothing(step):
+    import gc
+
+    for _ in range(100):
+        step()
     gc.collect()
-    step = loop.step
     before = gc.mem_alloc()
     for _ in range(1000):
         step()

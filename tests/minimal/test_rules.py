@@ -115,6 +115,49 @@ def test_an_actuator_that_cannot_be_safe_is_refused(change, message) -> None:
         minimal.Loop([], [], [motor])
 
 
+@pytest.mark.parametrize(
+    ("reactions", "sensors", "actuators", "message"),
+    [
+        ([], [rules.Motor("m")], [], "m: it must have a method read"),
+        ([], [], [rules.Sonar(1)], "sonar: it must have a method write"),
+        ([], [rules.Sonar], [], "Sonar: expected an object, not a class"),
+        ([], [], [rules.Motor("Left Arm")], "Left Arm: a name has small letters"),
+        ([], [], [rules.Motor("m"), rules.Motor("m")], "m: there are two of this name"),
+    ],
+)
+def test_what_is_no_part_is_refused(reactions, sensors, actuators, message) -> None:
+    """In the wrong list, a class for an object, a name that STD would refuse."""
+    with pytest.raises(ValueError, match=message):
+        minimal.Loop(reactions, sensors, actuators)
+
+
+@pytest.mark.parametrize(
+    ("key", "need"),
+    [
+        ("max_age", minimal.reads(float, name="sonar", max_age=-1.0)),
+        ("hold", minimal.writes(float, name="motor", hold=0.0)),
+    ],
+)
+def test_a_duration_that_is_none_is_named(key, need) -> None:
+    """The error says which word of the declaration it is."""
+    wrong = type("Wrong", (rules.Go,), {"port": need})()
+
+    with pytest.raises(ValueError, match=f"wrong: port: {key}: expected seconds > 0"):
+        minimal.Loop([wrong], [rules.Sonar(1)], [rules.Motor()])
+
+
+def test_readings_may_come_together() -> None:
+    """A computer knows that ``react`` takes all by name, as STD gives them."""
+
+    class Any(rules.Go):
+        def react(self, **readings):  # type: ignore[override]
+            return readings["sonar"]
+
+    _, motor = rules.told_by([0.5], 2, Any())
+
+    assert motor.told == [0.0, 0.5, 0.5]
+
+
 def test_async_methods_are_refused() -> None:
     """MIN has no event loop."""
 
