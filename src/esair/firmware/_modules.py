@@ -51,6 +51,8 @@ class Modules:
             return
         text = path.read_text(encoding="utf-8")
         self.sources[name] = text
+        if name == "main":
+            self._misfit(key, "its module main has the name of what a board starts")
         is_package = path.name == "__init__.py"
         try:
             tree = ast.parse(text)

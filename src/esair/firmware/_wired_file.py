@@ -10,9 +10,8 @@ from typing import Any
 
 from esair import minimal
 from esair.firmware._fit import Part
-from esair.firmware._main_file import Imports, feeding, literal, made
+from esair.firmware._main_file import Imports, literal, made
 
-_NODES = (minimal._Input, minimal._Output, minimal._Port, minimal._Task)
 _NOTHING = (minimal._Device.open, minimal._Device.close)
 _MADE_THERE = frozenset({"step", "_tasks"})
 
@@ -21,7 +20,6 @@ def wired_file(
     parts: list[Part],
     keywords: Mapping[str, frozenset[str]],
     rate: float,
-    watchdog: float | None,
 ) -> str:
     """Return a program that begins where an `esair.minimal.Loop` is ready to run.
 
@@ -31,9 +29,8 @@ def wired_file(
         parts: What is wired.
         keywords: Which keys of each part its constructor takes.
         rate: Steps per second.
-        watchdog: The time-out of the hardware watchdog, in seconds.
     """
-    imports = Imports()
+    imports = Imports(rename=False)  # a small board has one namespace
     imports.add("esair.minimal", "_Runner")
     reactions, sensors, actuators = (
         [part.made for part in parts if part.kind == kind]
@@ -47,7 +44,7 @@ def wired_file(
     state = {key: value for key, value in vars(loop).items() if key not in _MADE_THERE}
     nodes = [*loop._inputs, *loop._outputs, *loop._tasks]
     nodes += [port for task in loop._tasks for port in task.ports]
-    names = {id(part.made): part.name for part in parts}
+    names = {id(part.made): part.variable for part in parts}
     names |= {id(node): f"_{i}" for i, node in enumerate(nodes)}
 
     def written(value: Any) -> str:
@@ -75,10 +72,10 @@ def wired_file(
         ]:
             for key, value in thing.items():
                 yield f"{name}.{key} = {written(value)}"
-        yield minimal.step_text(loop._inputs, loop._tasks, loop._paced)
+        yield minimal.step_text(loop._inputs, loop._tasks, loop._paced, quick=False)
         given = [names[id(each)] for each in [*loop._inputs, *loop._tasks]]
         yield f"loop.step = make(loop, {', '.join(given)})"
-        yield f"loop.run({feeding(watchdog, imports)})"
+        yield "loop.run()"
 
     body = "\n".join(lines())
     return "\n".join([*imports.lines(), body, ""])
