@@ -176,6 +176,22 @@ def test_a_register_is_a_number(machine, options, data, value) -> None:
     assert machine.chips[0x48][0x01] == 0x60
 
 
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: PwmServo(16, frequency=0), "pulse_us"),
+        (lambda: PwmServo(16, frequency=500), "pulse_us"),
+        (lambda: PwmServo(16, pulse_us=(-1, 2000)), "pulse_us"),
+        (lambda: I2CRegister(0x148, 0), "address"),
+        (lambda: I2CRegister(0x48, 0, size=0), "size"),
+    ],
+)
+def test_what_no_part_can_do_is_refused(make, message) -> None:
+    """Pulses longer than their period, an address of 8 bits, a number of no bytes."""
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
 def test_an_i2c_part_that_is_gone_raises(machine) -> None:
     """The error is the bus's; the loop takes it as no reading."""
     machine.chips[0x48] = {}

@@ -39,6 +39,10 @@ class I2CRegister(Sensor):
         name: "str | None" = None,
     ) -> None:
         Sensor.__init__(self, name)
+        if not 0 <= address < 128:
+            raise ValueError("address: expected 7 bits")
+        if size < 1:
+            raise ValueError("size: expected bytes, 1 or more")
         self.address = address
         self.register = register
         self.buffer = bytearray(size)

@@ -26,6 +26,8 @@ class PwmServo(Actuator):
         name: "str | None" = None,
     ) -> None:
         Actuator.__init__(self, name)
+        if min(pulse_us) <= 0 or not 0 < max(pulse_us) * frequency < 1000000:
+            raise ValueError("pulse_us: expected > 0, shorter than 1/frequency")
         self.pin = pin
         self.safe = float(safe)
         self.middle = (pulse_us[0] + pulse_us[1]) * 500
