@@ -134,3 +134,31 @@ def test_parts_are_described_in_a_file(tmp_path) -> None:
     assert parts["lamp"].bus is parts["room"].bus
     assert parts["lamp"].bus.place == "name:i2c-tiny-usb"
     assert parts["dac"].limits == (900.0, 1100.0)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        '[sensor.part]\ndriver = "mpu6050"\n',
+        '[sensor.part]\ndriver = "bme280"\n',
+        '[sensor.part]\ndriver = "ads1115"\n',
+        '[actuator.part]\ndriver = "pca9685"\nchannel = 0\n',
+        '[actuator.part]\ndriver = "esair.drivers.pca9685_servo:PwmServo"\nchannel = 0\n',
+        '[sensor.part]\ndriver = "adafruit"\nlibrary = "io:BytesIO"\nvalue = "x"\n',
+        '[actuator.part]\ndriver = "adafruit"\nlibrary = "io:BytesIO"\nattribute = "x"\n'
+        "safe = 0\n",
+    ],
+)
+def test_a_file_that_gives_a_part_no_i2c_bus_is_refused(tmp_path, table) -> None:
+    """Before anything is opened: no bus, or one of another kind."""
+    file = tmp_path / "robot.toml"
+    file.write_text(table)
+    (none,) = (each for each in config.check(file).findings if each.severity == "error")
+    assert "'bus' is missing" in none.message
+    assert "I2CBus" in none.message
+
+    file.write_text(f'[bus.c]\ntype = "can"\nchannel = "can0"\n{table}bus = "c"\n')
+    (other,) = (
+        each for each in config.check(file).findings if each.severity == "error"
+    )
+    assert "I2CBus, but 'c' is a CanBus" in other.message

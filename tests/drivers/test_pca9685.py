@@ -241,6 +241,7 @@ class ReadOnly:
         (PwmServo, {"channel": 0, "min_pulse": 0.003}, "max_pulse"),
         (PwmServo, {"channel": 0, "max_pulse": 0.03}, "max_pulse"),
         (PwmServo, {"channel": 0, "max_angle": math.inf}, "max_angle"),
+        (PwmServo, {"channel": 0, "min_angle": -45, "max_angle": 45}, "max_angle"),
         (PwmServo, {"channel": 0, "min_angle": 1.0, "max_angle": 1.0}, "max_angle"),
     ],
 )

@@ -212,6 +212,7 @@ class AdafruitSensor(Sensor[Any]):
         arguments: Further keywords for the driver's class.
     """
 
+    bus: I2CBus
     deadline = 2.0
 
     def __init__(
@@ -267,6 +268,7 @@ class AdafruitActuator(Actuator[Any]):
         arguments: Further keywords for the driver's class.
     """
 
+    bus: I2CBus
     deadline = 2.0
 
     def __init__(

@@ -92,6 +92,7 @@ class Ads1115(Sensor[float]):
         address: 0x48 to 0x4b, by the chip's pin ADDR.
     """
 
+    bus: I2CBus
     full_scale = setting(
         4.096,
         unit="V",

@@ -160,6 +160,7 @@ class Bme280(Sensor[Climate]):
         address: 0x76, or 0x77 if the chip's pin SDO is high.
     """
 
+    bus: I2CBus
     rate = setting(1.0, unit="Hz", min=0.001, max=50.0, doc="how often it is asked")
     oversampling = setting(
         1,

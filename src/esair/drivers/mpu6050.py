@@ -12,6 +12,7 @@ from typing import Any
 
 import attrs
 
+from esair.buses import I2CBus
 from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
 from esair.exceptions import DeviceFaultError
 from esair.resources import Sensor, setting
@@ -94,6 +95,7 @@ class Mpu6050(Sensor[Motion]):
         address: 0x68, or 0x69 if the chip's pin AD0 is high.
     """
 
+    bus: I2CBus
     rate = setting(50.0, unit="Hz", min=1.0, max=200.0, doc="how often it is asked")
     gyro_range = setting(
         250,

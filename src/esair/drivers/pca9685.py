@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from esair.buses import I2CBus
 from esair.drivers._pca9685 import STEPS, Channel
 from esair.resources import Actuator
 
@@ -27,6 +28,7 @@ class PwmChannel(Actuator[float]):
         frequency: How many periods a second, 24 to 1526 Hz.
     """
 
+    bus: I2CBus
     safe = 0.0
     limits = (0.0, 1.0)
 

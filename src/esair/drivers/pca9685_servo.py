@@ -11,11 +11,15 @@ from typing import Any
 
 import attrs
 
+from esair.buses import I2CBus
 from esair.drivers._pca9685 import STEPS, Channel, frequency_of, prescale
 from esair.exceptions import ConfigError
 from esair.resources import Actuator
 
 __all__ = ["PwmServo", "ServoPosition"]
+
+WIDEST = 20 * math.pi
+"""How far a servo may turn, in rad; whatever says more is in degrees."""
 
 
 @attrs.frozen
@@ -49,6 +53,8 @@ class PwmServo(Actuator[ServoPosition]):
         max_pulse: The longest pulse, in seconds.
     """
 
+    bus: I2CBus
+
     def __init__(
         self,
         *,
@@ -70,12 +76,12 @@ class PwmServo(Actuator[ServoPosition]):
                 f"expected pulses of 0 s < min_pulse < max_pulse < {1 / frequency:g} s, "
                 f"not {min_pulse!r:.80} and {max_pulse!r:.80}",
             )
-        if not (math.isfinite(max_angle - min_angle) and max_angle != min_angle):
+        if not 0.0 < abs(max_angle - min_angle) <= WIDEST:
             raise ConfigError(
                 self.name,
                 "max_angle",
-                f"expected two different angles, not {min_angle!r:.80} and "
-                f"{max_angle!r:.80}",
+                f"expected two different angles in rad, {WIDEST:.3g} apart at most, "
+                f"not {min_angle!r:.80} and {max_angle!r:.80}",
             )
         self.min_angle = min_angle
         self.max_angle = max_angle
