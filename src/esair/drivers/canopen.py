@@ -155,7 +155,10 @@ class _Node:
         self._patience = 0.0
 
     async def open(self, device: _OnNode) -> None:
-        """Find the node, compare its identity, start it and watch its heartbeat."""
+        """Find the node, compare its identity, start it and watch its heartbeat.
+
+        Who moves it puts its safe command there before it is started.
+        """
         async with self.opening:
             if self._is_open:
                 return
@@ -173,6 +176,7 @@ class _Node:
                 period = await self.call(
                     device, self._begin, device.dictionary, device.heartbeat
                 )
+                await self.call(device, self._start, tuple(self.users))
             except BaseException:
                 self.usable = False
                 raise
@@ -244,8 +248,14 @@ class _Node:
             period = int.from_bytes(sdo.upload(HEARTBEAT_TIME, 0), "little") / 1000
         except SdoAbortedError:
             period = 0.0  # a node without a heartbeat: its loss shows when it is asked
-        self.remote.nmt.state = "OPERATIONAL"
         return period
+
+    def _start(self, users: tuple[_OnNode, ...]) -> None:
+        """Have it obey what it was told: that is what is safe; in the thread."""
+        for user in users:
+            with contextlib.suppress(SdoAbortedError):  # it may take it once it runs
+                user.make_ready(self.remote)
+        self.remote.nmt.state = "OPERATIONAL"
 
     async def _take(self, inbox: Any) -> None:
         assert self.network is not None
@@ -351,6 +361,9 @@ class _OnNode:
         self.sdo_timeout = check_seconds(self.name, "sdo_timeout", sdo_timeout)
         self._link: _Node | None = None
 
+    def make_ready(self, remote: Any) -> None:
+        """Tell the node what must be there before it is started, in its thread."""
+
     async def _join(self) -> _Node:
         await self._part()
         bus = can_bus(self)  # type: ignore[arg-type]
@@ -379,12 +392,9 @@ class _OnNode:
             raise DeviceLostError(self.name, f"node {self.node} is not open")
         return await link.call(self, function, *args, guard=guard)
 
-    def _raw(self) -> Any:
+    def _object_of(self, remote: Any) -> Any:
         """The object as canopen reads and writes it, in its thread."""
-        assert self._link is not None
-        return self._link.remote.sdo.get_variable(
-            self.variable.index, self.variable.subindex
-        )
+        return remote.sdo.get_variable(self.variable.index, self.variable.subindex)
 
     def _to_value(self, raw: Any) -> Any:
         if self.factor is not None:
@@ -477,7 +487,11 @@ class CanopenSensor(_OnNode, Sensor[Any]):
 
     async def read(self) -> Any:
         """Ask the node for the object."""
-        return self._to_value(await self._call(lambda: self._raw().raw))
+        return self._to_value(await self._call(self._get))
+
+    def _get(self) -> Any:
+        assert self._link is not None
+        return self._object_of(self._link.remote).raw
 
     async def stream(self) -> AsyncIterator[Any]:
         """Yield the object from each PDO."""
@@ -595,16 +609,22 @@ class CanopenActuator(_OnNode, Actuator[Any]):
         """Write the object."""
         self._newest += 1
         mine = self._newest
-        raw = command if self.factor is None else command / self.factor
-        if self.variable.data_type in INTEGER_TYPES:
-            raw = round(raw)
         try:
-            await self._call(self._put, raw, guard=lambda: mine == self._newest)
+            await self._call(self._put, command, guard=lambda: mine == self._newest)
         except CallRefused:
             raise BusyError(self.name, "number of waiting writes", 1) from None
 
-    def _put(self, raw: Any) -> None:
-        self._raw().raw = raw
+    def make_ready(self, remote: Any) -> None:
+        """Put the safe command there."""
+        self._object_of(remote).raw = self._to_raw(self.safe)
+
+    def _put(self, command: Any) -> None:
+        assert self._link is not None
+        self._object_of(self._link.remote).raw = self._to_raw(command)
+
+    def _to_raw(self, command: Any) -> Any:
+        raw = command if self.factor is None else command / self.factor
+        return round(raw) if self.variable.data_type in INTEGER_TYPES else raw
 
     def _narrowed(self, given: tuple[float, float] | None) -> Any:
         allowed = bounds(self.variable)
