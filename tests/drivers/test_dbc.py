@@ -639,3 +639,44 @@ async def test_a_number_of_frames_may_have_a_name(
         assert [(await waiting)["gear"], (await anext(stream))["gear"]] == ["off", 2]
         assert (await anext(stream))["gear"] == 3
     assert (sensor.missed, sensor.repeated) == (1, 1)
+
+
+def panel(wire: Any, **keywords: Any) -> DbcActuator:
+    safe = {"page": 0, "voltage": 0.0}
+    return DbcActuator(
+        name="panel",
+        bus=wire,
+        database=ROVER,
+        **{"message": "Panel", "safe": safe, **keywords},
+    )
+
+
+def test_how_fast_a_multiplexed_signal_changes_cannot_be_limited(fake_can: Any) -> None:
+    """The command before may have said nothing about it."""
+    with pytest.raises(ConfigError, match=r"slew\.voltage: it is multiplexed"):
+        panel(fake_can("drive"), slew={"voltage": 1.0})
+    with pytest.raises(ConfigError, match=r"slew: .* did you mean 'left'"):
+        command(fake_can("drive"), slew={"lefft": 1.0})
+    assert panel(fake_can("drive"), slew={"page": 1.0}).slew == {"page": 1.0}
+
+
+async def test_a_change_that_is_too_fast_is_made_slower(fake_can: Any) -> None:
+    """As with any other actuator."""
+    wire = fake_can("drive")
+    wheels = command(wire, slew={"left": 1.0, "right": 1.0})
+    async with driven(wheels) as robot:
+        right = await robot.resources.register("me", "wheels", esair.Access.WRITE)
+        await asyncio.sleep(0.1)
+        written = await robot.actuators.write(right, {"left": 2.0, "right": -2.0})
+    assert written
+    assert 0.0 < written.command["left"] < 2.0
+    assert -2.0 < written.command["right"] < 0.0
+
+
+async def test_a_truth_value_is_no_number(fake_can: Any) -> None:
+    """Unless the signal has but one bit."""
+    wire = fake_can("drive")
+    async with driven(command(wire)) as robot:
+        right = await robot.resources.register("me", "wheels", esair.Access.WRITE)
+        with pytest.raises(BadValueError, match="left: expected a number, not True"):
+            await robot.actuators.write(right, {"left": True, "right": 0.0})

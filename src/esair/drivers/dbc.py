@@ -300,8 +300,9 @@ class DbcSensor(Sensor[Any]):
 class DbcActuator(Actuator[Any]):
     """A message of a DBC file that a node on the bus obeys.
 
-    A command has exactly the signals of the message, each as a number in its unit or as
-    the name of one of its choices; what does not fit is refused before it leaves.
+    A command has exactly the signals of the message, each as a number in its unit, as
+    the name of one of its choices, or as a truth value if it has but one bit; what
+    does not fit is refused before it leaves.
 
     A command is sent once. A node that wants its frames in a cycle gets them from a
     behavior that writes in that cycle; or, with ``cycle``, from this driver, which
@@ -319,6 +320,8 @@ class DbcActuator(Actuator[Any]):
         sequence: The name of a signal that counts the frames; it is not in commands.
         cycle: How often the last command is repeated, in seconds; it is not if None.
         limits: Narrower limits than those of the file.
+        slew: The fastest change, in units per second: of the only signal, or of signals
+            by name that are not multiplexed.
     """
 
     bus: CanBus
@@ -334,6 +337,7 @@ class DbcActuator(Actuator[Any]):
         sequence: str | None = None,
         cycle: float | None = None,
         limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
+        slew: float | Mapping[str, float] | None = None,
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
@@ -358,6 +362,9 @@ class DbcActuator(Actuator[Any]):
         self._limited_only = self._names_with_limits()
         self._value_type = self._type_of_commands()
         self._check_safe()
+        if slew is not None:
+            self.slew = slew
+        self._check_slew()
 
     @property
     def value_type(self) -> Any:
@@ -449,6 +456,16 @@ class DbcActuator(Actuator[Any]):
             for name in self.codec.selected(wanted)
             if name not in values and name != self.sequence
         ]
+
+    def _check_slew(self) -> None:
+        """Refuse to limit how fast a signal changes that not all commands have."""
+        for name in self.slew if isinstance(self.slew, Mapping) else ():
+            if find_signal(self.name, "slew", self.codec, name).multiplexer_ids:
+                raise ConfigError(
+                    self.name,
+                    f"slew.{name}",
+                    "it is multiplexed: a command without it has nothing to begin from",
+                )
 
     def _narrowed(self, given: Any) -> Any:
         """Return the limits of the file, narrowed by those that were given."""
@@ -601,7 +618,8 @@ class DbcActuator(Actuator[Any]):
                     self.name, name, f"{value!r:.80} is no choice{hint}"
                 )
             return
-        if not isinstance(value, int | float):
+        is_flag = isinstance(value, bool) and signal.length == 1
+        if not isinstance(value, int | float) or (type(value) is bool and not is_flag):
             raise BadValueError(
                 self.name, name, f"expected a number, not {value!r:.80}"
             )
