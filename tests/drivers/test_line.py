@@ -272,3 +272,5 @@ def test_its_wires_are_checked_before_anything_opens() -> None:
         LineSensor(name="range")
     with pytest.raises(ConfigError, match="speed: key: expected letters"):
         LineActuator(name="speed", key="go faster", safe=0.0, bus=FakeSerial())
+    with pytest.raises(ConfigError, match="framing='lines', not 'raw'"):
+        LineSensor(name="range", bus=FakeSerial(framing="raw"))

@@ -25,6 +25,7 @@ from typing import Any
 
 from esair.buses import SerialBus
 from esair.exceptions import ConfigError, DeviceFaultError
+from esair.framing import Raw
 from esair.resources import Actuator, Sensor
 
 __all__ = ["LineActuator", "LineSensor"]
@@ -83,6 +84,10 @@ class _LineDevice:
         if not isinstance(self.bus, SerialBus):
             raise ConfigError(
                 self.name, "bus", f"expected a SerialBus, not {self.bus!r}"
+            )
+        if isinstance(self.bus.framing, Raw):
+            raise ConfigError(
+                self.name, "bus", "expected a SerialBus with framing='lines', not 'raw'"
             )
         key = self.name if key is None else key
         if not _KEY.match(key):
