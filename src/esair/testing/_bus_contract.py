@@ -19,6 +19,7 @@ import abc
 import asyncio
 import contextlib
 import inspect
+import itertools
 from collections.abc import AsyncIterator
 from typing import Any, ClassVar
 
@@ -181,9 +182,13 @@ async def _until_lost(suite: BusContract, bus: Bus) -> None:
 
 
 async def _until_error(suite: BusContract, bus: Bus) -> None:
-    """Use a bus that is stalled; buffers on the way take something first."""
-    while True:
+    """Use a bus that is stalled; buffers on the way take something first.
+
+    Now and then time passes, or a use that never waits would go on for ever.
+    """
+    for n in itertools.count(1):
         await suite.use(bus)
+        await asyncio.sleep(0.0 if n % 16 else 0.001)
 
 
 @contextlib.asynccontextmanager
@@ -201,12 +206,18 @@ async def _heart() -> AsyncIterator[list[float]]:
     beats = [0.0]
 
     async def beat() -> None:
-        while True:
-            before = loop.time()
-            await asyncio.sleep(0.005)
+        before = loop.time()
+        try:
+            while True:
+                await asyncio.sleep(0.005)
+                now = loop.time()
+                beats.append(now - before - 0.005)
+                before = now
+        finally:  # what kept the loop may be just over
             beats.append(loop.time() - before - 0.005)
 
     beating = loop.create_task(beat())
+    await asyncio.sleep(0)  # it begins before what may keep the loop
     try:
         yield beats
     finally:
