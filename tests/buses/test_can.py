@@ -827,3 +827,5 @@ async def test_a_bus_that_is_described_wrongly_is_refused() -> None:
         CanBus(name="drive")
     with pytest.raises(ConfigError, match="lost_when"):
         CanBus(name="drive", channel="can0", lost_when="never")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="bitrate_switch: only CAN FD has it"):
+        CanBus(name="drive", channel="can0", bitrate_switch=True)

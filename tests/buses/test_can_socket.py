@@ -163,6 +163,24 @@ async def test_long_frames_go_both_ways_with_can_fd(
     await bus.close()
 
 
+@pytest.mark.parametrize("switch", [False, True])
+async def test_the_data_of_long_frames_may_be_sent_faster(
+    wire: Wire, make: Callable[..., CanBus], switch: bool
+) -> None:
+    """The flag BRS of ``linux/can.h``; short frames are classic ones."""
+    bus = make(fd=True, bitrate_switch=switch)
+    await bus.open()
+
+    await bus.send(2, bytes(12))
+    await bus.send(3, bytes(8))
+    assert wire.far is not None
+    sent = [await asyncio.get_running_loop().sock_recv(wire.far, 72) for _ in range(2)]
+
+    assert sent[0][5] == (0x05 if switch else 0x04)
+    assert len(sent[1]) == CLASSIC.size
+    await bus.close()
+
+
 @pytest.mark.fault("C10")
 async def test_remote_frames_of_an_id_are_no_data(
     wire: Wire, make: Callable[..., CanBus]

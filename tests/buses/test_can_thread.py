@@ -373,16 +373,23 @@ async def test_an_interface_that_opens_too_late_is_shut_again(
 async def test_options_reach_python_can(made: list[Scripted]) -> None:
     """Bit rates and such; and that frames may be long."""
     bus = CanBus(
-        name="drive", interface="scripted", channel="x", bitrate=500_000, fd=True
+        name="drive",
+        interface="scripted",
+        channel="x",
+        bitrate=500_000,
+        fd=True,
+        bitrate_switch=True,
     )
     await bus.open()
     inbox = bus.frames(1)
 
     await bus.send(2, bytes(12), timeout=PATIENCE)
+    await bus.send(3, bytes(8), timeout=PATIENCE)
     made[0].incoming.put(message(1, bytes(64), is_fd=True))
 
     assert made[0].options == {"bitrate": 500_000, "fd": True}
-    assert made[0].sent[0].is_fd
+    assert [each.is_fd for each in made[0].sent] == [True, False]
+    assert [each.bitrate_switch for each in made[0].sent] == [True, False]
     assert len((await inbox.take(timeout=PATIENCE)).data) == 64
     await bus.close()
 

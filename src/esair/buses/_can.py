@@ -73,6 +73,8 @@ class CanBus(Bus):
             in seconds.
         fd: Whether frames may have up to 64 bytes, which the interface must be set
             up for.
+        bitrate_switch: Whether the data of frames with more than 8 bytes are sent at the
+            data bit rate that the interface is set up with; needs ``fd``.
         lost_when: At which state of the controller the bus counts as lost. Short of
             bus-off it works on; `on_state` tells.
         opener: Opens something else than an interface, such as a wire in memory.
@@ -87,6 +89,7 @@ class CanBus(Bus):
         channel: str = "",
         send_timeout: float = 0.1,
         fd: bool = False,
+        bitrate_switch: bool = False,
         lost_when: Literal["warning", "passive", "bus_off"] = "bus_off",
         opener: FrameOpener | None = None,
         **options: Any,
@@ -102,10 +105,13 @@ class CanBus(Bus):
                 "lost_when",
                 f"expected 'warning', 'passive' or 'bus_off', not {lost_when!r:.80}",
             )
+        if bitrate_switch and not fd:
+            raise ConfigError(name, "bitrate_switch", "only CAN FD has it: fd=True")
         self.interface = interface
         self.channel = channel
         self.send_timeout = send_timeout
         self.fd = fd
+        self.bitrate_switch = bitrate_switch
         self._lost_when = _LOST_WHEN[lost_when]
         self._state = CanState.ACTIVE
         self._on_state: list[Callable[[CanState], None]] = []
@@ -347,6 +353,7 @@ class CanBus(Bus):
             lane=self.lane,
             stats=self.stats,
             fd=self.fd,
+            bitrate_switch=self.bitrate_switch,
             **options,
         )
         return await opener(received, gone)

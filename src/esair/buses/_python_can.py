@@ -64,6 +64,7 @@ _HEAD: Final = struct.Struct("=IB")
 _CLASSIC: Final = struct.Struct("=IB3x8s")
 _FD: Final = struct.Struct("=IBB2x64s")
 _FD_FRAME: Final = 0x04
+_FD_SWITCH: Final = 0x01
 _FILTER: Final = struct.Struct("=II")
 
 _SO_RXQ_OVFL: Final = 40  # asm-generic/socket.h; the module socket has no name for it
@@ -77,6 +78,7 @@ def python_can(
     lane: Lane,
     stats: BusStats | None = None,
     fd: bool = False,
+    bitrate_switch: bool = False,
     **options: Any,
 ) -> FrameOpener:
     """Return what opens a node of one of python-can's interfaces.
@@ -87,6 +89,7 @@ def python_can(
         lane: The thread for the calls that may block; has the name of the bus.
         stats: Where frames are counted that were thrown away.
         fd: Whether frames may have up to 64 bytes.
+        bitrate_switch: Whether the data of long ones are sent faster.
         **options: Further options of ``can.Bus``.
     """
     if fd:
@@ -104,7 +107,16 @@ def python_can(
         counts = stats or BusStats()
         try:
             if state is not None:
-                return _SocketNode(bus, state, lane, counts, received, gone, fd=fd)
+                return _SocketNode(
+                    bus,
+                    state,
+                    lane,
+                    counts,
+                    received,
+                    gone,
+                    fd=fd,
+                    bitrate_switch=bitrate_switch,
+                )
             return _ThreadNode(
                 bus,
                 lane,
@@ -112,6 +124,7 @@ def python_can(
                 received,
                 gone,
                 fd=fd,
+                bitrate_switch=bitrate_switch,
                 echoes=bool(options.get("receive_own_messages")),
                 decodes_errors=interface not in _OWN_ERRORS,
             )
@@ -245,6 +258,7 @@ class _SocketNode:
         gone: Callable[[Exception], None],
         *,
         fd: bool,
+        bitrate_switch: bool,
     ) -> None:
         self.state = state
         self._bus = bus
@@ -256,6 +270,7 @@ class _SocketNode:
         self._time = clock_of(self._loop)
         self._socket: socket.socket = bus.socket
         self._mtu = _FD.size if fd else _CLASSIC.size
+        self._fd_flags = _FD_FRAME | (_FD_SWITCH if bitrate_switch else 0)
         self._may_have_missed = 0
         self._missed = 0
         self._closed = False
@@ -292,7 +307,7 @@ class _SocketNode:
         if frame.extended:
             number |= EXTENDED
         if len(data) > 8:
-            packed = _FD.pack(number, len(data), _FD_FRAME, data)
+            packed = _FD.pack(number, len(data), self._fd_flags, data)
         else:
             packed = _CLASSIC.pack(number, len(data), data)
         try:
@@ -383,6 +398,7 @@ class _ThreadNode:
         gone: Callable[[Exception], None],
         *,
         fd: bool,
+        bitrate_switch: bool,
         echoes: bool,
         decodes_errors: bool,
     ) -> None:
@@ -400,6 +416,7 @@ class _ThreadNode:
         self._received = received
         self._gone = gone
         self._fd = fd
+        self._bitrate_switch = bitrate_switch
         self._echoes = echoes
         self._decodes_errors = decodes_errors
         self._loop = asyncio.get_running_loop()
@@ -449,6 +466,7 @@ class _ThreadNode:
             data=frame.data,
             is_extended_id=frame.extended,
             is_fd=len(frame.data) > 8,
+            bitrate_switch=self._bitrate_switch and len(frame.data) > 8,
         )
         try:
             self._bus.send(message, timeout=0)
