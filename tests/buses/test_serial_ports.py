@@ -288,6 +288,15 @@ async def test_a_port_that_may_not_be_opened_names_its_group(tmp_path: Path) -> 
     assert told == f"{plain} may be opened by the group {plain.group()!r} only"
 
 
+def test_a_port_that_is_not_there_is_told_in_the_words_of_the_kernel() -> None:
+    """Once, and not in those of pyserial, which says it twice."""
+    error = serial.SerialException(errno.ENOENT, "could not open port: [Errno 2] ...")
+
+    assert explain("/dev/x", error) == (
+        "/dev/x cannot be opened: No such file or directory"
+    )
+
+
 # Openings that take too long.
 
 

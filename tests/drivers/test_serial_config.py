@@ -110,6 +110,7 @@ def test_all_of_them_are_described_by_a_file(file: Path) -> None:
         ('framing = "raw"', 'framing = "nmae"', "did you mean 'nmea'?"),
         ("max_length = 80", "max_lenght = 80", "did you mean 'max_length'?"),
         ("max_length = 80", "max_length = 0", "max_length: expected"),
+        ('type = "lines", ', "", "'type' is missing: expected one of 'lines'"),
         ('port = "usb:1546:01a7"', 'port = "usb:1546"', "usb:VID:PID"),
         ("id = 3", "id = 300", "expected 0 to 252"),
         ('bus = "arm"\nid', 'bus = "gps"\nid', "expected a ServoBus"),

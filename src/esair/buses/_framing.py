@@ -25,7 +25,9 @@ def make_framing(owner: str, described: Framing | str | Mapping[str, Any]) -> Fr
     table = {"type": described} if isinstance(described, str) else described
     if not isinstance(table, Mapping):
         raise ConfigError(owner, "framing", f"expected {_names()}, not {table!r:.80}")
-    name = table.get("type")
+    if "type" not in table:
+        raise ConfigError(owner, "framing", f"'type' is missing: expected {_names()}")
+    name = table["type"]
     if not isinstance(name, str) or name not in FRAMINGS:
         hint = did_you_mean(str(name), FRAMINGS)
         raise ConfigError(

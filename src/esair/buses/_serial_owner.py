@@ -22,7 +22,8 @@ def explain(path: str, error: BaseException) -> str:
     if code == errno.EACCES:
         with contextlib.suppress(OSError, KeyError):
             return f"{path} may be opened by the group {Path(path).group()!r} only"
-    return f"{path} cannot be opened: {describe(error)}"
+    why = os.strerror(code) if isinstance(code, int) else describe(error)
+    return f"{path} cannot be opened: {why}"
 
 
 def _owner(path: str) -> str:
