@@ -8,7 +8,8 @@ import tomllib
 import pytest
 
 from esair.config import check
-from esair.discovery import _can, _gpio, devices, toml
+from esair.discovery import _can, _gpio, _permission, devices, toml
+from esair.discovery._permission import who_may
 
 pytestmark = pytest.mark.promise("BUS-2")
 
@@ -217,3 +218,29 @@ def test_iproute2_is_asked_for_the_bit_rate_if_it_is_there(
 
 def _says(answer: str) -> str:
     return f"#!/bin/sh\ncat <<'END'\n{answer}\nEND\n"
+
+
+def test_what_may_not_be_opened_is_told(monkeypatch, tree) -> None:
+    """In the list, before somebody finds out."""
+    tree.tty("ttyAMA0", tree.root / "sys/devices/platform/uart")
+    tree.i2c(1, "bcm2835 (i2c@7e804000)")
+    allowed = {each.state for each in devices(tree.root)}
+    monkeypatch.setattr(_permission.os, "access", lambda *_: False)
+    refused = [each.state for each in devices(tree.root)]
+
+    assert allowed == {""}
+    assert len(refused) == 2
+    assert all(state.startswith("no permission") for state in refused)
+
+
+@pytest.mark.parametrize(
+    ("mode", "group", "words"),
+    [
+        (0o20660, 987_654, "no permission: join the group 987654"),
+        (0o20660, 0, "no permission"),
+        (0o20600, 987_654, "no permission"),
+    ],
+)
+def test_the_group_that_may_open_it_is_named(mode, group, words) -> None:
+    """``dialout``, mostly; nobody is told to join that of the superuser."""
+    assert who_may(mode, group) == words

@@ -21,7 +21,8 @@ class Device:
         description: What it says about itself, in words.
         identity: ``usb:VID:PID`` or ``usb:VID:PID:SERIAL``; None if it is no USB device.
         by_id: Its link in ``/dev/serial/by-id``; None if it has none.
-        state: What is known about its state, in words, such as ``"up, 500 kbit/s"``.
+        state: What is known about its state, in words, such as ``"up, 500 kbit/s"`` or
+            ``"no permission: join the group dialout"``.
         bitrate: Bits per second of a CAN interface; None if it is not known.
         lines: How many lines a GPIO chip has; None if it is not known.
     """

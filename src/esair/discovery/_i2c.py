@@ -6,6 +6,7 @@ from pathlib import Path
 
 from esair.discovery import _usb
 from esair.discovery._device import Device
+from esair.discovery._permission import permission
 from esair.discovery._sysfs import entries, read
 
 ROOT = Path("/")
@@ -44,4 +45,5 @@ def _bus(place: Path, root: Path, names: dict[str, str]) -> Device:
         address=address,
         description=name,
         identity=None if identity is None else str(identity),
+        state=permission(root / "dev" / place.name),
     )

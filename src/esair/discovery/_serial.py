@@ -11,6 +11,7 @@ import attrs
 
 from esair.discovery import _usb
 from esair.discovery._device import Device
+from esair.discovery._permission import permission
 from esair.discovery._sysfs import entries, read
 from esair.discovery._usb import UsbIdentity
 
@@ -109,6 +110,7 @@ def _ports_of_sysfs(root: Path) -> list[Device]:
                 description=_words(place, usb),
                 identity=None if identity is None else str(identity),
                 by_id=links.get(path),
+                state=permission(root / path[1:]),
             )
         )
     return found
