@@ -4,9 +4,25 @@ import importlib.metadata
 
 import pytest
 
+from esair.cli import _main
+
 WITHOUT = """
 import sys
 sys.modules[{package!r}] = None
+from esair.cli import main
+main(sys.argv[1:])
+"""
+
+CLOSED = """
+import sys
+sys.stdout = None  # as Python has it when the descriptor is closed
+from esair.cli import main
+main(sys.argv[1:])
+"""
+
+FULL = """
+import os, sys
+os.dup2(os.open("/dev/full", os.O_WRONLY), 1)
 from esair.cli import main
 main(sys.argv[1:])
 """
@@ -68,3 +84,39 @@ def test_a_reader_that_has_seen_enough_is_no_error(start, tmp_path) -> None:
     _, told = process.communicate(timeout=20)
 
     assert told == ""
+
+
+def test_ctrl_c_before_a_verb_has_begun_is_no_traceback(
+    esair_command, monkeypatch, capsys
+) -> None:
+    """The file is still being read, or a package imported."""
+
+    def interrupted(_arguments: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_main, "_run", interrupted)
+
+    assert esair_command("check", "robot.toml") == 130
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.real_clock
+def test_closed_output_is_no_error(start, tmp_path) -> None:
+    """Who closes it wants only the exit code."""
+    process = start("devices", "--json", cwd=tmp_path, code=CLOSED)
+    _, told = process.communicate(timeout=20)
+
+    assert process.returncode == 0, told
+    assert not told
+
+
+@pytest.mark.real_clock
+@pytest.mark.parametrize("words", [["--help"], ["devices"], ["devices", "--json"]])
+def test_a_full_disk_is_told_in_one_line(start, tmp_path, words) -> None:
+    """``esair devices > file`` where there is no room."""
+    process = start(*words, cwd=tmp_path, code=FULL)
+    _, told = process.communicate(timeout=20)
+
+    assert process.returncode == 1
+    (line,) = told.splitlines()
+    assert "No space left on device" in line

@@ -1,6 +1,7 @@
 """``esair run`` and ``esair sim``: exit codes, and every actuator safe at the end."""
 
 import json
+import re
 import signal
 
 import pytest
@@ -60,6 +61,7 @@ class Clumsy(esair.Behavior):
         things.append("two")
         for thing in things:
             logging.getLogger("esair").warning("it was %s", thing)
+        logging.getLogger("esair").warning("long" * 80)
 
 class Which(esair.Behavior):
     async def run(self) -> None:
@@ -153,6 +155,15 @@ def test_a_line_that_cannot_be_shown_is_not_the_last_one(folder, start) -> None:
     assert "there is ['one']" in log
     assert "it was two" in log
     assert "Traceback" not in log
+
+
+def test_a_log_that_is_no_terminal_has_a_line_for_each_record(folder, start) -> None:
+    """So that it can be searched, however long a line is."""
+    process = start("run", "robot.toml", cwd=folder("Clumsy"))
+    _, log = process.communicate(timeout=20)
+
+    (line,) = (line for line in log.splitlines() if "longlong" in line)
+    assert re.fullmatch(r"\d\d:\d\d:\d\d WARNING  (long){80}", line)
 
 
 def test_nobody_needs_to_see_the_log(folder, start) -> None:

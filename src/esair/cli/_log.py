@@ -29,17 +29,14 @@ LAST_MOMENT: Final = 1.0
 def shown_log(*, verbose: bool) -> Iterator[None]:
     """Show the log on the standard error while a robot runs.
 
-    A thread of its own writes, so a terminal that takes nothing more (a pipe that
-    nobody reads, a suspended session) never holds up the robot, nor its end.
+    A terminal gets columns; a file or a pipe gets one line for each record. A thread of
+    its own writes, so a terminal that takes nothing more (a pipe that nobody reads, a
+    suspended session) never holds up the robot, nor its end.
 
     Args:
         verbose: Whether every line is shown, with tracebacks.
     """
-    console = _console()
-    kind = RichHandler if verbose else _Lines
-    handler = _Beside(
-        kind(console=console, show_path=False, log_time_format="%H:%M:%S")
-    )
+    handler = _Beside(_shown(_console()), tracebacks=verbose)
     log = logging.getLogger()
     log.addHandler(handler)
     log.setLevel(logging.DEBUG if verbose else logging.WARNING)
@@ -64,21 +61,24 @@ def _console() -> Console:
     return Console(file=text, highlight=False)
 
 
-class _Lines(RichHandler):
-    """Shows what happened, without tracebacks."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        record.exc_info = record.exc_text = None  # the record is a copy
-        super().emit(record)
+def _shown(console: Console) -> logging.Handler:
+    if console.is_terminal:
+        return RichHandler(console=console, show_path=False, log_time_format="%H:%M:%S")
+    handler = logging.StreamHandler(console.file)
+    handler.setFormatter(
+        logging.Formatter("%(asctime)s %(levelname)-8s %(message)s", "%H:%M:%S")
+    )
+    return handler
 
 
 class _Beside(logging.Handler):
     """Hands records to another handler, in a thread that nobody waits for."""
 
-    def __init__(self, shown: logging.Handler) -> None:
+    def __init__(self, shown: logging.Handler, *, tracebacks: bool) -> None:
         super().__init__()
         self.dropped = 0
         self._shown = shown
+        self._tracebacks = tracebacks
         self._records: queue.Queue[logging.LogRecord | None] = queue.Queue(LIMIT)
         self._thread = threading.Thread(
             target=self._show, name="esair-log", daemon=True
@@ -92,6 +92,8 @@ class _Beside(logging.Handler):
         except Exception as error:  # the caller's mistake, or a __str__ of anybody
             record.msg = f"a line of {record.name!r} cannot be shown: {describe(error)}"
         record.args = None
+        if not self._tracebacks:
+            record.exc_info = record.exc_text = None
         try:
             self._records.put_nowait(record)
         except queue.Full:

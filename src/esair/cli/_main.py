@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata
 import importlib.util
 import os
@@ -10,12 +11,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from esair.cli._errors import CANNOT_USE, show_mistakes, tell
-from esair.exceptions import ConfigError
+from esair.exceptions import ConfigError, describe
 
 if TYPE_CHECKING:
     from cyclopts import App
 
 _NEEDED: Final = ("cyclopts", "rich")
+
+INTERRUPTED: Final = 130
+"""The exit code after Ctrl-C: 128 and the number of SIGINT."""
+
+CANNOT_WRITE: Final = 1
+"""The exit code if there is no room for what is to be written."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -30,11 +37,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
             sys.exit(CANNOT_USE)
     try:
         code = _run(sys.argv[1:] if arguments is None else list(arguments))
-        sys.stdout.flush()
+        if sys.stdout is not None:  # it may be closed
+            sys.stdout.flush()
     except BrokenPipeError:  # the reader, such as ``head``, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _write_no_more()
         code = 0
+    except KeyboardInterrupt:  # before the verb has taken care of it, or once more
+        code = INTERRUPTED
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        _write_no_more()
+        tell(describe(error))
+        code = CANNOT_WRITE
     sys.exit(code)
+
+
+def _write_no_more() -> None:
+    """Keep the interpreter from writing the rest at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run(arguments: list[str]) -> int:
