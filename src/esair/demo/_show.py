@@ -6,12 +6,14 @@ import asyncio
 import collections
 import contextlib
 import importlib.resources
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
 import attrs
 from rich.console import Console
+from rich.text import Text
 
 from esair.actions import MinimalReaction
 from esair.buses import Frame
@@ -25,7 +27,7 @@ from esair.demo._story import Event, Story
 from esair.demo._summary import Row, Summary
 from esair.demo._witness import SAMPLE_LIMIT, Sample, Witness, take_samples
 from esair.drivers.wheel_motor import LEFT, command_id
-from esair.exceptions import EsairError
+from esair.exceptions import EsairError, describe
 from esair.loop import every
 from esair.sim import Simulation
 from esair.standard import Robot
@@ -64,14 +66,14 @@ def show(
     console = Console(highlight=False)
     for path in (out, record):
         if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-            console.print(
-                f"{path} cannot be written: expected a file in a folder that is there"
-            )
-            return UNUSABLE
+            return _unusable(path, "expected a file in a folder that is there")
     ending = Ending()
     try:
         with contextlib.ExitStack() as stack:
-            recorder = stack.enter_context(_recorder(record))
+            try:
+                recorder = stack.enter_context(_recorder(record))
+            except OSError as error:
+                return _unusable(record, describe(error))
             screen = stack.enter_context(Screen(console, live=not fast))
             runner = stack.enter_context(_runner(fast=fast, seed=seed))
             runner.run(
@@ -85,9 +87,18 @@ def show(
     assert ending.summary is not None
     assert ending.run is not None
     ending.summary.show(console)
-    draw(ending.run, out)
-    console.print(f"\nthe picture is in [bold]{out}[/bold]")
+    try:
+        draw(ending.run, out)
+    except OSError as error:
+        return _unusable(out, describe(error))
+    console.print("\nthe picture is in", Text(str(out), "bold"))
     return BROKEN if ending.summary.unmet else 0
+
+
+def _unusable(path: Path | None, why: str) -> int:
+    message = f"esair: {path} cannot be written: {why}"
+    print(message, file=sys.stderr)  # noqa: T201 - this is the command line
+    return UNUSABLE
 
 
 async def perform(
