@@ -687,3 +687,46 @@ async def test_the_end_of_the_event_loop_ends_a_change_of_settings(fails: bool) 
 
         assert changing.cancelled()
         assert camera.settings["gain"] == 1
+
+
+def translated(error: OSError) -> esair.DeviceFaultError:
+    """A bus says it in its own words, with the number of the system."""
+    fault = esair.DeviceFaultError("sonar", str(error))
+    fault.errno = error.errno
+    return fault
+
+
+@pytest.mark.promise("RES-2")
+@pytest.mark.fault("G06", "O17")
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError("not here"),
+        PermissionError(13, "denied"),
+        OSError(16, "busy"),
+        translated(OSError(121, "nobody answers")),
+    ],
+    ids=["unknown", "denied", "busy", "fault"],
+)
+async def test_a_device_that_cannot_be_opened_comes_when_it_comes(
+    error: OSError,
+) -> None:
+    """In use, not allowed yet, or unknown to the system: it is tried for ever."""
+
+    class Sonar(esair.Sensor[float]):
+        there = False
+
+        async def open(self) -> None:
+            if not self.there:
+                raise error
+
+        async def read(self) -> float:
+            return 1.0
+
+    sonar, user = Sonar(), reader()
+    async with esair.Robot(resources=[sonar], behaviors=[user]) as robot:
+        await asyncio.sleep(100.0)
+        assert robot.resources.query("sonar").state is ResourceState.LOST
+        sonar.there = True
+        await asyncio.sleep(5.0)
+        assert await user.sonar.read() == 1.0

@@ -230,7 +230,9 @@ class ResourceLife:
         while True:
             self.channel.state = ResourceState.OPENING
             self._lost, self._arrived = None, False
-            error = await self._try_to_open() or self._lost
+            error = await self._try_to_open()
+            absent = _is_absence(error)
+            error = error or self._lost
             if self._over:  # its opening has ignored that it was cancelled
                 await self._close()
                 return
@@ -245,7 +247,11 @@ class ResourceLife:
             self._down(error)
             self._first_try(error)
             await self._close()
-            if is_loss(error) or isinstance(error, TimeoutError | _AnotherDeviceError):
+            if (
+                absent
+                or is_loss(error)
+                or isinstance(error, TimeoutError | _AnotherDeviceError)
+            ):
                 pause: float | None = delay
                 delay = min(delay * 2, MAX_DELAY)
             else:
@@ -378,6 +384,18 @@ class ResourceLife:
 
 class _AnotherDeviceError(DeviceFaultError):
     """Where the device was is another one now; waiting for the right one may help."""
+
+
+def _is_absence(error: BaseException | None) -> bool:
+    """Tell whether a device could not be opened because it cannot be had now.
+
+    It is in use, its node has other rights, or nobody answers yet: the operating
+    system says all of this by an OSError, and waiting may help. A fault that the device
+    itself shows has no ``errno``.
+    """
+    return isinstance(error, OSError) and (
+        error.errno is not None or not isinstance(error, EsairError)
+    )
 
 
 def _ignore(_name: str) -> None:
