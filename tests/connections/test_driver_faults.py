@@ -31,6 +31,7 @@ ODD = [
     KeyboardInterrupt(),
     MuteError(),
     asyncio.CancelledError(),
+    GeneratorExit(),
 ]
 
 
@@ -69,7 +70,7 @@ async def test_an_odd_error_of_a_driver_is_contained(
 
 @pytest.mark.promise("ROB-3")
 @pytest.mark.fault("D25")
-@pytest.mark.parametrize("error", ODD[:3], ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("error", ODD, ids=lambda error: type(error).__name__)
 async def test_an_odd_error_in_open_and_close_is_contained(
     error: BaseException,
 ) -> None:

@@ -113,12 +113,15 @@ def _nothing() -> None:
 def is_drivers(error: BaseException) -> bool:
     """Tell whether an error is a driver's own, whatever its class.
 
-    It is not if somebody cancels, or closes, the task that called the driver.
+    It is not if somebody cancels the task that called the driver, or closes it, which
+    happens only when its loop is over.
     """
     if isinstance(error, asyncio.CancelledError):
         task = asyncio.current_task()
         return task is not None and not task.cancelling()
-    return not isinstance(error, GeneratorExit)
+    if isinstance(error, GeneratorExit):
+        return asyncio._get_running_loop() is not None  # noqa: SLF001 - it does not raise
+    return True
 
 
 def is_loss(error: BaseException) -> bool:
