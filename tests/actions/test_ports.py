@@ -121,3 +121,21 @@ async def test_an_actuator_port_configures(fake_actuator: Any) -> None:
         assert port.settings == {"gain": 4}
         with pytest.raises(esair.BadValueError, match="at least 0"):
             await port.configure(gain=-1)
+
+
+@pytest.mark.promise("AC-2")
+async def test_giving_back_may_be_awaited(fake_actuator: Any) -> None:
+    """It is done before the await, which is there for those who await every verb."""
+    users = [
+        esair.Behavior(name=name, writes={"wheels": esair.writes(float, hold=10.0)})
+        for name in ("first", "second")
+    ]
+    wheels = fake_actuator("wheels", safe=0.0)
+
+    async with esair.Robot(resources=[wheels], behaviors=users):
+        first, second = (user.wheels for user in users)  # type: ignore[attr-defined]
+        assert await first.write(1.0)
+        assert not await second.write(2.0)
+        giving_back = first.release()
+        assert await second.write(2.0)
+        await giving_back

@@ -7,8 +7,10 @@ import contextlib
 from collections.abc import (
     AsyncGenerator,
     AsyncIterator,
+    Awaitable,
     Callable,
     Coroutine,
+    Generator,
     Iterator,
     Mapping,
 )
@@ -263,9 +265,13 @@ class ActuatorPort(Generic[T]):
             return outcome
         return await outcome
 
-    def release(self) -> None:
-        """Give the actuator back at once: lower priorities get through."""
+    def release(self) -> Awaitable[None]:
+        """Give the actuator back at once: lower priorities get through.
+
+        It is done when this returns; it may be awaited, like the other verbs of a port.
+        """
         self._channel.release(self.registration)
+        return _DONE
 
     def why(self) -> Why:
         """Tell who holds the actuator, by which rule, and what would free it."""
@@ -298,6 +304,16 @@ class ActuatorPort(Generic[T]):
 
     def __repr__(self) -> str:
         return f"<port of {self.registration!r}>"
+
+
+class _Done:
+    """What is over: awaiting it takes no time."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield from ()
+
+
+_DONE = _Done()
 
 
 class BlockingSensorPort(Generic[T]):
