@@ -332,3 +332,13 @@ class TestOnATerminal(Checks):
 
         await other.close()
         await line.close()
+
+    async def test_what_was_sent_last_is_heard(self) -> None:
+        """A safe command that is followed by the close at once is in `sent`."""
+        line = FakeSerial("front")
+        await line.open()
+        for number in range(100):
+            await line.send(b"%d" % number)
+        await line.close()
+
+        assert line.sent[-1] == b"99"

@@ -39,7 +39,8 @@ class FakeCan(CanBus):
         **options: ``send_timeout``, ``fd`` and ``lost_when`` of `CanBus`.
 
     Attributes:
-        sent: The frames that the robot has sent and that reached the bus, in order.
+        sent: The frames that the robot has sent and that reached the bus, in order. They
+            are there a moment after ``send`` has returned: `until` waits for that.
     """
 
     def __init__(self, name: str = "can", **options: Any) -> None:

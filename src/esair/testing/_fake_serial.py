@@ -44,7 +44,8 @@ class FakeSerial(SerialBus):
 
     Attributes:
         sent: The messages that the robot sent, without their framing, oldest first;
-            the newest 1024.
+            the newest 1024. They are there a moment after ``send`` has returned: `until`
+            waits for that.
         written: The same as the bytes that went over the wire; the newest 65536.
         on_write: Called with the bytes that the robot wrote, as they come; what it
             returns goes back to the robot.
@@ -256,6 +257,8 @@ class FakeSerial(SerialBus):
     async def close(self) -> None:
         """Close the bus; the next opening makes a new line."""
         await super().close()
+        if isinstance(self._wire, PtyLine):  # a safe command is the last to come
+            self._wire.hear_the_rest()
         self._drop_wire()
 
     async def _open(self) -> None:

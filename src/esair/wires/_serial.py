@@ -108,11 +108,18 @@ class PtyLine(Plug):
             sent = os.write(self._master, data)
         self.lost += len(data) - sent
 
-    def _readable(self) -> None:
+    def hear_the_rest(self) -> None:
+        """Hear what the robot has sent and the loop has not come to yet."""
+        while self.plugged and self._readable():
+            pass
+
+    def _readable(self) -> bool:
         with contextlib.suppress(BlockingIOError):
             data = os.read(self._master, 4096)
             if data:
                 self.heard(data)
+                return True
+        return False
 
 
 class MemoryLine(Plug):
