@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import Any
 
 import pytest
@@ -50,6 +52,18 @@ def test_each_error_names_the_component(name: str) -> None:
     subject = args[0] if isinstance(args[0], str) else args[0][0]
 
     assert subject in str(error)
+
+
+@pytest.mark.parametrize("name", FAMILY)
+def test_each_error_can_be_copied_and_pickled(name: str) -> None:
+    """It crosses threads and processes with its text and all that it is about."""
+    _, args = FAMILY[name]
+    error = getattr(esair, name)(*args)
+
+    for twin in (copy.copy(error), pickle.loads(pickle.dumps(error))):
+        assert type(twin) is type(error)
+        assert str(twin) == str(error)
+        assert vars(twin) == vars(error)
 
 
 def test_every_error_of_the_family_is_exported() -> None:

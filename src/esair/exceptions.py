@@ -26,10 +26,14 @@ it broadly (``except TimeoutError``) or exactly (``except esair.StaleReadingErro
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 
 class EsairError(Exception):
-    """The root of every error that esair raises."""
+    """The root of every error that esair raises. It can be copied and pickled."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (type(self), self.args, self.__dict__)
 
 
 class ConfigError(EsairError, ValueError):
@@ -60,16 +64,27 @@ class NameTakenError(EsairError, ValueError):
 
 
 class UnknownNameError(EsairError, LookupError):
-    """Nobody has the name; the nearest names are in the message."""
+    """Nobody has the name; the nearest names are in the message.
 
-    def __init__(self, kind: str, name: str, known: Iterable[str] = ()) -> None:
+    Args:
+        kind: What should have the name: a behavior, a resource.
+        name: The name.
+        known: The names that there are.
+        user: Who uses the name, such as ``"avoid.sonar"``; empty if it is the caller.
+    """
+
+    def __init__(
+        self, kind: str, name: str, known: Iterable[str] = (), *, user: str = ""
+    ) -> None:
         known = list(known)
         hint = did_you_mean(name, known) or (
             f"; there are {', '.join(sorted(known))}"
             if known
             else "; there is none yet"
         )
-        super().__init__(f"no {kind} is named {name!r}{hint}")
+        super().__init__(
+            f"{f'{user}: ' if user else ''}no {kind} is named {name!r}{hint}"
+        )
         self.kind = kind
         self.name = name
 
@@ -156,15 +171,19 @@ class StaleReadingError(EsairError, TimeoutError):
 
     Attributes:
         age: Age of the newest reading in seconds; None if there never was one.
-        limit: What was asked for, in seconds.
+        limit: What was asked for, in seconds: the greatest age, or, if the device
+            did not answer in time, that time.
     """
 
-    def __init__(self, resource: str, age: float | None, limit: float) -> None:
+    def __init__(
+        self, resource: str, age: float | None, limit: float, *, silent: bool = False
+    ) -> None:
         newest = (
             "there is no reading yet" if age is None else f"newest is {age:.3g} s old"
         )
+        missed = "the device did not answer in" if silent else "limit"
         super().__init__(
-            f"no fresh reading of {resource!r}: {newest}, limit {limit:g} s"
+            f"no fresh reading of {resource!r}: {newest}, {missed} {limit:g} s"
         )
         self.resource = resource
         self.age = age
@@ -259,11 +278,20 @@ class StoppingError(EsairError):
         self.phase = phase
 
 
+def _restored(
+    cls: type[EsairError], args: tuple[Any, ...], state: dict[str, Any]
+) -> EsairError:
+    error = cls.__new__(cls, *args)
+    error.args = args
+    error.__dict__.update(state)
+    return error
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the nearest known word, or nothing."""
     import difflib  # only when something went wrong
 
-    nearest = difflib.get_close_matches(word, list(known), n=1)
+    nearest = difflib.get_close_matches(str(word), list(known), n=1)
     return f"; did you mean {nearest[0]!r}?" if nearest else ""
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import enum
-import math
+import numbers
 import re
+import sys
 from collections.abc import Mapping
 from typing import Generic, NamedTuple, TypeVar
 
@@ -15,6 +16,8 @@ from esair.exceptions import ConfigError
 T = TypeVar("T")
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,62}\Z")
+
+_NUMBERS: dict[type, type] = {int: numbers.Integral, float: numbers.Real}
 
 
 def check_name(kind: str, name: object) -> str:
@@ -30,6 +33,27 @@ def check_name(kind: str, name: object) -> str:
         "name",
         "expected a lower-case letter, then letters, digits or '_', 63 at most",
     )
+
+
+def is_positive(value: object) -> bool:
+    """Tell whether a value is a time or a rate: a positive, finite int or float.
+
+    NumPy's ``float64`` is a float too; a bool is no number here.
+    """
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and 0 < value <= sys.float_info.max
+    )
+
+
+def passes_as(value: object, wanted: type) -> bool:
+    """Tell whether a number of another class, NumPy's say, may stand for one wanted.
+
+    Any whole number passes as an int, any real one as a float; a bool as neither.
+    """
+    kind = _NUMBERS.get(wanted)
+    return kind is not None and isinstance(value, kind) and not isinstance(value, bool)
 
 
 def snake_case(name: str) -> str:
@@ -231,7 +255,7 @@ class ResourceStatus(NamedTuple):
 def _positive(
     instance: object, attribute: attrs.Attribute[float], value: float
 ) -> None:
-    if isinstance(value, bool) or not 0 < value < math.inf:
+    if not is_positive(value):
         raise ConfigError(
             type(instance).__name__, attribute.name, f"expected > 0, not {value!r}"
         )
@@ -285,12 +309,25 @@ class Policy:
     exclusive: bool = attrs.field(default=False, kw_only=True)
     max_priority: Mapping[str, int] = attrs.field(factory=dict, kw_only=True)
 
-    @allow.validator
-    def _check_allow(self, _attribute: object, allow: Mapping[str, Access]) -> None:
-        for behavior, access in allow.items():
+    def __attrs_post_init__(self) -> None:
+        for field, value in (
+            ("allow", self.allow),
+            ("max_priority", self.max_priority),
+        ):
+            if not isinstance(value, Mapping):
+                raise self._mistake(field, f"expected a dict, not {value!r:.80}")
+            for behavior in value:
+                if behavior != "*":
+                    check_name(f"policy of {self.resource!r}: {field}", behavior)
+        for behavior, access in self.allow.items():
             if not isinstance(access, Access):
-                raise ConfigError(
-                    f"policy of {self.resource!r}",
-                    f"allow.{behavior}",
-                    f"expected an esair.Access, not {access!r}",
+                raise self._mistake(
+                    f"allow.{behavior}", f"expected an esair.Access, not {access!r}"
                 )
+        if not isinstance(self.exclusive, bool):
+            raise self._mistake(
+                "exclusive", f"expected True or False, not {self.exclusive!r:.80}"
+            )
+
+    def _mistake(self, field: str, message: str) -> ConfigError:
+        return ConfigError(f"policy of {self.resource!r}", field, message)

@@ -6,7 +6,9 @@ import collections
 import dataclasses
 import decimal
 import enum
+import fractions
 import math
+import numbers
 from typing import Any, NamedTuple
 
 import attrs
@@ -331,6 +333,47 @@ def test_mistakes_of_a_declaration_are_named(
     mistakes = check_declaration(FakeActuator("wheels", **options))
 
     assert [mistake.field for mistake in mistakes] == [field]
+
+
+@numbers.Integral.register
+class Int64:
+    """What numpy's whole numbers look like."""
+
+    def __int__(self) -> int:
+        return 3
+
+    def __float__(self) -> float:
+        return 3.0
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize(
+    ("safe", "command", "sent"),
+    [
+        (0.0, Int64(), 3.0),
+        (0.0, fractions.Fraction(1, 2), 0.5),
+        (0, Int64(), 3),
+    ],
+)
+def test_any_number_of_the_kind_is_sent_as_what_is_wanted(
+    safe: float, command: Any, sent: float
+) -> None:
+    """The driver gets a plain int or float, whatever class the number had."""
+    checked = CommandCheck(FakeActuator("arm", safe=safe)).checked(command)
+
+    assert checked == sent
+    assert type(checked) is type(sent)
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.fault("V04")
+@pytest.mark.parametrize(
+    ("safe", "command"), [(0, fractions.Fraction(1, 2)), (0, True), (0.0, True)]
+)
+def test_a_number_of_another_kind_is_refused(safe: float, command: Any) -> None:
+    """A fraction is no whole number, and a bool is no number at all."""
+    with pytest.raises(esair.BadValueError, match="command: expected"):
+        CommandCheck(FakeActuator("arm", safe=safe)).checked(command)
 
 
 def test_a_right_declaration_has_no_mistakes() -> None:

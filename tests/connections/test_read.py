@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import fractions
 import math
 from typing import Any
 
@@ -471,3 +472,81 @@ async def test_the_limit_of_repeats_is_a_number(
             pytest.fail("it started")
 
     assert caught.group_contains(esair.ConfigError, match="max_repeat")
+
+
+@pytest.mark.promise("SC-1")
+async def test_a_sensor_may_give_any_real_number(user_of: Any) -> None:
+    """A number of another class than float is no fault of the device; a bool is."""
+
+    class Sonar(esair.Sensor[float]):
+        value: Any = fractions.Fraction(1, 2)
+
+        async def read(self) -> float:
+            return self.value  # type: ignore[no-any-return]
+
+    sonar, user = Sonar(), user_of("user", sonar=esair.reads(float))
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        assert await user.sonar.read() == 0.5
+        sonar.value = True
+        with pytest.raises(esair.DeviceFaultError, match="expected float"):
+            await user.sonar.read(fresh=True)
+
+
+@pytest.mark.promise("SC-1")
+@pytest.mark.parametrize("count", [-1, 1.5, None, "2", True])
+async def test_a_history_is_asked_for_by_a_whole_number(
+    fake_sensor: Any, user_of: Any, count: Any
+) -> None:
+    """Everything else is refused by name."""
+    user = user_of("user", sonar=esair.reads(float))
+
+    async with esair.Robot(resources=[fake_sensor("sonar", 1.0)], behaviors=[user]):
+        with pytest.raises(esair.BadValueError, match="sonar: history: expected"):
+            user.sonar.history(count)
+
+
+@pytest.mark.promise("SC-3")
+@pytest.mark.fault("D14")
+async def test_a_device_that_does_not_answer_is_said_to_be_silent(
+    fake_sensor: Any, user_of: Any
+) -> None:
+    """The error tells a time that was waited from an age that was asked for."""
+    sonar, user = fake_sensor("sonar", 1.0), user_of("user", sonar=esair.reads(float))
+
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        await user.sonar.read()
+        sonar.stall()
+        await asyncio.sleep(0.3)
+        with pytest.raises(esair.StaleReadingError) as caught:
+            await user.sonar.read(max_age=0.1, timeout=0.5)
+        sonar.resume()
+
+    assert "newest is 0.8 s old" in str(caught.value)
+    assert "did not answer in 0.5 s" in str(caught.value)
+
+
+@pytest.mark.promise("SC-1")
+async def test_times_may_be_of_a_class_of_floats(
+    fake_sensor: Any, fake_actuator: Any
+) -> None:
+    """As numpy's are: for a read, a write, a put, a tick, and where they are declared."""
+
+    class Float64(float):
+        pass
+
+    half = Float64(0.5)
+
+    class Mapper(esair.Behavior):
+        sonar = esair.reads(float, max_age=half)
+        wheels = esair.writes(float, hold=half)
+
+    mapper = Mapper()
+    wheels = fake_actuator("wheels", safe=0.0, command_timeout=half)
+    async with esair.Robot(
+        resources=[fake_sensor("sonar", 1.0), wheels], behaviors=[mapper]
+    ):
+        assert await mapper.sonar.read(max_age=half, timeout=half) == 1.0
+        assert await mapper.wheels.write(1.0, hold=half)
+        await mapper.put("mapper", 1, interval=half)
+        async for _ in esair.every(half):
+            break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fractions
 import math
 from typing import Any
 
@@ -136,3 +137,44 @@ def test_names_come_from_the_class_or_the_keyword() -> None:
         RangeFinder(name="Front")
     front.report_lost()  # nobody listens yet
     front.report_arrived()
+
+
+@pytest.mark.promise("RES-1", "RS-4")
+def test_a_rate_can_be_kept_whatever_limits_it_is_given() -> None:
+    """A class that describes its rate anew cannot allow one that is 0, or endless."""
+
+    class Bare(esair.Sensor[float]):
+        rate = esair.setting(10, unit="Hz")
+
+    class Loose(esair.Sensor[float]):
+        rate = esair.setting(10.0, unit="Hz", min=0.0, max=1e12)
+
+    class Fast(Loose):
+        rate = 50
+
+    for cls in (Bare, Loose, Fast):
+        for rate in (0, -1.0, 1e9, math.nan):
+            with pytest.raises(esair.BadValueError, match="rate: expected"):
+                cls(rate=rate)
+        assert cls(rate=20.5).rate == 20.5
+    assert (Bare().rate, Fast().rate) == (10.0, 50.0)
+    with pytest.raises(esair.BadValueError, match="class Never: rate: expected"):
+
+        class Never(esair.Sensor[float]):
+            rate = esair.setting(0.0)
+
+
+@pytest.mark.promise("RS-4")
+def test_a_number_is_turned_into_the_class_of_the_setting() -> None:
+    """Numpy's float64 is a float; a fraction is a number; a bool is neither."""
+
+    class Float64(float):
+        pass
+
+    for rate in (Float64(30.0), fractions.Fraction(30)):
+        sonar = Sonar(rate=rate)
+        assert sonar.rate == 30.0
+        assert type(sonar.rate) is float
+    for wrong in (True, "30", 10**400):
+        with pytest.raises(esair.BadValueError, match="expected float Hz"):
+            Sonar(rate=wrong)

@@ -10,7 +10,7 @@ import attrs
 from esair import abc
 from esair.actions._ports import ActuatorPort, SensorPort
 from esair.exceptions import ConfigError, NotRegisteredError
-from esair.messages import Access, check_name
+from esair.messages import Access, check_name, is_positive
 
 T = TypeVar("T")
 
@@ -201,11 +201,18 @@ def mistakes_in_needs(action: ProfiledAction) -> list[ConfigError]:
             check_name("resource", need.resource)
         except ConfigError as error:
             found.append(ConfigError(action.name, attribute, str(error)))
+        if need.type is None or isinstance(need.type, str | bytes | int | float):
+            found.append(
+                ConfigError(
+                    action.name,
+                    attribute,
+                    f"expected a type such as float, not {need.type!r:.80} "
+                    "(a name is given by name=)",
+                )
+            )
         seconds = need.max_age if isinstance(need, Reads) else need.hold
         field = "max_age" if isinstance(need, Reads) else "hold"
-        if seconds is not None and (
-            type(seconds) not in {int, float} or not 0 < seconds < float("inf")
-        ):
+        if seconds is not None and not is_positive(seconds):
             found.append(
                 ConfigError(
                     action.name,

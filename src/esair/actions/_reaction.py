@@ -7,7 +7,7 @@ from typing import Any
 
 from esair.actions._needs import ProfiledAction, Reads, Writes
 from esair.exceptions import ConfigError
-from esair.messages import Restart
+from esair.messages import Restart, is_positive
 
 
 class Reaction(ProfiledAction):
@@ -71,12 +71,10 @@ def mistakes_in_reaction(reaction: Reaction) -> list[ConfigError]:
     found: list[ConfigError] = []
     name = reaction.name
     rate = reaction.rate
-    if rate is not None and (type(rate) not in {int, float} or not 0 < rate <= 100_000):
+    if rate is not None and not (is_positive(rate) and rate <= 100_000):
         found.append(ConfigError(name, "rate", f"expected Hz > 0, not {rate!r:.80}"))
     budget, limit = reaction.budget, reaction.overrun_limit
-    if budget is not None and (
-        type(budget) not in {int, float} or not 0 < budget < float("inf")
-    ):
+    if budget is not None and not is_positive(budget):
         found.append(
             ConfigError(name, "budget", f"expected seconds > 0, not {budget!r:.80}")
         )
@@ -97,6 +95,11 @@ def mistakes_in_reaction(reaction: Reaction) -> list[ConfigError]:
         return found
     if inspect.iscoroutinefunction(reaction.react):
         found.append(ConfigError(name, "react", "expected a plain function, not async"))
+        return found
+    if inspect.isgeneratorfunction(reaction.react):
+        found.append(
+            ConfigError(name, "react", "expected a plain function that does not yield")
+        )
         return found
     try:
         inspect.signature(reaction.react).bind(**dict.fromkeys(reaction.inputs))

@@ -464,6 +464,10 @@ def _by_name(
     until: Callable[..., bool], reaction: Reaction
 ) -> Callable[[Mapping[str, Any]], bool]:
     """Adapt a condition that names the readings it wants."""
+    if not callable(until):
+        raise BadValueError(
+            reaction.name, "until", f"expected a function, not {until!r:.80}"
+        )
     parameters = inspect.signature(until).parameters.values()
     if any(p.kind is p.VAR_KEYWORD for p in parameters):
         return lambda values: until(**values)

@@ -221,8 +221,10 @@ def _rights(draft: Draft) -> Iterator[Finding]:
             if name == "*" or name in draft.behaviors:
                 continue
             where = "" if name in policy.allow else "max_priority."
-            # A name that is like no other may be that of a behavior added later.
-            kind = _error if did_you_mean(name, draft.behaviors) else _warning
+            # A name that is like no other may be that of a behavior added later; so
+            # may one that is like another that the table names too.
+            left = [each for each in draft.behaviors if each not in policy.allow]
+            kind = _error if did_you_mean(name, left) else _warning
             yield kind(
                 "rights",
                 f"{key}.{where}{name}",

@@ -15,10 +15,9 @@ from typing import Any
 import attrs
 
 from esair.exceptions import BadValueError, ConfigError, describe
+from esair.messages import is_positive, passes_as
 from esair.resources import Actuator
 from esair.resources._resource import checked_class, type_name
-
-_NUMBERS = (int, float)
 
 
 class CommandCheck:
@@ -91,12 +90,12 @@ class CommandCheck:
         return _changed(command, changes)
 
     def _accept(self, command: Any, wanted: type) -> Any:
-        if wanted is float and type(command) is int:
-            return float(command)
         if isinstance(command, wanted) and not (
             wanted is int and isinstance(command, bool)
         ):
             return command
+        if passes_as(command, wanted):
+            return wanted(command)
         raise BadValueError(
             self.name, "command", f"expected {type_name(wanted)}, not {command!r:.80}"
         )
@@ -146,7 +145,7 @@ def check_declaration(actuator: Actuator[Any]) -> list[ConfigError]:
     name = actuator.name
     mistakes: list[ConfigError] = []
     timeout = actuator.command_timeout
-    if type(timeout) not in _NUMBERS or not 0 < timeout < math.inf:
+    if not is_positive(timeout):
         mistakes.append(
             ConfigError(
                 name, "command_timeout", f"expected seconds > 0, not {timeout!r:.80}"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import cast
 
 from esair.exceptions import BadValueError
+from esair.messages import is_positive
 
 
 def check_duration(component: str, field: str, value: object) -> float:
@@ -14,6 +14,6 @@ def check_duration(component: str, field: str, value: object) -> float:
     Raises:
         BadValueError: It is something else.
     """
-    if type(value) in {int, float} and 0 < cast("float", value) < math.inf:
+    if is_positive(value):
         return cast("float", value)
     raise BadValueError(component, field, f"expected seconds > 0, not {value!r:.80}")

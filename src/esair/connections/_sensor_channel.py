@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from esair.connections._driver import Driver, is_drivers, translate
 from esair.connections._registrations import Registration, Registrations
 from esair.exceptions import (
+    BadValueError,
     BusyError,
     DeviceFaultError,
     DeviceLostError,
@@ -29,7 +30,7 @@ from esair.loop import (
     first_step,
     spawn,
 )
-from esair.messages import Reading, ResourceState
+from esair.messages import Reading, ResourceState, passes_as
 from esair.resources import Sensor
 from esair.resources._resource import checked_class, type_name
 
@@ -216,6 +217,10 @@ class SensorChannel:
         """Return the last readings, the oldest first."""
         if not registration.usable:
             raise self.registrations.refusal(registration)
+        if not passes_as(count, int) or count < 0:
+            raise BadValueError(
+                self.name, "history", f"expected a whole number, not {count!r:.80}"
+            )
         return list(self._history)[-count:] if count > 0 else []
 
     def _check(self, registration: Registration) -> None:
@@ -232,7 +237,8 @@ class SensorChannel:
         if not future.done():
             newest = self.newest
             age = None if newest is None else self.time() - newest.time
-            future.set_exception(StaleReadingError(self.name, age, timeout))
+            stale = StaleReadingError(self.name, age, timeout, silent=True)
+            future.set_exception(stale)
 
     # Followers.
 
@@ -413,7 +419,7 @@ class SensorChannel:
     def _acceptable(value: Any, wanted: type) -> bool:
         if isinstance(value, bool) and wanted in {int, float}:
             return False
-        return isinstance(value, wanted) or (wanted is float and isinstance(value, int))
+        return isinstance(value, wanted) or passes_as(value, wanted)
 
     def _resolve(self, reading: Reading[Any], number: float) -> None:
         waiters, self._waiters = self._waiters, []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from collections.abc import AsyncIterator, Iterator
 
@@ -11,6 +10,7 @@ from esair.exceptions import BadValueError
 from esair.loop._bridge import bridge
 from esair.loop._timer import clock_of
 from esair.loop._wheel import Wheel
+from esair.messages import is_positive
 
 
 class Every:
@@ -21,11 +21,7 @@ class Every:
     """
 
     def __init__(self, period: float) -> None:
-        if (
-            isinstance(period, bool)
-            or not isinstance(period, int | float)
-            or not 0 < period < math.inf
-        ):
+        if not is_positive(period):
             raise BadValueError(
                 "every", "period", f"expected seconds > 0, not {period!r:.80}"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import types
 import typing
 from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from esair import abc
 from esair.exceptions import ConfigError
+from esair.messages import is_positive
 from esair.resources._setting import Setting, check_settings, setting, settings_of
 
 if TYPE_CHECKING:
@@ -24,9 +26,10 @@ class Resource(abc.Resource):
     its own).
 
     A driver tells what happened to its device by raising: `DeviceLostError` or any
-    other `ConnectionError` when the device is gone (it is then reopened with a
-    growing delay), any other exception when the device is there but answered
-    wrongly (after `fault_limit` in a row it is closed and opened again).
+    other `ConnectionError` when the device is gone, or any `OSError` from `open` when
+    it cannot be had yet (it is then reopened with a growing delay), any other exception
+    when the device is there but answered wrongly (after `fault_limit` in a row it is
+    closed and opened again).
 
     Args:
         name: The name; the class name in snake case unless given.
@@ -164,6 +167,20 @@ def value_type(cls: type, base: type) -> Any:
 
 def same_type(given: Any, wanted: Any) -> bool:
     """Tell whether values of one type may be used where another is wanted."""
+    return all(
+        any(_same_type(one, other) for other in _alternatives(wanted))
+        for one in _alternatives(given)
+    )
+
+
+def _alternatives(kind: Any) -> tuple[Any, ...]:
+    """The types of a union; any other type alone."""
+    if typing.get_origin(kind) in {typing.Union, types.UnionType}:
+        return typing.get_args(kind)
+    return (kind,)
+
+
+def _same_type(given: Any, wanted: Any) -> bool:
     if given is Any or wanted is Any or given is object or wanted is object:
         return True
     given_class = typing.get_origin(given) or given
@@ -172,6 +189,8 @@ def same_type(given: Any, wanted: Any) -> bool:
         return bool(given == wanted)
     if wanted_class is float and given_class is int:
         return True
+    if _has_no_instances(wanted_class):
+        return given_class is wanted_class
     return issubclass(given_class, wanted_class)
 
 
@@ -180,7 +199,18 @@ def checked_class(kind: Any) -> type | None:
     cls = typing.get_origin(kind) or kind
     if cls is Any or cls is object or not inspect.isclass(cls):
         return None
+    if cls is types.UnionType or _has_no_instances(cls):
+        return None
     return cls
+
+
+def _has_no_instances(cls: type) -> bool:
+    """Tell whether a class describes values that are instances of other classes."""
+    if typing.is_typeddict(cls):
+        return True
+    return getattr(cls, "_is_protocol", False) and not getattr(
+        cls, "_is_runtime_protocol", False
+    )
 
 
 def type_name(kind: Any) -> str:
@@ -194,7 +224,7 @@ def check_seconds(component: str, field: str, value: object) -> float:
     Raises:
         ConfigError: It is something else.
     """
-    if type(value) in {int, float} and 0 < typing.cast("float", value) < float("inf"):
+    if is_positive(value):
         return float(typing.cast("float", value))
     raise ConfigError(
         component, field, f"expected a number of seconds > 0, not {value!r:.80}"

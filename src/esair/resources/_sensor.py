@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncIterator, Awaitable, Iterator
 from typing import Any, Generic, TypeVar
 
+import attrs
+
 from esair.resources._resource import Resource, value_type
-from esair.resources._setting import setting
+from esair.resources._setting import setting, settings_of
 
 T = TypeVar("T")
 
@@ -32,6 +35,19 @@ class Sensor(Resource, Generic[T]):
         10.0, unit="Hz", min=0.001, max=100_000.0, doc="how often the device is asked"
     )
     """How often the device is asked while somebody follows it, in Hz."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        # Whatever limits a class gives its rate, it is one that can be kept.
+        own, base = settings_of(cls)["rate"], settings_of(Sensor)["rate"]
+        rate = attrs.evolve(
+            own,
+            default=base.check(f"class {cls.__name__}", own.default),
+            min=base.min if own.min is None else max(own.min, base.min or 0.0),
+            max=base.max if own.max is None else min(own.max, base.max or math.inf),
+        )
+        if rate != own:
+            setattr(cls, "rate", rate)  # noqa: B010 - its type is that of its value
 
     history_size: int = 64
     """How many readings are kept for ``port.history``."""

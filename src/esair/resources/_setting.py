@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import attrs
 
 from esair.exceptions import BadValueError, did_you_mean
+from esair.messages import passes_as
 
 if TYPE_CHECKING:
     from esair.resources._resource import Resource
@@ -59,8 +61,9 @@ class Setting:
                 limits, or not one of the choices.
         """
         wanted = self.type
-        if wanted is float and type(value) is int:
-            value = float(value)
+        if type(value) is not wanted and passes_as(value, wanted):
+            with contextlib.suppress(OverflowError):  # refused below
+                value = wanted(value)
         if self.default is not None and type(value) is not wanted:
             raise BadValueError(
                 component,

@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 
 from esair.connections import Registrations
-from esair.exceptions import AccessDeniedError, ConfigError, did_you_mean
+from esair.exceptions import (
+    AccessDeniedError,
+    ConfigError,
+    UnknownNameError,
+    did_you_mean,
+)
 from esair.messages import Access, Policy
 
 Declared = Callable[[str, str], Access]
@@ -30,7 +35,11 @@ class Rules:
         self.policies: dict[str, Policy] = {}
         self.repeated: list[str] = []
         """Resources that have more than one policy, which is a mistake."""
+        self._strange: list[object] = []
         for policy in policies:
+            if not isinstance(policy, Policy):
+                self._strange.append(policy)
+                continue
             if policy.resource in self.policies:
                 self.repeated.append(policy.resource)
             self.policies[policy.resource] = policy
@@ -120,19 +129,20 @@ class Rules:
         """Return what is wrong with the policies of a robot before it starts."""
         known = sorted(behaviors)
         found = [
+            ConfigError("policies", "", f"expected an esair.Policy, not {each!r:.80}")
+            for each in self._strange
+        ]
+        found.extend(
             ConfigError(
                 f"policy of {name!r}", "resource", "it has more than one policy"
             )
             for name in self.repeated
-        ]
+        )
         for name, policy in self.policies.items():
             if name not in resources:
+                unknown = UnknownNameError("resource", name, resources)
                 found.append(
-                    ConfigError(
-                        f"policy of {name!r}",
-                        "resource",
-                        f"no resource is named {name!r}",
-                    )
+                    ConfigError(f"policy of {name!r}", "resource", str(unknown))
                 )
             found.extend(
                 ConfigError(
@@ -143,7 +153,9 @@ class Rules:
                 for who, value in policy.max_priority.items()
                 if type(value) is not int
             )
-            # A name that is like no other may be that of a behavior added later.
+            # A name that is like no other may be that of a behavior added later; so
+            # may one that is like another that the policy names too.
+            left = [each for each in known if each not in policy.allow]
             found.extend(
                 ConfigError(
                     f"policy of {name!r}",
@@ -151,6 +163,6 @@ class Rules:
                     f"no behavior is named {who!r}{nearest}",
                 )
                 for who in policy.allow
-                if who not in known and (nearest := did_you_mean(who, known))
+                if who not in known and (nearest := did_you_mean(who, left))
             )
         return found
