@@ -212,6 +212,7 @@ async def test_every_mistake_is_reported_at_once_before_anything_opens(
     robot = esair.Robot(
         resources=[sonar, fake_sensor("sonar", "2", type=str), bare, "lamp"],  # type: ignore[list-item]
         behaviors=[Wrong(), WrongToo(), WrongToo(), "walk"],  # type: ignore[list-item]
+        policies=["sonar", esair.Policy("sonra"), esair.Policy("sonar")],  # type: ignore[list-item]
     )
     with pytest.raises(ExceptionGroup) as caught:
         async with robot:
@@ -219,10 +220,78 @@ async def test_every_mistake_is_reported_at_once_before_anything_opens(
 
     text = "\n".join(map(str, caught.value.exceptions))
     for part in ("'sonar' is already there", "bare: safe", "inbox_size", "outbox_policy",
-                 "lamp", "walk", "did you mean 'bare'", "declared as float",
-                 "'wrong_too' is already there"):  # fmt: skip
+                 "lamp", "walk", "wrong_too: bares: no resource", "did you mean 'bare'",
+                 "declared as float", "'wrong_too' is already there",
+                 "policies: expected an esair.Policy", "did you mean 'sonar'",
+                 "'wrong_too' may not READ 'sonar'"):  # fmt: skip
         assert part in text, part
     assert sonar.opened == bare.opened == 0
+
+
+@pytest.mark.promise("ROB-1", "ROB-3")
+async def test_a_component_is_in_one_robot_at_a_time(fake_actuator: Any) -> None:
+    """Two robots that hold one device, or one behavior, would fight over it."""
+    wheels, drive = fake_actuator("wheels", safe=0.0), Drive()
+    still = esair.Behavior(name="still")
+    async with esair.Robot(resources=[wheels], behaviors=[drive, still]):
+        other = esair.Robot(
+            resources=[wheels, fake_actuator("arm", safe=0.0)], behaviors=[drive]
+        )
+        with pytest.raises(ExceptionGroup) as caught:
+            await other.__aenter__()
+        assert [str(e).split(":")[0] for e in caught.value.exceptions] == [
+            "wheels",
+            "drive",
+        ]
+        async with esair.Robot(resources=[fake_actuator("arm", safe=0.0)]) as third:
+            with pytest.raises(esair.ConfigError, match="in a running robot already"):
+                await third.resources.add(wheels)
+            with pytest.raises(esair.ConfigError, match="in a running robot already"):
+                await third.resources.replace("arm", wheels)
+            with pytest.raises(esair.ConfigError, match="in a running robot already"):
+                await third.behaviors.add(still)
+            await third.behaviors.add(esair.Behavior(name="other"))
+            with pytest.raises(esair.ConfigError, match="in a running robot already"):
+                await third.behaviors.replace("other", still)
+        assert (wheels.name, still.name) == ("wheels", "still")
+        await wheels.until(1.0)
+
+    async with esair.Robot(resources=[wheels], behaviors=[drive]):
+        await wheels.until(1.0)  # one after the other is fine
+
+
+@pytest.mark.promise("SUP-1")
+async def test_commands_wait_from_the_beginning_of_the_start() -> None:
+    """Before it nobody would ever see to them: they are refused."""
+
+    class Slow(esair.Sensor[float]):
+        async def open(self) -> None:
+            await asyncio.sleep(0.5)
+
+        async def read(self) -> float:
+            return 1.0
+
+    robot = esair.Robot(resources=[Slow()])
+    for early in (robot.behaviors.remove("drive"), robot.resources.remove("slow")):
+        with pytest.raises(esair.StoppingError, match="enter the robot first"):
+            await early
+
+    adding = asyncio.create_task(robot.behaviors.add(esair.Behavior(name="added")))
+    async with robot:
+        await adding
+        assert robot.behaviors.query("added").state is BehaviorState.RUNNING
+
+
+def test_only_a_robot_is_run() -> None:
+    """Anything else is refused by name, before a loop is made."""
+    with pytest.raises(esair.ConfigError, match=r"an esair\.Robot, not 'rover'"):
+        esair.run("rover")  # type: ignore[arg-type]
+
+
+async def test_a_robot_is_not_run_in_a_running_loop() -> None:
+    """The error says what to write there, and no coroutine is left that nobody awaits."""
+    with pytest.raises(esair.ConfigError, match="async with robot"):
+        esair.run(esair.Robot())
 
 
 @pytest.mark.promise("ROB-1")

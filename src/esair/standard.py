@@ -15,6 +15,7 @@ from esair import minimal
 from esair.actions import Behavior, Reaction, adapt_action
 from esair.connections import ActuatorConnection, Registrations, SensorConnection, Told
 from esair.exceptions import (
+    ConfigError,
     EsairError,
     NameTakenError,
     StoppingError,
@@ -135,6 +136,8 @@ class Robot:
             )
         self._refuse_mistakes()
         self._entered = True
+        self.resources.wake()
+        self.behaviors.wake()
         loop = asyncio.get_running_loop()
         self._host = asyncio.current_task()
         self._watch.start(interrupts=self._interrupts)
@@ -295,10 +298,17 @@ def run(
             asyncio's own unless given.
 
     Raises:
+        ConfigError: It is no robot, or an event loop is running already.
         ExceptionGroup: The robot cannot start; every mistake is named.
         BehaviorFailedError: A behavior has failed for good.
         SystemExit: A signal came.
     """
+    if not isinstance(robot, Robot):
+        raise ConfigError("run", "robot", f"expected an esair.Robot, not {robot!r:.80}")
+    if asyncio._get_running_loop() is not None:  # noqa: SLF001 - it does not raise
+        raise ConfigError(
+            "run", "", "an event loop is running: write 'async with robot:' in it"
+        )
     if duration is not None:
         check_seconds(f"robot {robot.name!r}", "duration", duration)
     gc.collect()

@@ -489,3 +489,74 @@ async def test_a_performed_reaction_whose_sensor_is_removed_ends() -> None:
         with pytest.raises(esair.ResourceRemovedError):
             await performing
         await wheels.until(0.0)
+
+
+@pytest.mark.promise("BEH-3")
+async def test_a_condition_that_raises_ends_the_reaction() -> None:
+    """Its error is the behavior's, a StopIteration too, which no future takes."""
+    sonar, wheels = devices()
+    told: list[BaseException] = []
+
+    class Performs(esair.Behavior):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            for error in (ValueError("bug"), StopIteration()):
+                try:
+                    await self.perform(Follow(), until=lambda e=error: _raise(e))
+                except Exception as caught:
+                    told.append(caught)
+
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Performs()]):
+        await asyncio.sleep(1.0)
+
+    assert [type(error) for error in told] == [ValueError, RuntimeError]
+    assert "StopIteration" in str(told[1])
+
+
+def _raise(error: Exception) -> bool:
+    raise error
+
+
+@pytest.mark.promise("BEH-3")
+async def test_only_a_reaction_with_a_condition_is_performed() -> None:
+    """A behavior in its place, or a condition that is no function, is refused."""
+    sonar, wheels = devices()
+    user = Idle(
+        reads={"sonar": esair.reads(float)}, writes={"wheels": esair.writes(float)}
+    )
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]):
+        with pytest.raises(esair.ConfigError, match=r"expected an esair\.Reaction"):
+            await user.perform(Idle(name="other"))  # type: ignore[arg-type]
+        with pytest.raises(esair.BadValueError, match="until: expected a function"):
+            await user.perform(Follow(), until=True)  # type: ignore[arg-type]
+
+
+@pytest.mark.promise("ROB-1")
+async def test_methods_that_cannot_be_called_are_mistakes() -> None:
+    """A run with a parameter, one that yields, or none at all, stops the start."""
+
+    class Asks(esair.Behavior):
+        async def run(self, speed: float) -> None:  # type: ignore[override]
+            """Nobody would give it a speed."""
+
+    class Yields(esair.Behavior):
+        async def provide(self) -> Any:  # type: ignore[override]
+            yield 1
+
+    class Empty(esair.Behavior):
+        setup = None  # type: ignore[assignment]
+
+    class Reacts(esair.Reaction):
+        rate = 1.0
+
+        def react(self) -> Any:
+            yield 1
+
+    with pytest.raises(ExceptionGroup) as caught:
+        async with esair.Robot(behaviors=[Asks(), Yields(), Empty(), Reacts()]):
+            pytest.fail("it started")
+
+    begins = [str(error).split(": expected")[0] for error in caught.value.exceptions]
+    assert begins == ["asks: run", "yields: provide", "empty: setup", "reacts: react"]

@@ -463,6 +463,26 @@ async def test_a_bad_command_is_rejected_counted_and_logged_once(
     assert lines[0].levelno == logging.WARNING
 
 
+@pytest.mark.promise("ROB-2")
+async def test_no_reaction_steps_once_the_robot_stops(
+    fake_sensor: Any, fake_actuator: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Nor does one that a behavior performs: its command would only be rejected."""
+    radar, wheels = fake_sensor("sonar"), fake_actuator("wheels", safe=0.0)
+
+    class Follow(esair.Behavior):
+        async def run(self) -> None:
+            await self.perform(Copy())
+
+    async with esair.Robot(resources=[radar, wheels], behaviors=[Follow()]):
+        radar.feed(1.0)
+        await wheels.until(1.0)
+        asyncio.get_running_loop().call_soon(radar.feed, 2.0)
+
+    assert wheels.commands == [0.0, 1.0, 0.0]
+    assert caplog.records == []
+
+
 @pytest.mark.promise("ROB-3")
 @pytest.mark.fault("B02", "B05")
 @pytest.mark.parametrize(

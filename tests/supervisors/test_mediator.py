@@ -320,6 +320,24 @@ async def test_a_circle_of_get_is_refused_at_once(length: int) -> None:
 
 
 @pytest.mark.promise("BS-5")
+@pytest.mark.fault("M04")
+async def test_everybody_on_a_circle_is_told_of_it() -> None:
+    """Also whoever began it; one that only waits for the circle learns who failed."""
+
+    class Asks(Idle):
+        async def provide(self) -> Any:
+            return await self.get("b" if self.name == "a" else "a")
+
+    a, b, waits = Asks(name="a"), Asks(name="b"), Idle(name="waits")
+    async with esair.Robot(behaviors=[a, b, waits]):
+        with pytest.raises(esair.CircularRequestError) as caught:
+            await a.get("b")
+        assert caught.value.path == ("b", "a", "b")
+        with pytest.raises(esair.BehaviorFailedError, match="a circle of get"):
+            await waits.get("b")
+
+
+@pytest.mark.promise("BS-5")
 async def test_two_ways_to_the_same_giver_are_no_circle() -> None:
     """Only a path that leads back to the asker is refused."""
     a, b, c, d = (Idle(name=name) for name in "abcd")

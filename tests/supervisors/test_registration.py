@@ -75,8 +75,9 @@ async def test_a_port_kept_after_the_removal_is_void(fake_actuator: Any) -> None
     async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
         port = user.wheels  # type: ignore[attr-defined]
         await robot.behaviors.remove("user")
-        with pytest.raises(esair.BehaviorRemovedError):
+        with pytest.raises(esair.NotRegisteredError) as caught:
             await port.write(1.0)
+        assert isinstance(caught.value, esair.BehaviorRemovedError)
         assert wheels.commands == [0.0]
 
 
@@ -237,6 +238,38 @@ async def test_a_policy_may_name_a_behavior_that_comes_later(
         assert robot.resources.query("wheels").users == ("user", "later")
 
 
+async def test_a_name_that_is_like_a_named_one_is_no_mistake(
+    fake_actuator: Any,
+) -> None:
+    """Who has rights of its own was not misspelt by another's name."""
+    policy = Policy("wheels", allow={"user": Access.WRITE, "user2": Access.WRITE})
+    async with esair.Robot(
+        resources=[fake_actuator("wheels", safe=0.0)],
+        behaviors=[writer("user")],
+        policies=[policy],
+    ) as robot:
+        await robot.behaviors.add(writer("user2"))
+
+        assert robot.resources.query("wheels").users == ("user", "user2")
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({"allow": "write"}, "allow: expected a dict"),
+        ({"allow": {"me": "write"}}, "allow.me: expected an esair.Access"),
+        ({"allow": {"Me": Access.WRITE}}, "allow 'Me': name"),
+        ({"max_priority": 5}, "max_priority: expected a dict"),
+        ({"max_priority": {5: 5}}, "max_priority 5: name"),
+        ({"exclusive": "yes"}, "exclusive: expected True or False"),
+    ],
+)
+def test_a_policy_is_checked_when_it_is_made(options: Any, part: str) -> None:
+    """The error names the resource and the field."""
+    with pytest.raises(esair.ConfigError, match=f"policy of 'wheels': {part}"):
+        Policy("wheels", **options)
+
+
 async def test_policies_with_mistakes_stop_the_start(fake_actuator: Any) -> None:
     """All mistakes at once: unknown resource and behavior, bad priority, two policies."""
     wheels = fake_actuator("wheels", safe=0.0)
@@ -367,3 +400,33 @@ async def test_nobody_registers_after_the_stop(fake_sensor: Any) -> None:
 
     with pytest.raises(esair.StoppingError):
         await robot.resources.register("me", "sonar", Access.READ)
+
+
+@pytest.mark.promise("RS-1")
+async def test_behavior_and_resource_may_be_given_as_they_are(
+    fake_sensor: Any,
+) -> None:
+    """Registering takes the objects as well as their names."""
+    sonar, user = fake_sensor("sonar", 1.0), esair.Behavior(name="user")
+
+    async with esair.Robot(resources=[sonar], behaviors=[user]) as robot:
+        right = await robot.resources.register(user, sonar, Access.READ)
+
+        assert (right.behavior, right.resource) == ("user", "sonar")
+
+
+@pytest.mark.fault("M10", "L05")
+@pytest.mark.parametrize("name", [None, 5, esair.Behavior(name="user")])
+async def test_what_is_no_name_is_the_name_of_nobody(
+    fake_sensor: Any, name: Any
+) -> None:
+    """The error says what was asked for, and which names there are."""
+    async with esair.Robot(
+        resources=[fake_sensor("sonar", 1.0)], behaviors=[esair.Behavior(name="user")]
+    ) as robot:
+        with pytest.raises(esair.UnknownNameError, match="user"):
+            await robot.behaviors.remove(name)
+        with pytest.raises(esair.UnknownNameError, match="sonar"):
+            await robot.resources.remove(name)
+        with pytest.raises(esair.NotRegisteredError, match="is no registration"):
+            await robot.resources.configure(name, rate=1.0)

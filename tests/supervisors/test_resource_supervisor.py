@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from typing import Any
+from typing import Any, Optional, Protocol, TypedDict
 
 import pytest
 
@@ -352,3 +352,70 @@ async def test_a_blocking_apply_runs_on_the_thread() -> None:
         assert me.arm.settings == {"gain": 5}  # type: ignore[attr-defined]
         assert me.arm.state is ResourceState.READY  # type: ignore[attr-defined]
     assert threads == ["esair-arm"]
+
+
+async def test_what_is_no_resource_is_not_added() -> None:
+    """The error says what was expected, whatever was given."""
+    async with esair.Robot() as robot:
+        for wrong in ("lamp", None, esair.Behavior(name="user")):
+            with pytest.raises(esair.ConfigError, match="expected an esair"):
+                await robot.resources.add(wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.promise("RES-1", "RS-5")
+async def test_a_union_or_a_described_dict_is_a_type_of_values() -> None:
+    """Each alternative may come; what has no instances of its own is not checked."""
+
+    class Fix(TypedDict):
+        latitude: float
+
+    class Named(Protocol):
+        name: str
+
+    class Sonar(esair.Sensor["float | None"]):
+        value: Any = None
+        kind: Any = float | None
+
+        @property
+        def value_type(self) -> Any:
+            return self.kind
+
+        async def read(self) -> Any:
+            return self.value
+
+    fits: list[tuple[Any, Any, Any]] = [
+        (float | None, float | None, None),
+        (float | None, Optional[float], 1.0),  # noqa: UP045 - the same in old words
+        (float, float | None, 1.0),
+        (Fix, Fix, {"latitude": 1.0}),
+        (Named, Named, 1),
+    ]
+    for kind, wanted, value in fits:
+        sonar = Sonar()
+        sonar.kind, sonar.value = kind, value
+        user: Any = esair.Behavior(name="user", reads={"sonar": esair.reads(wanted)})
+        async with esair.Robot(resources=[sonar], behaviors=[user]):
+            assert await user.sonar.read() == value
+
+    misfits: list[tuple[Any, Any]] = [
+        (float | None, float),
+        (float | str, float | None),
+        (dict, Fix),
+    ]
+    for kind, wanted in misfits:
+        sonar = Sonar()
+        sonar.kind = kind
+        user = esair.Behavior(name="user", reads={"sonar": esair.reads(wanted)})
+        with pytest.raises(ExceptionGroup):
+            await esair.Robot(resources=[sonar], behaviors=[user]).__aenter__()
+
+
+@pytest.mark.parametrize("kind", ["sonar", 5, None])
+async def test_a_declared_type_is_a_type(fake_sensor: Any, kind: Any) -> None:
+    """A name in its place, which is an easy mistake, stops the start."""
+    user = esair.Behavior(name="user", reads={"sonar": esair.reads(kind)})
+    with pytest.raises(ExceptionGroup) as caught:
+        await esair.Robot(
+            resources=[fake_sensor("sonar", 1.0)], behaviors=[user]
+        ).__aenter__()
+    assert "user: sonar: expected a type" in str(caught.value.exceptions[0])

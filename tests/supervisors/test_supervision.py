@@ -1289,6 +1289,8 @@ async def test_the_operators_mistakes_are_explained() -> None:
                 await robot.behaviors.command(text)
         with pytest.raises(esair.UnknownNameError):
             await robot.behaviors.command("query nobody")
+        with pytest.raises(esair.ConfigError, match="expected a line of text"):
+            await robot.behaviors.command(None)  # type: ignore[arg-type]
 
 
 async def test_query_tells_why_a_behavior_is_parked() -> None:

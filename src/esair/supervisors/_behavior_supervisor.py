@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import itertools
 import logging
 from collections.abc import Iterable
@@ -85,7 +86,7 @@ class BehaviorSupervisor(abc.Supervisor):
         self.zombies: list[Zombie] = []
         """What would not end, the oldest first."""
         self.zombie_count = 0
-        self._desk = Desk("behaviors")
+        self._desk = Desk("behaviors", asleep=True)
         self._members: dict[str, Member] = {}
         self._adding: Member | None = None
         self._ending: list[Member] = []
@@ -186,6 +187,8 @@ class BehaviorSupervisor(abc.Supervisor):
             self.refuse_mistakes(action)
             if action.name in self._members:
                 raise NameTakenError("behavior", action.name)
+            for mistake in _in_use(action):
+                raise mistake
             member = Member(action, self, action.name)
             self._members[member.name] = member
             try:
@@ -251,6 +254,8 @@ class BehaviorSupervisor(abc.Supervisor):
             old = self._member(name)
             if old.action is action:
                 raise ConfigError(name, "", "it cannot take its own place")
+            for mistake in _in_use(action):
+                raise mistake
             if isinstance(action, abc.Component):
                 action._name = name  # noqa: SLF001 - a supervisor gives names
             self.refuse_mistakes(action)
@@ -296,8 +301,12 @@ class BehaviorSupervisor(abc.Supervisor):
         """Return everything that is wrong with behaviors, before any is started."""
         found: list[EsairError] = []
         for behavior in behaviors:
-            found.extend(self._mistakes(behavior, resources))
+            found.extend(self._mistakes(behavior, resources) or _in_use(behavior))
         return found
+
+    def wake(self) -> None:
+        """Let commands of the user wait from now on: the robot starts."""
+        self._desk.wake()
 
     async def start(self, behaviors: Iterable[Behavior | Reaction]) -> None:
         """Deploy the configuration list; returns when all run, or have failed."""
@@ -321,8 +330,7 @@ class BehaviorSupervisor(abc.Supervisor):
     def halt(self) -> None:
         """Let no reaction take another step: the robot stops."""
         for member in self._members.values():
-            if member.runner is not None:
-                member.runner.stop()
+            member.halt()
 
     async def stop(self) -> None:
         """End every behavior, the last one first; all share one grace period."""
@@ -474,6 +482,7 @@ class BehaviorSupervisor(abc.Supervisor):
             found.extend(mistakes_in_reaction(action))
         else:
             found.extend(_mistakes_in_boxes(action))
+            found.extend(_mistakes_in_methods(action))
         if not isinstance(action.restart, Restart):
             found.append(ConfigError(name, "restart", "expected an esair.Restart"))
         if found:
@@ -481,9 +490,14 @@ class BehaviorSupervisor(abc.Supervisor):
         for attribute, need in action.needs.items():
             resource = resources.get(need.resource)
             if resource is None:
-                unknown = UnknownNameError("resource", need.resource, resources)
-                unknown.add_note(f"{name}.{attribute} needs it")
-                found.append(unknown)
+                found.append(
+                    UnknownNameError(
+                        "resource",
+                        need.resource,
+                        resources,
+                        user=f"{name}: {attribute}",
+                    )
+                )
                 continue
             writes = isinstance(need, Writes)
             if writes is not isinstance(resource, Actuator):
@@ -507,7 +521,6 @@ class BehaviorSupervisor(abc.Supervisor):
                         f"{type_name(resource.value_type)}",
                     )
                 )
-                continue
             try:
                 self.resources.rules.check(
                     performer or name,
@@ -542,6 +555,43 @@ def _name(component: object) -> str:
         )
     except ConfigError:
         return repr(component)
+
+
+def _in_use(action: Behavior | Reaction) -> list[ConfigError]:
+    """Return a mistake if a behavior has its ports in a running robot already."""
+    if not isinstance(action, Behavior) or action._host is None:  # noqa: SLF001 - set by a supervisor
+        return []
+    return [
+        ConfigError(
+            action.name,
+            "",
+            "it is in a running robot already: make another one for this place",
+        )
+    ]
+
+
+def _mistakes_in_methods(behavior: Behavior) -> list[ConfigError]:
+    found = []
+    for field in ("setup", "run", "teardown", "provide"):
+        method = getattr(behavior, field)
+        try:
+            inspect.signature(method).bind()
+        except TypeError as error:
+            found.append(
+                ConfigError(
+                    behavior.name,
+                    field,
+                    f"expected a method without parameters: {error}",
+                )
+            )
+            continue
+        if inspect.isgeneratorfunction(method) or inspect.isasyncgenfunction(method):
+            found.append(
+                ConfigError(
+                    behavior.name, field, "expected a method that does not yield"
+                )
+            )
+    return found
 
 
 def _mistakes_in_boxes(behavior: Behavior) -> list[ConfigError]:

@@ -25,10 +25,12 @@ class Desk:
 
     Args:
         name: The name of the supervisor, for errors.
+        asleep: Refuse commands until `wake`: nobody would ever see to them.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *, asleep: bool = False) -> None:
         self.name = name
+        self._asleep = asleep
         self.phase = SupervisorPhase.INITIALIZING
         self._waiting: collections.deque[asyncio.Future[None]] = collections.deque()
         self._work: asyncio.Task[Any] | None = None
@@ -82,6 +84,8 @@ class Desk:
     async def _turn(self, loop: asyncio.AbstractEventLoop) -> None:
         if self._stopped:
             raise StoppingError(self.name, self.phase.value)
+        if self._asleep:
+            raise StoppingError(self.name, "not started yet: enter the robot first")
         if self.phase is SupervisorPhase.WAIT_REQUEST:
             self.phase = SupervisorPhase.HANDLING_REQUEST
             return
@@ -116,6 +120,10 @@ class Desk:
                 turn.set_result(None)
                 return
         self.phase = SupervisorPhase.WAIT_REQUEST
+
+    def wake(self) -> None:
+        """The robot starts: let commands wait from now on."""
+        self._asleep = False
 
     def initialized(self) -> None:
         """The configuration list is deployed: take commands from now on."""

@@ -23,7 +23,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import Deadlines, spawn
-from esair.messages import BehaviorState
+from esair.messages import BehaviorState, is_positive
 from esair.supervisors._requests import (
     REQUESTS,
     REQUESTS_PER_SENDER,
@@ -235,7 +235,12 @@ class Mediator:
             self._record("get", request.sender, request.receiver, _DELIVERED)
             request.future.set_result(data)
         else:
-            self._fail(request, _failed(member, error), Outcome.PEER_FAILED)
+            failed: EsairError = _failed(member, error)
+            if isinstance(error, CircularRequestError) and request.asker in error.path:
+                # It waits for itself: told as plainly as to the one that closed the circle.
+                failed = CircularRequestError(error.path)
+                failed.__cause__ = error
+            self._fail(request, failed, Outcome.PEER_FAILED)
         self.serve(member)
 
     # What happens to the other side.
@@ -284,7 +289,7 @@ class Mediator:
         member = self._members.get(peer)
         if member is None:
             raise UnknownNameError("behavior", peer, self._members)
-        if type(interval) not in {int, float} or not 0 < interval <= _LONGEST:  # type: ignore[operator]
+        if not is_positive(interval):
             raise BadValueError(
                 peer, "interval", f"expected seconds > 0, not {interval!r:.80}"
             )

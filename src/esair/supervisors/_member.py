@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
-import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,7 @@ from esair.connections import ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import (
     BadValueError,
     BehaviorRemovedError,
+    ConfigError,
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
@@ -33,7 +33,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import Bridge, Owner, spawn
-from esair.messages import Access, BehaviorState, BehaviorStatus
+from esair.messages import Access, BehaviorState, BehaviorStatus, is_positive
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._restart_budget import RestartBudget
 
@@ -112,32 +112,37 @@ class Member(Mailbox):
         self.check_speaker()
         if timeout is not None:
             _check_seconds(self.name, "timeout", timeout)
+        if not isinstance(reaction, Reaction):
+            raise ConfigError(
+                self.name,
+                "perform",
+                f"expected an esair.Reaction, not {reaction!r:.80}",
+            )
         self._supervisor.refuse_mistakes(reaction, performer=self.name)
         loop = asyncio.get_running_loop()
-        perform = _Perform(reaction, loop)
-        runner = ReactionRunner(
-            reaction,
-            on_state=lambda _running, _why: None,
-            on_crash=perform.crash,
-            until=until,
-            on_end=lambda: perform.end(True),
-        )
+        perform = _Perform(reaction, until, loop)
         self.performs.append(perform)
         timer = None
         try:
-            self._start_runner(runner, reaction, perform)
+            self._start_runner(perform.runner, reaction, perform)
             if timeout is not None:
                 timer = loop.call_later(timeout, perform.end, False)
             return await perform.ended
         finally:
             if timer is not None:
                 timer.cancel()
-            runner.stop()
+            perform.runner.stop()
             self.performs.remove(perform)
             for registration in perform.own:
                 self._supervisor.resources.revoke(registration)
 
     # Life.
+
+    def halt(self) -> None:
+        """Let its reactions take no further step: the robot stops."""
+        for runner in (self.runner, *(perform.runner for perform in self.performs)):
+            if runner is not None:
+                runner.stop()
 
     def start(self) -> None:
         """Register what it declares, and begin.
@@ -353,7 +358,7 @@ class Member(Mailbox):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        self.fence(lambda: BehaviorRemovedError(self.name))
+        self.fence(lambda: _UserRemovedError(self.name))
         for taker in self.takers or ():
             if not taker.done():
                 taker.set_result(None)
@@ -535,10 +540,34 @@ class Member(Mailbox):
         )
 
 
+class _UserRemovedError(BehaviorRemovedError, NotRegisteredError):
+    """A behavior that was removed uses a port of its: both is true."""
+
+    def __init__(self, behavior: str) -> None:
+        EsairError.__init__(
+            self, f"behavior {behavior!r} was removed: it is registered for nothing"
+        )
+        self.behavior = behavior
+        self.resource = ""
+        self.data = None
+
+
 class _Perform:
     """A reaction that a behavior performs as a step of its own."""
 
-    def __init__(self, reaction: Reaction, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self,
+        reaction: Reaction,
+        until: Callable[..., bool] | None,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self.runner = ReactionRunner(
+            reaction,
+            on_state=lambda _running, _why: None,
+            on_crash=self.crash,
+            until=until,
+            on_end=lambda: self.end(True),
+        )
         self.needs = tuple(reaction.needs.values())
         self.own: list[Registration] = []
         """The registrations that end with it."""
@@ -566,7 +595,7 @@ _ABSENCE = (
 
 
 def _check_seconds(component: str, field: str, value: object) -> None:
-    if type(value) not in {int, float} or not 0 < value <= sys.float_info.max:  # type: ignore[operator]
+    if not is_positive(value):
         raise BadValueError(
             component, field, f"expected seconds > 0, not {value!r:.80}"
         )
@@ -578,8 +607,8 @@ def _max_age(need: Need) -> float | None:
 
 def _as_exception(error: BaseException) -> Exception:
     """Make an error that is safe to raise in a task of somebody else."""
-    if isinstance(error, Exception):
-        return error
+    if isinstance(error, Exception) and not isinstance(error, StopIteration):
+        return error  # a future takes everything but a StopIteration
     wrapped = RuntimeError(f"it raised {describe(error)}")
     wrapped.__cause__ = error
     return wrapped

@@ -21,6 +21,8 @@ _COMMANDS = {
 
 async def command(supervisor: BehaviorSupervisor, text: str) -> str:
     """Do what an operator types; see `BehaviorSupervisor.command`."""
+    if not isinstance(text, str):
+        raise ConfigError("command", "", f"expected a line of text, not {text!r:.80}")
     try:
         words = shlex.split(text)
     except ValueError as error:

@@ -38,6 +38,7 @@ from esair.messages import (
     SupervisorPhase,
     Why,
     check_name,
+    is_positive,
 )
 from esair.resources import Actuator, Resource, Sensor, adapt_resource
 from esair.resources._resource import same_type
@@ -74,7 +75,7 @@ class ResourceSupervisor(abc.Supervisor):
         self._registrations = registrations
         self.rules = Rules(policies, registrations, declared)
         self._grace = grace
-        self._desk = Desk("resources")
+        self._desk = Desk("resources", asleep=True)
         self._lives: dict[str, ResourceLife] = {}
         self._leaving: set[str] = set()
         self.buses: list[Bus] = []
@@ -158,8 +159,9 @@ class ResourceSupervisor(abc.Supervisor):
         resource: Resource = adapt_resource(component)
 
         async def work() -> None:
+            if isinstance(resource, Resource):
+                self._check_free(resource.name)
             self._refuse(self.mistakes([resource]))
-            self._check_free(resource.name)
             self._deploy(resource)
             try:
                 await self._lives[resource.name].tried
@@ -168,7 +170,7 @@ class ResourceSupervisor(abc.Supervisor):
                 raise
             self.on_change(resource.name)
 
-        await self._desk.run(work, name=f"add {resource.name}", undo=True)
+        await self._desk.run(work, name=f"add {resource!r:.80}", undo=True)
 
     async def remove(self, name: str) -> None:
         """Take a resource away; nobody needs to agree.
@@ -212,9 +214,9 @@ class ResourceSupervisor(abc.Supervisor):
 
         async def work() -> None:
             old = self._life(name).resource
-            if isinstance(resource, Resource):
+            if isinstance(resource, Resource) and not _in_use(resource):
                 resource._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
-            self._refuse(self.mistakes([resource]))
+            self._refuse(self.mistakes([resource], instead_of=old))
             keep = _kind(old) is _kind(resource) and same_type(
                 resource.value_type, old.value_type
             )
@@ -252,7 +254,7 @@ class ResourceSupervisor(abc.Supervisor):
     async def register(
         self,
         behavior: str | abc.Action,
-        resource: str,
+        resource: str | abc.Resource,
         access: Access,
         *,
         priority: int = 0,
@@ -263,8 +265,8 @@ class ResourceSupervisor(abc.Supervisor):
         Asking again on the same terms gives the same registration.
 
         Args:
-            behavior: Who asks.
-            resource: What for.
+            behavior: Who asks, or its name.
+            resource: What for, or its name.
             access: What it wants to do.
             priority: With which priority it writes; higher wins.
             hold: For how long its writes hold an actuator, in seconds.
@@ -274,8 +276,9 @@ class ResourceSupervisor(abc.Supervisor):
             AccessDeniedError: A rule denies it.
             StoppingError: The robot is not running.
         """
-        name = behavior if isinstance(behavior, str) else behavior.name
-        return self.grant(name, resource, access, priority=priority, hold=hold)
+        user = behavior.name if isinstance(behavior, abc.Component) else behavior
+        used = resource.name if isinstance(resource, abc.Component) else resource
+        return self.grant(user, used, access, priority=priority, hold=hold)
 
     def grant(
         self,
@@ -347,7 +350,10 @@ class ResourceSupervisor(abc.Supervisor):
         await asyncio.shield(task)
 
     def _configurable(self, registration: Registration) -> ResourceLife:
-        if self._registrations.live.get(registration.number) is not registration:
+        if (
+            not isinstance(registration, Registration)
+            or self._registrations.live.get(registration.number) is not registration
+        ):
             raise self._registrations.refusal(registration)
         if Access.CONFIGURE not in registration.access:
             raise AccessDeniedError(
@@ -372,8 +378,15 @@ class ResourceSupervisor(abc.Supervisor):
 
     # What the robot does at its start and stop.
 
-    def mistakes(self, resources: Iterable[Resource]) -> list[EsairError]:
-        """Return everything that is wrong with resources, before any is opened."""
+    def mistakes(
+        self, resources: Iterable[Resource], *, instead_of: Resource | None = None
+    ) -> list[EsairError]:
+        """Return everything that is wrong with resources, before any is opened.
+
+        Args:
+            resources: What is about to be deployed.
+            instead_of: A resource that gives its place; it may take it again.
+        """
         found: list[EsairError] = []
         for resource in resources:
             if not isinstance(resource, Sensor | Actuator):
@@ -384,6 +397,8 @@ class ResourceSupervisor(abc.Supervisor):
                 )
                 continue
             try:
+                if _in_use(resource) and resource is not instead_of:
+                    found.append(_used_already(resource.name))
                 found.extend(_mistakes_in_bounds(resource))
             except EsairError as error:
                 found.append(error)
@@ -407,6 +422,10 @@ class ResourceSupervisor(abc.Supervisor):
                     )
                 )
         return found
+
+    def wake(self) -> None:
+        """Let commands of the user wait from now on: the robot starts."""
+        self._desk.wake()
 
     async def start(self, resources: Iterable[Resource]) -> None:
         """Deploy the configuration list; returns when each device was tried once.
@@ -546,7 +565,7 @@ class ResourceSupervisor(abc.Supervisor):
 def _mistakes_in_bounds(resource: Resource) -> list[ConfigError]:
     found = []
     name, seconds = resource.name, resource.deadline
-    if type(seconds) not in {int, float} or not 0 < seconds < float("inf"):
+    if not is_positive(seconds):
         found.append(
             ConfigError(name, "deadline", f"expected seconds > 0, not {seconds!r:.80}")
         )
@@ -566,6 +585,16 @@ def _mistakes_in_bounds(resource: Resource) -> list[ConfigError]:
     return found
 
 
+def _in_use(resource: Resource) -> bool:
+    return resource._listener is not None  # noqa: SLF001 - set by a supervisor
+
+
+def _used_already(name: str) -> ConfigError:
+    return ConfigError(
+        name, "", "it is in a running robot already: make another one for this place"
+    )
+
+
 def _kind(resource: Resource) -> type:
     return Actuator if isinstance(resource, Actuator) else Sensor
 
@@ -583,9 +612,7 @@ def _check_terms(
             f"{resource}.priority",
             f"expected a whole number, not {priority!r:.80}",
         )
-    if hold is not None and (
-        type(hold) not in {int, float} or not 0 < hold < float("inf")
-    ):
+    if hold is not None and not is_positive(hold):
         raise ConfigError(
             behavior, f"{resource}.hold", f"expected seconds > 0, not {hold!r:.80}"
         )
