@@ -99,9 +99,9 @@ def refused_by_robot(draft: Draft, robot_class: type) -> None:
     except (EsairError, ExceptionGroup) as error:
         mistakes.caught("robot", error, "the robot")
         return
-    for name, resource in resources.items():
-        for refusal in robot.resources.mistakes([resource]):
-            mistakes.caught(draft.keys[name], refusal, "its start")
+    for refusal in robot.resources.mistakes(resources.values()):
+        name = getattr(refusal, "component", "")
+        mistakes.caught(draft.keys.get(name, "robot"), refusal, "its start")
     for name, behavior in behaviors.items():
         for refusal in robot.behaviors.mistakes([behavior], resources):
             mistakes.caught(f"behavior.{name}", refusal, "its start")

@@ -121,6 +121,11 @@ class Channel:
         self._chip: Chip | None = None
 
     @property
+    def place(self) -> str:
+        """The channel and its chip, in words."""
+        return f"channel {self.number} of the chip {self.address:#04x}"
+
+    @property
     def register(self) -> int:
         """The first of its four registers."""
         return LED0_ON_L + 4 * self.number
@@ -166,8 +171,7 @@ class Channel:
             raise ConfigError(
                 self.owner.name,
                 "channel",
-                f"channel {self.number} of the chip {self.address:#04x} "
-                f"is {user.name!r} already",
+                f"{self.place} is {user.name!r} already",
             )
         if chip is None or (not others and chip.frequency != self.frequency):
             chip = chips[self.address] = Chip(self.frequency)

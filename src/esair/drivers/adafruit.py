@@ -287,6 +287,8 @@ class AdafruitActuator(Actuator[Any]):
         self.limits = limits
         self._part = _Part(self, library, address, arguments)
         self._pieces = _pieces(self, "attribute", attribute)
+        where = "" if address is None else f" at {address:#04x}"
+        self.claim = f"{attribute} of {library}{where}"
         self._called = attribute.endswith("()")
         if not self._called and self._pieces[-1].startswith("["):
             raise ConfigError(

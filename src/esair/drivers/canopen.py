@@ -590,6 +590,7 @@ class CanopenActuator(_OnNode, Actuator[Any]):
                 f"expected {allowed[0]:g} to {allowed[1]:g}, not {safe!r:.80}",
             )
         self.limits = allowed
+        self.claim = f"{self.variable.qualname} of node {node}"
         self._newest = 0
 
     @property

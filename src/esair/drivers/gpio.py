@@ -117,6 +117,7 @@ class _OnLine:
     """What inputs and outputs have in common: a line that is open, or not."""
 
     name: str
+    claim: str | None
 
     def _describe(self, request: LineRequest, opener: LineOpener | None) -> None:
         for field, kind in (("bias", Bias), ("drive", Drive)):
@@ -136,6 +137,7 @@ class _OnLine:
             raise ConfigError(
                 self.name, "line", f"expected 0 or more, not {request.line!r}"
             )
+        self.claim = f"line {request.line} of {request.chip}"
         self._request = request
         self._opener = opener or gpiod_line
         self._line: Line | None = None

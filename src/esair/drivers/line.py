@@ -194,6 +194,7 @@ class LineActuator(_LineDevice, Actuator[float]):
     ) -> None:
         super().__init__(**keywords)
         self.key = self._check(key)
+        self.claim = f"the value {self.key!r}"
         self.safe = safe
         self.ack = ack
         self.limits = limits

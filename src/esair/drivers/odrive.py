@@ -377,6 +377,7 @@ class OdriveAxis(Actuator[float]):
                 f"expected 'velocity', 'position' or 'torque', not {control!r:.80}",
             )
         self.control = ControlMode[control.upper()]
+        self.claim = f"node {self.node}"
         if safe is None:
             if self.control is ControlMode.POSITION:
                 raise ConfigError(

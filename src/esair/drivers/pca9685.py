@@ -42,6 +42,7 @@ class PwmChannel(Actuator[float]):
     ) -> None:
         super().__init__(**settings)
         self.channel = Channel(self, address, channel, frequency)
+        self.claim = self.channel.place
 
     async def open(self) -> None:
         """Set the chip up unless it is, and turn the output off."""

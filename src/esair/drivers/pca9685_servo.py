@@ -69,6 +69,7 @@ class PwmServo(Actuator[ServoPosition]):
     ) -> None:
         super().__init__(**settings)
         self.channel = Channel(self, address, channel, frequency)
+        self.claim = self.channel.place
         if not 0.0 < min_pulse < max_pulse < 1.0 / frequency:
             raise ConfigError(
                 self.name,

@@ -467,6 +467,7 @@ class Servo(Actuator[Goal]):
         super().__init__(**keywords)
         _servo_bus(self.name, self.bus)
         self.id = _check_id(self.name, id)
+        self.claim = f"servo {self.id}"
         self.safe = safe
         self.limits = {"angle": tuple(limits)}  # type: ignore[dict-item]
         self._torque = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 import types
 import typing
 from collections.abc import Awaitable, Callable, Mapping
@@ -53,6 +54,13 @@ class Resource(abc.Resource):
 
     bus: Any = None
     """The `Bus` that the device is on, if it is on one; a driver narrows the type."""
+
+    claim: str | None = None
+    """What it needs on its bus for itself alone: ``"node 3"``, say; None if nothing.
+
+    Two resources of a robot that claim the same are a mistake: two actuators of one
+    motor would each have priorities and a time-out of their own.
+    """
 
     _listener: Callable[[BaseException | None], None] | None = None
 
@@ -163,6 +171,17 @@ def value_type(cls: type, base: type) -> Any:
                 (argument, *_) = typing.get_args(generic)
                 return Any if isinstance(argument, typing.TypeVar) else argument
     return Any
+
+
+def bus_kind(cls: type[Resource]) -> Any:
+    """Return the type of ``bus: SomeBus`` in a class; `typing.Any` if it does not say."""
+    narrowed = itertools.takewhile(lambda each: each is not Resource, cls.__mro__)
+    if not any("bus" in inspect.get_annotations(each) for each in narrowed):
+        return Any
+    try:
+        return typing.get_type_hints(cls)["bus"]
+    except Exception:  # some hint names what only a type checker can see
+        return Any
 
 
 def same_type(given: Any, wanted: Any) -> bool:

@@ -17,7 +17,6 @@ from esair.connections import (
     SensorConnection,
     Told,
 )
-from esair.connections._command_check import check_declaration
 from esair.exceptions import (
     AccessDeniedError,
     ConfigError,
@@ -45,6 +44,11 @@ from esair.resources._resource import same_type
 from esair.resources._setting import check_settings
 from esair.supervisors._desk import Desk
 from esair.supervisors._resource_life import ResourceLife
+from esair.supervisors._resource_mistakes import (
+    claimed_twice,
+    in_use,
+    mistakes_in_resource,
+)
 from esair.supervisors._rules import Declared, Rules
 
 if TYPE_CHECKING:
@@ -214,7 +218,7 @@ class ResourceSupervisor(abc.Supervisor):
 
         async def work() -> None:
             old = self._life(name).resource
-            if isinstance(resource, Resource) and not _in_use(resource):
+            if isinstance(resource, Resource) and not in_use(resource):
                 resource._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
             self._refuse(self.mistakes([resource], instead_of=old))
             keep = _kind(old) is _kind(resource) and same_type(
@@ -387,41 +391,11 @@ class ResourceSupervisor(abc.Supervisor):
             resources: What is about to be deployed.
             instead_of: A resource that gives its place; it may take it again.
         """
-        found: list[EsairError] = []
-        for resource in resources:
-            if not isinstance(resource, Sensor | Actuator):
-                found.append(
-                    ConfigError(
-                        repr(resource), "", "expected an esair.Sensor or esair.Actuator"
-                    )
-                )
-                continue
-            try:
-                if _in_use(resource) and resource is not instead_of:
-                    found.append(_used_already(resource.name))
-                found.extend(_mistakes_in_bounds(resource))
-            except EsairError as error:
-                found.append(error)
-                continue
-            if isinstance(resource, Actuator):
-                found.extend(check_declaration(resource))
-                if getattr(resource.write, "__func__", None) is Actuator.write:
-                    found.append(
-                        ConfigError(
-                            resource.name,
-                            "write",
-                            "an actuator must have a write method",
-                        )
-                    )
-            elif not (resource.can_be_asked or resource.pushes):
-                found.append(
-                    ConfigError(
-                        resource.name,
-                        "read",
-                        "a sensor must have a read or stream method",
-                    )
-                )
-        return found
+        new = list(resources)
+        found = [each for one in new for each in mistakes_in_resource(one, instead_of)]
+        deployed = [life.resource for life in self._lives.values()]
+        there = [each for each in deployed if each is not instead_of]
+        return found or list(claimed_twice(new, there))
 
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
@@ -560,39 +534,6 @@ class ResourceSupervisor(abc.Supervisor):
         if state is ResourceState.REMOVED:
             self._sensors.channels.pop(name, None)
             self._actuators.channels.pop(name, None)
-
-
-def _mistakes_in_bounds(resource: Resource) -> list[ConfigError]:
-    found = []
-    name, seconds = resource.name, resource.deadline
-    if not is_positive(seconds):
-        found.append(
-            ConfigError(name, "deadline", f"expected seconds > 0, not {seconds!r:.80}")
-        )
-    if resource.identity is not None and not resource.identifies:
-        found.append(
-            ConfigError(
-                name, "identity", "its class has no identify to compare it with"
-            )
-        )
-    repeats = resource.max_repeat if isinstance(resource, Sensor) else None
-    if repeats is not None and (type(repeats) is not int or repeats < 1):
-        found.append(
-            ConfigError(
-                name, "max_repeat", f"expected a whole number > 0, not {repeats!r:.80}"
-            )
-        )
-    return found
-
-
-def _in_use(resource: Resource) -> bool:
-    return resource._listener is not None  # noqa: SLF001 - set by a supervisor
-
-
-def _used_already(name: str) -> ConfigError:
-    return ConfigError(
-        name, "", "it is in a running robot already: make another one for this place"
-    )
 
 
 def _kind(resource: Resource) -> type:

@@ -1,0 +1,57 @@
+"""Two actuators that would move the same thing are found in the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from esair import config
+
+HERE = Path(__file__).parent
+I2C, CAN = 'type = "i2c"\nbus = 1', 'type = "can"\ninterface = "virtual"\nchannel = "c"'
+DBC = f'driver = "dbc"\ndatabase = "{HERE / "rover.dbc"}"\nmessage = "WheelCommand"'
+EDS = f'driver = "canopen"\neds = "{HERE / "motor.eds"}"\nnode = 5\nsafe = 0'
+SERVO = 'type = "esair.drivers.servo:ServoBus"\nport = "/dev/ttyUSB0"'
+LINES = 'type = "serial"\nport = "/dev/ttyUSB0"'
+PIN = 'driver = "gpio"\nchip = "/dev/gpiochip0"'
+DAC = (
+    'driver = "esair.drivers.adafruit:AdafruitActuator"\n'
+    'library = "adafruit_bme280.basic:Adafruit_BME280_I2C"\nsafe = 1013.0'
+)
+
+SAME = [
+    (I2C, 'driver = "pca9685"\nchannel = 3', "channel 3 of the chip 0x40"),
+    (CAN, 'driver = "odrive"\nnode = 3', "node 3"),
+    (
+        CAN,
+        f'{DBC}\nsafe = {{ left = 0, right = 0, gear = "low" }}\nsequence = "count"',
+        "the frame 0x",
+    ),
+    (CAN, f'{EDS}\nobject = "Target velocity"', "Target velocity of node 5"),
+    (SERVO, 'driver = "servo"\nid = 2\nsafe = { mode = "release" }', "servo 2"),
+    (LINES, 'driver = "line"\nkey = "speed"\nsafe = 0.0', "the value 'speed'"),
+    (None, f"{PIN}\nline = 4", "line 4 of /dev/gpiochip0"),
+    (I2C, f'{DAC}\nattribute = "sea_level_pressure"', "sea_level_pressure of adaf"),
+]
+
+
+def mistakes(folder: Path, bus: str | None, left: str, right: str) -> list[str]:
+    """Describe two actuators on one bus; return what is wrong with them."""
+    on_bus = "" if bus is None else 'bus = "it"\n'
+    path = folder / "robot.toml"
+    path.write_text(
+        ("" if bus is None else f"[bus.it]\n{bus}\n")
+        + f"[actuator.left]\n{on_bus}{left}\n[actuator.right]\n{on_bus}{right}\n"
+    )
+    found = config.check(path).findings
+    return [each.message for each in found if each.severity == "error"]
+
+
+@pytest.mark.parametrize(("bus", "part", "told"), SAME)
+def test_one_thing_has_one_actuator(tmp_path, bus, part, told) -> None:
+    """The second one is told, with what it is and who has it."""
+    (message,) = mistakes(tmp_path, bus, part, part)
+
+    assert told in message
+    assert "belongs to 'left'" in message

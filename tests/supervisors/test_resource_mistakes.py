@@ -1,0 +1,109 @@
+"""What stops a robot from starting, or a resource from being added."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+import esair
+from esair.buses import CanBus, I2CBus
+from esair.testing import FakeActuator, FakeCan, FakeI2c
+
+if TYPE_CHECKING:
+    from esair.buses import SerialBus
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class Motor(FakeActuator):
+    """A motor that is one node of a bus."""
+
+    def __init__(self, name: str, node: int, bus: Any) -> None:
+        super().__init__(name, safe=0.0)
+        self.bus = bus
+        self.claim = f"node {node}"
+
+
+async def refused(*resources: Any) -> list[str]:
+    """Return the mistakes for which a robot does not start."""
+    with pytest.raises(ExceptionGroup) as caught:
+        await esair.Robot(resources=resources).__aenter__()
+    return [str(each) for each in caught.value.exceptions]
+
+
+async def test_two_actuators_of_one_motor_do_not_start() -> None:
+    """Each would have priorities and a time-out of its own."""
+    bus = FakeCan("drive")
+
+    assert await refused(Motor("left", 1, bus), Motor("right", 1, bus)) == [
+        "right: node 1 belongs to 'left': they cannot share it"
+    ]
+
+
+async def test_what_is_claimed_is_claimed_on_one_bus() -> None:
+    """There is a node 1 on each bus."""
+    one, other = FakeCan("one"), FakeCan("other")
+    motors = [Motor("a", 1, one), Motor("b", 2, one), Motor("c", 1, other)]
+
+    async with esair.Robot(resources=motors):
+        assert all(motor.commands == [0.0] for motor in motors)
+
+
+async def test_what_is_claimed_cannot_be_added_again() -> None:
+    """But the new one may take the place of the old one."""
+    bus = FakeCan("drive")
+
+    async with esair.Robot(resources=[Motor("left", 1, bus)]) as robot:
+        with pytest.raises(esair.ConfigError, match="right: node 1 belongs to 'left'"):
+            await robot.resources.add(Motor("right", 1, bus))
+        await robot.resources.replace("left", Motor("left", 1, bus))
+        await robot.resources.remove("left")
+        await robot.resources.add(Motor("right", 1, bus))
+
+
+class Chip(esair.Sensor[float]):
+    """A part on an I2C bus."""
+
+    bus: I2CBus
+
+    async def read(self) -> float:
+        return 1.0
+
+
+class Either(Chip):
+    """A part that comes for two buses."""
+
+    bus: I2CBus | CanBus  # type: ignore[assignment]
+
+
+class Unsaid(esair.Sensor[float]):
+    """A part whose bus only a type checker can see."""
+
+    bus: SerialBus
+
+    async def read(self) -> float:
+        return 1.0
+
+
+@pytest.mark.parametrize("bus", [None, FakeCan("drive")])
+async def test_a_device_on_a_wrong_bus_does_not_start(bus: Any) -> None:
+    """Its class says which one it needs; a mistake is not waited for."""
+    (told,) = await refused(Chip(bus=bus))
+
+    assert told.startswith("chip: bus: expected a bus of the class I2CBus, not")
+
+
+@pytest.mark.parametrize(
+    "chip",
+    [
+        lambda: Chip(bus=FakeI2c()),
+        lambda: Either(bus=FakeCan()),
+        lambda: Unsaid(bus=FakeCan()),
+        lambda: Unsaid(),
+    ],
+)
+async def test_a_device_on_a_bus_that_fits_starts(chip: Any) -> None:
+    """One of several, or one that cannot be told."""
+    async with esair.Robot(resources=[chip()]) as robot:
+        assert len(robot.resources.names()) == 1
