@@ -55,7 +55,7 @@ CASES = [
         "> 0",
     ),
     ("[-1.0, 1.0]", "[-1.0]", "actuator.wheels.limits.linear", "a list of 2"),
-    ("[-1.0, 1.0]", "[1.0, -1.0]", "actuator.wheels.safe", "outside the limits"),
+    ("[-1.0, 1.0]", "[1.0, -1.0]", "actuator.wheels.limits.linear", "(least, gr"),
     ("speed = 0.5", 'speed = "fast"', "behavior.wander.speed", "a number, not 'fast'"),
     ("speed = 0.5", "spede = 0.5", "behavior.wander.spede", "did you mean 'speed'?"),
     ("speed = 0.5", "run = 0.5", "behavior.wander.run", "no such key"),
@@ -270,7 +270,7 @@ def test_a_bus_of_another_class_is_refused(project) -> None:
     project.changed('"{m}:Sonar"', '"{m}:OnWire"')
 
     assert (
-        "expected a OtherWire, but 'front' is a Wire"
+        "expected an OtherWire, but 'front' is a Wire"
         in project.mistakes()["sensor.sonar.bus"]
     )
 

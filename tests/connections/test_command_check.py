@@ -317,6 +317,7 @@ def test_a_command_changes_no_faster_than_its_slew(
         ({"limits": 1.0}, "limits"),
         ({"limits": {"speed": (0.0, 1.0)}}, "limits.speed"),
         ({"limits": ("low", "high")}, "limits"),
+        ({"limits": (1.0, -1.0)}, "limits"),
         ({"slew": {"speed": 1.0}}, "slew"),
         ({"slew": "fast"}, "slew"),
     ],
@@ -333,6 +334,24 @@ def test_mistakes_of_a_declaration_are_named(
     mistakes = check_declaration(FakeActuator("wheels", **options))
 
     assert [mistake.field for mistake in mistakes] == [field]
+
+
+@pytest.mark.parametrize("seconds", [0, -1.0, math.nan, "soon"])
+def test_a_time_out_of_its_own_is_a_time(seconds: Any) -> None:
+    """What a device is said to do by itself can be done."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    wheels.own_timeout = seconds
+
+    assert [mistake.field for mistake in check_declaration(wheels)] == ["own_timeout"]
+
+
+@pytest.mark.promise("AC-1")
+def test_a_command_without_a_field_that_slews_is_refused() -> None:
+    """There is nothing to move from, or to."""
+    wheels = check({"speed": 0.0}, slew={"speed": 1.0})
+
+    with pytest.raises(esair.BadValueError, match=r"wheels: speed: .* each command"):
+        wheels.slewed({"other": 1.0}, {"speed": 0.0}, 0.1)
 
 
 @numbers.Integral.register

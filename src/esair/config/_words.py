@@ -87,4 +87,5 @@ def wanted(kind: Any) -> str:
         return f"a list, each {wanted(arguments[0])}" if arguments else "a list"
     if issubclass(base, collections.abc.Mapping) or base is collections.abc.Mapping:
         return f"a table, each {wanted(arguments[1])}" if arguments else "a table"
-    return f"a {base.__name__}"
+    article = "an" if base.__name__[0] in "AEIOU" else "a"
+    return f"{article} {base.__name__}"

@@ -79,10 +79,18 @@ class CommandCheck:
             command: A command that was checked.
             last: What the device was told last.
             seconds: How long ago that was.
+
+        Raises:
+            BadValueError: One of the two lacks a field whose change is limited.
         """
         changes: dict[str, float] = {}
         for field, slew in self._slew.items():
-            value, before = _get(command, field), _get(last, field)
+            try:
+                value, before = _get(command, field), _get(last, field)
+            except (AttributeError, LookupError):
+                raise BadValueError(
+                    self.name, field, "its change is limited: each command must have it"
+                ) from None
             step = slew * max(seconds, 0.0)
             bounded = min(before + step, max(before - step, value))
             if bounded != value:
@@ -151,6 +159,13 @@ def check_declaration(actuator: Actuator[Any]) -> list[ConfigError]:
                 name, "command_timeout", f"expected seconds > 0, not {timeout!r:.80}"
             )
         )
+    own = actuator.own_timeout
+    if own is not None and not is_positive(own):
+        mistakes.append(
+            ConfigError(
+                name, "own_timeout", f"expected seconds > 0 or None, not {own!r:.80}"
+            )
+        )
     if not hasattr(actuator, "safe"):
         mistakes.append(
             ConfigError(
@@ -161,8 +176,11 @@ def check_declaration(actuator: Actuator[Any]) -> list[ConfigError]:
     for field, bounds in _by_field(actuator.limits).items():
         try:
             low, high = bounds
+            sound = low <= high
             fits = low <= _get(actuator.safe, field) <= high
         except (TypeError, ValueError, AttributeError, LookupError):
+            sound = False
+        if not sound:
             mistakes.append(
                 ConfigError(
                     name,
@@ -170,21 +188,19 @@ def check_declaration(actuator: Actuator[Any]) -> list[ConfigError]:
                     f"expected (least, greatest), not {bounds!r:.80}",
                 )
             )
-            continue
-        if not fits:
+        elif not fits:
             mistakes.append(
                 ConfigError(name, "safe", f"{actuator.safe!r} is outside the limits")
             )
-    if not mistakes:
-        try:
-            check = CommandCheck(actuator)
-            check.slewed(check.checked(actuator.safe), actuator.safe, 1.0)
-        except BadValueError as error:
-            mistakes.append(ConfigError(name, "safe", str(error)))
-        except (TypeError, AttributeError, LookupError) as error:
-            mistakes.append(
-                ConfigError(name, "slew", f"does not fit the command: {error}")
-            )
+    if mistakes:
+        return mistakes
+    field, check = "safe", CommandCheck(actuator)
+    try:
+        safe = check.checked(actuator.safe)
+        field = "slew"
+        check.slewed(safe, actuator.safe, 1.0)
+    except (BadValueError, TypeError) as error:
+        mistakes.append(ConfigError(name, field, f"does not fit: {error}"))
     return mistakes
 
 
