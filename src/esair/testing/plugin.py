@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections.abc import AsyncIterator, Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 import pytest_asyncio
@@ -27,6 +27,7 @@ _FIXTURES = frozenset(
 )
 
 LoopFactory = Callable[[], asyncio.AbstractEventLoop]
+LoopScope = Literal["function", "class", "module", "package", "session"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -70,7 +71,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if _uses_kit(item) and isinstance(
             item, pytest_asyncio.plugin.PytestAsyncioFunction
         ):
-            item.fixturenames.insert(0, "esair_no_leaks")
+            item.fixturenames.insert(0, f"esair_no_leaks_{_loop_scope(item)}")
 
 
 def _uses_kit(item: pytest.Item) -> bool:
@@ -84,16 +85,35 @@ def _on_virtual_clock(item: pytest.Item) -> bool:
     return _uses_kit(item) and item.get_closest_marker("real_clock") is None
 
 
-@pytest_asyncio.fixture
-async def esair_no_leaks() -> AsyncIterator[None]:
-    """Fail a test that leaves a task, thread or descriptor behind."""
-    leaks = Leaks()
-    yield
-    found = await leaks.check()
-    if found:
-        pytest.fail(
-            "left behind:\n" + "\n".join(f"  {each}" for each in found), pytrace=False
-        )
+def _loop_scope(item: pytest.Item) -> str:
+    marker = item.get_closest_marker("asyncio")
+    own = marker.kwargs.get("loop_scope") if marker is not None else None
+    return str(own or item.config.getini("asyncio_default_test_loop_scope"))
+
+
+def _no_leaks(loop_scope: LoopScope) -> Callable[[], AsyncIterator[None]]:
+    """Make the leak check for the tests that share an event loop in a scope."""
+
+    @pytest_asyncio.fixture(loop_scope=loop_scope, name=f"esair_no_leaks_{loop_scope}")
+    async def check() -> AsyncIterator[None]:
+        """Fail a test that leaves a task, thread or descriptor behind."""
+        leaks = Leaks()
+        yield
+        found = await leaks.check()
+        if found:
+            pytest.fail(
+                "left behind:\n" + "\n".join(f"  {each}" for each in found),
+                pytrace=False,
+            )
+
+    return check
+
+
+esair_no_leaks_function = _no_leaks("function")
+esair_no_leaks_class = _no_leaks("class")
+esair_no_leaks_module = _no_leaks("module")
+esair_no_leaks_package = _no_leaks("package")
+esair_no_leaks_session = _no_leaks("session")
 
 
 @pytest.fixture

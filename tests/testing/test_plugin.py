@@ -1,0 +1,166 @@
+"""The pytest plugin, in projects of its users."""
+
+from __future__ import annotations
+
+import pytest
+
+SCOPES = ["function", "class", "module", "package", "session"]
+
+
+@pytest.fixture
+def outcomes(pytester: pytest.Pytester):
+    """Run the tests of a file as a project of its own; return how they ended."""
+
+    def run(source: str, *options: str) -> dict[str, int]:
+        pytester.makepyfile(
+            "import asyncio, os, threading, time\nimport esair, pytest\n" + source
+        )
+        result = pytester.runpytest_inprocess(
+            "-p",
+            "no:cacheprovider",
+            "--strict-markers",
+            "-o",
+            "asyncio_mode=auto",
+            "-o",
+            "asyncio_default_fixture_loop_scope=function",
+            *options,
+        )
+        return result.parseoutcomes()
+
+    return run
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "async def test_it(fake_sensor):",
+        "async def test_it(fake_actuator):",
+        "async def test_it(fake_serial):",
+        "async def test_it(fake_can):",
+        "async def test_it(fake_i2c):",
+        "@pytest.mark.virtual_clock\nasync def test_it():",
+    ],
+)
+def test_who_uses_the_kit_runs_on_a_virtual_clock(outcomes, head) -> None:
+    """A day passes at once, in the time of the loop."""
+    source = f"""
+{head}
+    loop, began = asyncio.get_running_loop(), time.monotonic()
+    before = loop.time()
+    await asyncio.sleep(86400.0)
+    assert loop.time() - before == pytest.approx(86400.0)
+    assert time.monotonic() - began < 60.0
+"""
+    assert outcomes(source)["passed"] == 1
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "@pytest.mark.real_clock\nasync def test_it(fake_sensor):",
+        "@pytest.mark.real_clock\n@pytest.mark.virtual_clock\nasync def test_it():",
+        "async def test_it():",
+    ],
+)
+def test_others_run_in_real_time(outcomes, head) -> None:
+    """Those that say so, and those that have nothing to do with the kit."""
+    source = f"""
+{head}
+    began = time.monotonic()
+    await asyncio.sleep(0.05)
+    assert time.monotonic() - began > 0.04
+"""
+    assert outcomes(source)["passed"] == 1
+
+
+LEAKS = {
+    "task": "asyncio.get_running_loop().create_task(asyncio.sleep(1e6))",
+    "thread": "threading.Thread(target=OVER.wait).start()",
+    "descriptor": "OPEN.append(os.open(os.devnull, os.O_RDONLY))",
+}
+
+
+@pytest.mark.parametrize(
+    ("what", "scope"),
+    [("task", scope) for scope in SCOPES]
+    + [(what, scope) for what in ("thread", "descriptor") for scope in SCOPES[::4]],
+)
+def test_what_a_test_leaves_behind_fails_it(outcomes, what, scope) -> None:
+    """Its neighbors, which clean up, pass; also where they share an event loop."""
+    source = f"""
+pytestmark = pytest.mark.asyncio(loop_scope={scope!r})
+OVER, OPEN = threading.Event(), []
+
+def teardown_module():
+    OVER.set()
+    for number in OPEN:
+        os.close(number)
+
+async def clean(fake_sensor):
+    async with esair.Robot(resources=[fake_sensor("sonar", 1.0)]):
+        await asyncio.sleep(1.0)
+
+class TestIt:
+    async def test_before(self, fake_sensor):
+        await clean(fake_sensor)
+
+    async def test_leaks(self, fake_sensor):
+        {LEAKS[what]}
+
+    async def test_after(self, fake_sensor):
+        await clean(fake_sensor)
+"""
+    assert outcomes(source, "-rE") == {"passed": 3, "errors": 1}
+
+
+def test_the_default_scope_of_the_project_counts(outcomes) -> None:
+    """A loop that all tests share is not what the first one left behind."""
+    source = """
+async def test_one(fake_sensor):
+    pass
+
+async def test_two(fake_sensor):
+    pass
+"""
+    shared = ("-o", "asyncio_default_test_loop_scope=session")
+
+    assert outcomes(source, *shared) == {"passed": 2}
+
+
+ORDER = """
+{marker}
+async def test_it(fake_sensor):
+    order = []
+
+    async def note(number):
+        for _ in range(3):
+            order.append(number)
+            await asyncio.sleep(0)
+
+    await asyncio.gather(*(note(number) for number in range(5)))
+    with open("order.txt", "a") as file:
+        print(order, file=file)
+"""
+
+
+def orders(outcomes, pytester: pytest.Pytester, marker: str, *seeds: int) -> list[str]:
+    for seed in seeds:
+        assert outcomes(ORDER.format(marker=marker), f"--esair-seed={seed}")
+    return (pytester.path / "order.txt").read_text().splitlines()
+
+
+def test_a_seed_repeats_an_order_of_tasks(outcomes, pytester) -> None:
+    """0 keeps the order in which they are ready; each other seed has its own."""
+    plain, one, again, two = orders(outcomes, pytester, "", 0, 1, 1, 2)
+
+    assert plain == str([number for _ in range(3) for number in range(5)])
+    assert one == again
+    assert len({plain, one, two}) == 3
+
+
+def test_the_seed_of_a_marker_counts_more(outcomes, pytester) -> None:
+    """So one test can keep the order in which it once failed."""
+    marker = "@pytest.mark.virtual_clock(seed=1)"
+    one, two = orders(outcomes, pytester, marker, 0, 2)
+
+    assert one == two
