@@ -162,7 +162,19 @@ class ProfiledAction(abc.Action):
         writes: Actuators to write besides, or instead of, those of the class.
     """
 
+    _declared: Mapping[str, Need] = {}
     _profile: Mapping[str, Need] = {}
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        found: dict[str, Need] = {}
+        for each in reversed(cls.__mro__):
+            for attribute, value in vars(each).items():
+                if isinstance(value, Reads | Writes):
+                    found[attribute] = value
+                else:
+                    found.pop(attribute, None)
+        cls._declared = found
 
     def __init__(
         self,
@@ -182,15 +194,7 @@ class ProfiledAction(abc.Action):
     @property
     def needs(self) -> dict[str, Need]:
         """What this action reads and writes, by the name of its port."""
-        found: dict[str, Need] = {}
-        for cls in reversed(type(self).__mro__):
-            for attribute, value in vars(cls).items():
-                if isinstance(value, Reads | Writes):
-                    found[attribute] = value
-                else:
-                    found.pop(attribute, None)
-        found.update(self._profile)
-        return found
+        return {**self._declared, **self._profile}
 
 
 def mistakes_in_needs(action: ProfiledAction) -> list[ConfigError]:

@@ -7,6 +7,10 @@ import os
 import signal
 import sys
 import threading
+
+# Each component that is added is watched; the public getsignal makes an enum of a
+# handler, or else prints it, task and all, into an error that nobody sees.
+from _signal import getsignal  # type: ignore[import-not-found]  # noqa: PLC2701
 from collections.abc import Callable
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -86,7 +90,7 @@ class ProcessWatch:
         handlers = getattr(self._loop, "_signal_handlers", {})
         found: dict[str, object] = {
             f"the handler of {number.name}": (
-                signal.getsignal(number),
+                getsignal(number),
                 handlers.get(number),
             )
             for number in ENDING

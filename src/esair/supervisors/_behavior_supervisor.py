@@ -574,6 +574,8 @@ def _mistakes_in_methods(behavior: Behavior) -> list[ConfigError]:
     found = []
     for field in ("setup", "run", "teardown", "provide"):
         method = getattr(behavior, field)
+        if getattr(type(behavior), field) is getattr(Behavior, field):
+            continue
         try:
             inspect.signature(method).bind()
         except TypeError as error:

@@ -83,22 +83,21 @@ class Rules:
         if policy is None:
             if declares is None:
                 declares = self._declared(behavior, resource)
-            denied = access & ~Access.READ & ~declares
-            if denied:
+            allowed = declares | Access.READ
+            if access not in allowed:
                 raise AccessDeniedError(
                     behavior,
                     resource,
-                    str(denied),
+                    str(access & ~allowed),
                     f"no policy allows it and the class of {behavior!r} does not declare it",
                 )
             return
         allowed = policy.allow.get(behavior, policy.allow.get("*", Access(0)))
-        denied = access & ~allowed
-        if denied:
+        if access not in allowed:
             raise AccessDeniedError(
                 behavior,
                 resource,
-                str(denied),
+                str(access & ~allowed),
                 f"the policy of {resource!r} allows it {str(allowed) or 'nothing'}",
             )
         highest = policy.max_priority.get(behavior, policy.max_priority.get("*"))
