@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -57,16 +58,24 @@ EXCLUDED = {
 """Faults without a test, and why."""
 
 
+@functools.cache
+def calls(path: Path) -> list[ast.Call]:
+    """Return the calls in a file that make a marker."""
+    return [
+        node
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and ast.unparse(node.func.value).endswith("mark")
+    ]
+
+
 def marks(kind: str, files: list[Path]) -> Iterator[tuple[str, str]]:
     """Yield each ID in ``pytest.mark.<kind>(...)``, and where it stands."""
     for path in files:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if (
-                isinstance(node, ast.Call)
-                and isinstance(node.func, ast.Attribute)
-                and node.func.attr == kind
-                and ast.unparse(node.func.value).endswith("mark")
-            ):
+        for node in calls(path):
+            assert isinstance(node.func, ast.Attribute)
+            if node.func.attr == kind:
                 where = f"{path.relative_to(path.anchor)}:{node.lineno}"
                 for each in node.args:
                     known = isinstance(each, ast.Constant) and isinstance(
