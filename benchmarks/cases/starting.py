@@ -8,10 +8,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from pathlib import Path
 
 from benchmarks.harness import Row, ms
+from esair import minimal
 
 FORBIDDEN = ("serial", "serial_asyncio", "can", "smbus2", "cyclopts", "rich", "pytest")
+
+ALONE = f"import sys; sys.path.insert(0, {str(Path(minimal.__file__).parent)!r}); "
 
 
 async def rows() -> list[Row]:
@@ -22,6 +26,7 @@ def _rows() -> list[Row]:
     found = []
     for case, mine, other, goal in (
         ("P11 import esair", "import esair", "import asyncio, anyio, attrs", 1.15),
+        ("P11 minimal.py alone, to a bare start", f"{ALONE}import minimal", "", 1.3),
     ):
         ratios, mines, others = [], [], []
         with tempfile.TemporaryDirectory() as cache:
