@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from esair import config
+from esair.drivers.dbc import DbcActuator
 
 HERE = Path(__file__).parent
 I2C, CAN = 'type = "i2c"\nbus = 1', 'type = "can"\ninterface = "virtual"\nchannel = "c"'
@@ -55,3 +56,31 @@ def test_one_thing_has_one_actuator(tmp_path, bus, part, told) -> None:
 
     assert told in message
     assert "belongs to 'left'" in message
+
+
+def test_frames_of_two_kinds_are_two_things(tmp_path) -> None:
+    """A standard and an extended identifier may have one number."""
+    file = tmp_path / "two.dbc"
+    signal = ' SG_ speed : 0|8@1+ (1,0) [0|0] "" Motor\n\n'
+    file.write_text(
+        'VERSION ""\n\nBU_: Motor\n\n'
+        f"BO_ 256 Short: 1 Motor\n{signal}BO_ {0x80000000 | 256} Long: 1 Motor\n{signal}"
+    )
+    short, long = (
+        DbcActuator(database=file, message=message, safe={"speed": 0.0})
+        for message in ("Short", "Long")
+    )
+
+    assert short.claim == "the frame 0x100"
+    assert long.claim == "the extended frame 0x100"
+
+
+def test_frames_that_several_share_are_claimed_by_nobody() -> None:
+    """Each page of a multiplexed message may have an actuator of its own."""
+    panel = DbcActuator(
+        database=HERE / "rover.dbc",
+        message="Panel",
+        safe={"page": 0, "voltage": 0.0},
+    )
+
+    assert panel.claim is None

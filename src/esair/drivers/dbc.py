@@ -343,7 +343,8 @@ class DbcActuator(Actuator[Any]):
         super().__init__(**settings)
         self.codec = codec = MessageCodec(find_message(self.name, database, message))
         if not codec.message.is_multiplexed():  # else others may have a share of it
-            self.claim = f"the frame {codec.message.frame_id:#x}"
+            kind = "extended frame" if codec.message.is_extended_frame else "frame"
+            self.claim = f"the {kind} {codec.message.frame_id:#x}"
         self.signal = signal
         self.sequence = sequence
         self.cycle = None if cycle is None else check_seconds(self.name, "cycle", cycle)
