@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
@@ -86,6 +86,21 @@ class Unsaid(esair.Sensor[float]):
         return 1.0
 
 
+class Sends(Protocol):
+    """What a bus can do."""
+
+    async def send(self, data: bytes) -> None: ...
+
+
+class Loose(esair.Sensor[float]):
+    """A part for whatever sends; that cannot be told before it does."""
+
+    bus: Sends
+
+    async def read(self) -> float:
+        return 1.0
+
+
 @pytest.mark.parametrize("bus", [None, FakeCan("drive")])
 async def test_a_device_on_a_wrong_bus_does_not_start(bus: Any) -> None:
     """Its class says which one it needs; a mistake is not waited for."""
@@ -101,6 +116,7 @@ async def test_a_device_on_a_wrong_bus_does_not_start(bus: Any) -> None:
         lambda: Either(bus=FakeCan()),
         lambda: Unsaid(bus=FakeCan()),
         lambda: Unsaid(),
+        lambda: Loose(bus=FakeCan()),
     ],
 )
 async def test_a_device_on_a_bus_that_fits_starts(chip: Any) -> None:
