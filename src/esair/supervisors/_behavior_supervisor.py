@@ -43,6 +43,7 @@ from esair.supervisors._desk import Desk
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._member import Member
 from esair.supervisors._requests import Record
+from esair.supervisors._resource_mistakes import used_already
 from esair.supervisors._resource_supervisor import ResourceSupervisor
 
 START_TIMEOUT = 5.0
@@ -561,13 +562,7 @@ def _in_use(action: Behavior | Reaction) -> list[ConfigError]:
     """Return a mistake if a behavior has its ports in a running robot already."""
     if not isinstance(action, Behavior) or action._host is None:  # noqa: SLF001 - set by a supervisor
         return []
-    return [
-        ConfigError(
-            action.name,
-            "",
-            "it is in a running robot already: make another one for this place",
-        )
-    ]
+    return [used_already(action.name)]
 
 
 def _mistakes_in_methods(behavior: Behavior) -> list[ConfigError]:

@@ -17,6 +17,12 @@ def in_use(resource: Resource) -> bool:
     return resource._listener is not None  # noqa: SLF001 - set by a supervisor
 
 
+def used_already(name: str) -> ConfigError:
+    """Make the error for a component that a running robot has."""
+    told = "it is in a running robot already: make another one for this place"
+    return ConfigError(name, "", told)
+
+
 def mistakes_in_resource(
     resource: object, instead_of: Resource | None = None
 ) -> list[EsairError]:
@@ -35,8 +41,7 @@ def mistakes_in_resource(
         return [error]
     found: list[EsairError] = [*_in_declaration(resource), *_in_bus(resource)]
     if in_use(resource) and resource is not instead_of:
-        told = "it is in a running robot already: make another one for this place"
-        found.insert(0, ConfigError(name, "", told))
+        found.insert(0, used_already(name))
     if isinstance(resource, Actuator):
         found.extend(check_declaration(resource))
         if getattr(resource.write, "__func__", None) is Actuator.write:
