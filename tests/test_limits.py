@@ -15,7 +15,7 @@ import pytest
 
 import esair
 from esair.drivers.line import LineActuator, LineSensor
-from esair.loop import Lane
+from esair.loop import Executor
 from esair.testing import FakeSerial
 from esair.testing.parts.line import FakeBoard
 
@@ -107,14 +107,14 @@ async def test_out_of_descriptors(comes_back: bool) -> None:
 @pytest.mark.fault("O13")
 async def test_a_lane_whose_thread_cannot_start_is_busy() -> None:
     """Nothing half-made is left: the next call starts it."""
-    lane = Lane("bus")
+    executor = Executor("bus")
 
     with no_more_threads(), pytest.raises(esair.BusyError, match="limit of threads"):
-        await lane.call(int, "7", timeout=1.0)
+        await executor.call(int, "7", timeout=1.0)
 
-    assert lane.waiting == 0
-    assert await lane.call(int, "7", timeout=5.0) == 7
-    lane.close()
+    assert executor.waiting == 0
+    assert await executor.call(int, "7", timeout=5.0) == 7
+    executor.close()
 
 
 class Plain(esair.Behavior):

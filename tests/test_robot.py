@@ -87,7 +87,7 @@ class FakeWire:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.lane: Any = None
+        self.executor: Any = None
 
     def on_lost(self, listener: Any) -> Any:
         return lambda: None

@@ -277,7 +277,7 @@ async def _flood() -> list[Row]:
     return [Row("P8 CAN: a frame of a flood", us(mine), us(limit), ratio, 1.3, note)]
 
 
-class Lane:
+class Executor:
     """The least that a thread for blocking calls can be.
 
     Args:
@@ -333,7 +333,7 @@ class Words:
 
 async def _i2c() -> list[Row]:
     chips = ChipBus({0x48: Words()})
-    single, batched = Lane(batched=False), Lane(batched=True)
+    single, batched = Executor(batched=False), Executor(batched=True)
 
     def transfer() -> bytes:
         return bytes(chips.read_i2c_block_data(0x48, 0, 2))
@@ -363,11 +363,11 @@ async def _i2c() -> list[Row]:
     batched.close()
     return [
         Row(
-            "P8 I2C: read of a register, to a bare lane thread",
+            "P8 I2C: read of a register, to a bare executor thread",
             us(mine), us(limit), ratio, 1.3, "CPU of this process",
         ),
         Row(
-            f"P8 I2C: {BURST} reads at once, to a batched lane",
+            f"P8 I2C: {BURST} reads at once, to a batched executor",
             us(burst / BURST), us(least / BURST), burst_ratio, 2.0, "each",
         ),
     ]  # fmt: skip

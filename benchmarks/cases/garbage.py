@@ -45,8 +45,8 @@ async def _watch(*, with_robot: bool) -> tuple[float, int]:
     async def litter() -> None:
         for _ in range(int(SECONDS / 0.01)):
             for _ in range(200):
-                ring: list[object] = []
-                ring.append(ring)
+                group: list[object] = []
+                group.append(group)
             await asyncio.sleep(0.01)
 
     kept = [[number] for number in range(20_000)]  # what a program holds

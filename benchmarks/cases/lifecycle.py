@@ -42,18 +42,18 @@ async def _disturbance() -> Row:
             for name in robot.behaviors.names():
                 runner = robot.behaviors._members[name].runner
                 assert runner is not None
-                ring = runner.spoke.ring
-                assert ring is not None
+                group = runner.job.group
+                assert group is not None
 
                 def timed(
                     now: float,
-                    step: object = runner.spoke.function,
-                    ring: object = ring,
+                    step: object = runner.job.function,
+                    group: object = group,
                 ) -> object:
-                    late.append(time.monotonic() - (ring.due - ring.period))  # type: ignore[attr-defined]
+                    late.append(time.monotonic() - (group.due - group.period))  # type: ignore[attr-defined]
                     return step(now)  # type: ignore[operator]
 
-                runner.spoke.function = timed  # type: ignore[assignment]
+                runner.job.function = timed  # type: ignore[assignment]
             await asyncio.sleep(0.2)
             late.clear()
             end = time.monotonic() + 1.5

@@ -71,24 +71,24 @@ async def _thousand() -> list[Row]:
 
 
 async def _lateness_of_robot(count: int, acting: int, share: float) -> float:
-    """Compare when each step ran with when its ring of the wheel was due."""
+    """Compare when each step ran with when its group of the scheduler was due."""
     late: list[float] = []
     robot = reacting_robot(count, acting=acting)
     async with robot:
         for name in robot.behaviors.names():
             runner = robot.behaviors._members[name].runner
             assert runner is not None
-            ring = runner.spoke.ring
-            assert ring is not None
+            group = runner.job.group
+            assert group is not None
 
             def timed(
-                now: float, step: object = runner.spoke.function, ring: object = ring
+                now: float, step: object = runner.job.function, group: object = group
             ) -> object:
-                # The wheel has already moved the ring on to its next moment.
-                late.append(time.monotonic() - (ring.due - ring.period))  # type: ignore[attr-defined]
+                # The scheduler has already moved the group on to its next moment.
+                late.append(time.monotonic() - (group.due - group.period))  # type: ignore[attr-defined]
                 return step(now)  # type: ignore[operator]
 
-            runner.spoke.function = timed  # type: ignore[assignment]
+            runner.job.function = timed  # type: ignore[assignment]
         await asyncio.sleep(0.4)
         late.clear()
         await asyncio.sleep(SLICE)
@@ -96,7 +96,7 @@ async def _lateness_of_robot(count: int, acting: int, share: float) -> float:
 
 
 async def _bare_late(count: int, share: float) -> float:
-    """Return how late the functions of a bare wheel are, in seconds."""
+    """Return how late the functions of a bare scheduler are, in seconds."""
     late: list[float] = []
 
     def step(due: float) -> None:
@@ -118,14 +118,14 @@ async def _one() -> list[Row]:
             return percentile(late, 0.5)
 
     mine = statistics.median([await _lateness_of_robot(1, 0, 0.5) for _ in range(3)])
-    wheel = statistics.median([await _bare_late(1, 0.5) for _ in range(3)])
+    scheduler = statistics.median([await _bare_late(1, 0.5) for _ in range(3)])
     sleep = statistics.median([await sleep_late() for _ in range(3)])
     return [
         Row(
             "P6 p50 lateness of one, to a bare timerfd",
             ms(mine),
-            ms(wheel),
-            mine / wheel,
+            ms(scheduler),
+            mine / scheduler,
             1.5,
         ),
         Row(
@@ -206,7 +206,7 @@ async def _tick(count: int) -> float:
         for name in robot.behaviors.names():
             runner = robot.behaviors._members[name].runner
             assert runner is not None
-            steps.append(runner.spoke.function)
+            steps.append(runner.job.function)
         for _ in range(50):
             now = time.monotonic()
             begin = time.perf_counter()

@@ -15,7 +15,8 @@ from __future__ import annotations
 import abc
 from typing import Any
 
-from esair.messages import SupervisorPhase, check_name, snake_case
+from esair.messages import SupervisorPhase
+from esair.values import check_name, snake_case
 
 
 class Component:

@@ -3,63 +3,15 @@
 from __future__ import annotations
 
 import enum
-import numbers
-import re
-import sys
 from collections.abc import Mapping
 from typing import Generic, NamedTuple, TypeVar
 
 import attrs
 
 from esair.exceptions import ConfigError
+from esair.values import check_name, is_positive
 
 T = TypeVar("T")
-
-_NAME = re.compile(r"[a-z][a-z0-9_]{0,62}\Z")
-
-_NUMBERS: dict[type, type] = {int: numbers.Integral, float: numbers.Real}
-
-
-def check_name(kind: str, name: object) -> str:
-    """Return the name of a component, or say what a name must look like.
-
-    Raises:
-        ConfigError: It is not ``[a-z][a-z0-9_]{0,62}``.
-    """
-    if isinstance(name, str) and _NAME.match(name):
-        return name
-    raise ConfigError(
-        f"{kind} {name!r:.80}",
-        "name",
-        "expected a lower-case letter, then letters, digits or '_', 63 at most",
-    )
-
-
-def is_positive(value: object) -> bool:
-    """Tell whether a value is a time or a rate: a positive, finite int or float.
-
-    NumPy's ``float64`` is a float too; a bool is no number here.
-    """
-    return (
-        isinstance(value, int | float)
-        and not isinstance(value, bool)
-        and 0 < value <= sys.float_info.max
-    )
-
-
-def passes_as(value: object, wanted: type) -> bool:
-    """Tell whether a number of another class, NumPy's say, may stand for one wanted.
-
-    Any whole number passes as an int, any real one as a float; a bool as neither.
-    """
-    kind = _NUMBERS.get(wanted)
-    return kind is not None and isinstance(value, kind) and not isinstance(value, bool)
-
-
-def snake_case(name: str) -> str:
-    """Turn the name of a class into the name of a component: ``MyArm`` → ``my_arm``."""
-    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name)
-    return words.lower().strip("_")
 
 
 class Access(enum.Flag):

@@ -13,7 +13,12 @@ import anyio
 
 from esair import minimal
 from esair.actions import Behavior, Reaction, adapt_action
-from esair.connections import ActuatorConnection, Registrations, SensorConnection, Told
+from esair.connections import (
+    ActuatorConnection,
+    LastCommand,
+    Registrations,
+    SensorConnection,
+)
 from esair.exceptions import (
     ConfigError,
     EsairError,
@@ -22,18 +27,18 @@ from esair.exceptions import (
 )
 from esair.loop import (
     GLANCE,
+    Job,
     OwnedTasks,
+    Scheduler,
     SignalWatch,
-    Spoke,
-    Wheel,
     freeze_garbage,
     spawn,
     unfreeze_garbage,
 )
-from esair.messages import Policy, check_name
+from esair.messages import Policy
 from esair.resources import Resource, adapt_resource
-from esair.resources._resource import check_seconds
 from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
+from esair.values import check_name, check_seconds
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -102,7 +107,7 @@ class Robot:
         self.behaviors = BehaviorSupervisor(
             self.resources, self.sensors, self.actuators, grace=self._grace
         )
-        self.stopped: tuple[Told, ...] = ()
+        self.stopped: tuple[LastCommand, ...] = ()
         """After the stop: what each actuator was told last, and whether it answered."""
         self._buses: list[Bus] = []
         self._entered = False
@@ -111,7 +116,7 @@ class Robot:
         self._interrupts = False
         self._watch = SignalWatch(self._end_by_signal, self._hurry)
         self._owned: OwnedTasks | None = None
-        self._glances: Spoke | None = None
+        self._glances: Job | None = None
 
     @classmethod
     def from_config(cls, path: str | Path, *, simulated: bool = False) -> Self:
@@ -143,9 +148,9 @@ class Robot:
         self._watch.start(interrupts=self._interrupts)
         self._owned = OwnedTasks(loop)
         self._owned.install()
-        Wheel.of(loop).suspends.listen(self.resources.resumed)
+        Scheduler.of(loop).suspends.listen(self.resources.resumed)
         if not getattr(loop, "virtual", False):  # there it would hide a deadlock
-            self._glances = Wheel.of(loop).every(GLANCE, lambda _now: None)
+            self._glances = Scheduler.of(loop).every(GLANCE, lambda _now: None)
         try:
             await self._open_buses()
             await self.resources.start(self._list_of_resources)
@@ -248,7 +253,9 @@ class Robot:
         finally:
             await self.resources.stop()
             await self._close_buses()
-            Wheel.of(asyncio.get_running_loop()).suspends.forget(self.resources.resumed)
+            Scheduler.of(asyncio.get_running_loop()).suspends.forget(
+                self.resources.resumed
+            )
             if self._glances is not None:
                 self._glances.stop()
             if self._owned is not None:

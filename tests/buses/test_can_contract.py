@@ -52,7 +52,9 @@ class OnVirtualCan(CanBus):
     async def _reach(self, received: Any, gone: Any) -> Any:
         if self.wire._link is None:
             await self.wire.open()
-        return await self.wire.node(received, gone, lane=self.lane, stats=self.stats)
+        return await self.wire.node(
+            received, gone, executor=self.executor, stats=self.stats
+        )
 
     async def close(self) -> None:
         await super().close()
@@ -77,7 +79,7 @@ class OnVirtualCan(CanBus):
 
 @pytest.mark.real_clock
 class TestPythonCan(BusContract):
-    """With a thread that reads and a lane that sends, in real time."""
+    """With a thread that reads and an executor that sends, in real time."""
 
     def make(self) -> OnVirtualCan:
         return OnVirtualCan()

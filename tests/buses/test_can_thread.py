@@ -1,4 +1,4 @@
-"""The CAN bus on interfaces without a socket: a thread reads, the lane sends."""
+"""The CAN bus on interfaces without a socket: a thread reads, the executor sends."""
 
 from __future__ import annotations
 

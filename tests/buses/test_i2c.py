@@ -224,7 +224,7 @@ async def test_a_transfer_has_an_address_and_a_length(
 @pytest.mark.real_clock
 @pytest.mark.fault("D21")
 async def test_what_waits_is_bounded() -> None:
-    """One transfer more than the lane takes is refused at once, and counted."""
+    """One transfer more than the executor takes is refused at once, and counted."""
     bus = FakeI2c(chips={0x40: b""}, timeout=5.0)
     await bus.open()
     bus.stall()
@@ -232,7 +232,7 @@ async def test_what_waits_is_bounded() -> None:
     await asyncio.sleep(0)
 
     refused = [each for each in waiting if each.done()]
-    assert bus.waiting <= bus.lane.limit
+    assert bus.waiting <= bus.executor.limit
     bus.resume()
     done = await asyncio.gather(*waiting, return_exceptions=True)
 
@@ -252,7 +252,7 @@ async def test_direct_transfers_are_for_the_buss_own_thread(fake_i2c) -> None:
     def plain() -> Any:
         return bus.direct(lambda link: link.read_byte_data(0x40, 7))
 
-    assert await bus.lane.call(plain, timeout=5.0) == 42
+    assert await bus.executor.call(plain, timeout=5.0) == 42
     with pytest.raises(RuntimeError, match="thread of the bus"):
         plain()
     with pytest.raises(RuntimeError, match="thread of the bus"):
@@ -260,9 +260,9 @@ async def test_direct_transfers_are_for_the_buss_own_thread(fake_i2c) -> None:
 
     await bus.close()
     with pytest.raises(DeviceLostError):
-        await bus.lane.call(plain, timeout=5.0)
+        await bus.executor.call(plain, timeout=5.0)
     await bus.close()
-    bus.lane.close()
+    bus.executor.close()
 
 
 @pytest.mark.real_clock
@@ -286,7 +286,7 @@ async def test_a_direct_transfer_that_finds_the_adapter_gone_tells_all(
         return bus.direct(lambda link: link.read_byte_data(0x40, 7), address=0x40)
 
     with pytest.raises(DeviceLostError):
-        await bus.lane.call(plain, timeout=5.0)
+        await bus.executor.call(plain, timeout=5.0)
     async with asyncio.timeout(5.0):
         await told.wait()
 

@@ -114,7 +114,7 @@ async def test_no_transfer_of_100_000_reaches_another_chip(kernel) -> None:
 
     async def drive() -> None:
         for _ in range(12):
-            await bus.lane.call(plain, timeout=30.0)
+            await bus.executor.call(plain, timeout=30.0)
 
     await asyncio.gather(
         drive(), *(work(each) for each in ADDRESSES for work in (ask, ask_often))

@@ -104,14 +104,14 @@ async def test_what_is_closed_behind_too_many_calls_is_closed(
     bus = make(slow)
     await bus.open()
     stuck = threading.Event()
-    bus.lane.limit = 1
-    calls = [asyncio.ensure_future(bus.lane.call(stuck.wait, timeout=20))]
+    bus.executor.limit = 1
+    calls = [asyncio.ensure_future(bus.executor.call(stuck.wait, timeout=20))]
     await asyncio.sleep(0)
-    while bus.lane.waiting:  # noqa: ASYNC110 - nobody tells
+    while bus.executor.waiting:  # noqa: ASYNC110 - nobody tells
         await asyncio.sleep(0.001)
-    calls.append(asyncio.ensure_future(bus.lane.call(stuck.wait, timeout=20)))
+    calls.append(asyncio.ensure_future(bus.executor.call(stuck.wait, timeout=20)))
     await asyncio.sleep(0)
-    assert bus.lane.waiting == bus.lane.limit
+    assert bus.executor.waiting == bus.executor.limit
 
     await bus.close()
     stuck.set()

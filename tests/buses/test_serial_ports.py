@@ -26,7 +26,7 @@ from esair.buses._serial_owner import explain
 from esair.buses._serial_place import SerialPlace
 from esair.buses._serial_port import Port, reach_port
 from esair.exceptions import ConfigError, DeviceLostError
-from esair.loop import Lane
+from esair.loop import Executor
 
 pytestmark = pytest.mark.real_clock
 
@@ -349,9 +349,9 @@ async def test_an_opening_that_nobody_waits_for_any_more(
 ) -> None:
     """Closed while it opens, or in the moment in which it is open: no port is left."""
     slow = SlowOpening(monkeypatch)
-    lane = Lane("front")
+    executor = Executor("front")
     place = SerialPlace("front", first.path)
-    asking = asyncio.create_task(reach_port(lane, place, 115200, {}, {}))
+    asking = asyncio.create_task(reach_port(executor, place, 115200, {}, {}))
     await asyncio.sleep(0.02)
     if finished:
         slow.go.set()
@@ -363,7 +363,7 @@ async def test_an_opening_that_nobody_waits_for_any_more(
 
     assert asking.cancelled()
     assert await asyncio.to_thread(slow.ended.wait, 10)
-    assert await lane.join(5.0)
+    assert await executor.join(5.0)
 
 
 @pytest.mark.fault("D18")

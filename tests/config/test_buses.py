@@ -75,7 +75,7 @@ def test_mistakes_in_their_keys_are_told(project, table, key, told) -> None:
 
 
 def test_a_bus_class_of_ones_own_must_be_a_bus(project) -> None:
-    """Whatever has the right methods but is none would lack a lane."""
+    """Whatever has the right methods but is none would lack an executor."""
     project.write('[bus.x]\ntype = "{m}:Sonar"\n')
 
     with pytest.raises(ExceptionGroup) as caught:

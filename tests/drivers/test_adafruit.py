@@ -118,7 +118,7 @@ async def session(sensor: AdafruitSensor | AdafruitActuator, *calls: str) -> Any
     await sensor.bus.open()
     result = None
     for call in calls:
-        result = await sensor.bus.lane.call(getattr(sensor, call), timeout=10.0)
+        result = await sensor.bus.executor.call(getattr(sensor, call), timeout=10.0)
     return result
 
 
@@ -215,7 +215,7 @@ async def test_no_transfer_of_another_comes_into_a_call_of_the_driver() -> None:
     bus.link.log.clear()
 
     await asyncio.gather(
-        *(bus.lane.call(sensor.read, timeout=10.0) for _ in range(10)),
+        *(bus.executor.call(sensor.read, timeout=10.0) for _ in range(10)),
         *(bus.read(0x68, 0x75) for _ in range(50)),
     )
 
@@ -262,7 +262,7 @@ async def test_drivers_on_two_buses_do_not_share_their_buffer() -> None:
     try:
         values = await asyncio.gather(
             *(
-                sensor.bus.lane.call(sensor.read, timeout=20.0)
+                sensor.bus.executor.call(sensor.read, timeout=20.0)
                 for _ in range(200)
                 for sensor in sensors
             )
@@ -296,16 +296,16 @@ async def test_a_stuck_bus_does_not_hold_up_drivers_on_another() -> None:
         sensors.append(sensor)
     left.stall()
     with pytest.raises(DriverStuckError):
-        await left.lane.call(sensors[0].read, timeout=0.05)
+        await left.executor.call(sensors[0].read, timeout=0.05)
 
     begin = time.monotonic()
     with pytest.raises(DriverStuckError, match=r"'air_right'.*on another bus"):
-        await right.lane.call(sensors[1].read, timeout=5.0)
+        await right.executor.call(sensors[1].read, timeout=5.0)
     assert time.monotonic() - begin < 2.0
     assert await right.read(0x68, 0x75) == b"\x68"
 
     left.resume()
-    assert await right.lane.call(sensors[1].read, timeout=5.0) == pytest.approx(
+    assert await right.executor.call(sensors[1].read, timeout=5.0) == pytest.approx(
         23.5, abs=0.1
     )
     await left.close()
@@ -345,14 +345,14 @@ async def test_a_part_that_is_not_there_is_lost_though_the_driver_says_otherwise
 
     bus.unplug(noticed=False)
     with pytest.raises(DeviceLostError):
-        await bus.lane.call(sensor.open, timeout=5.0)
+        await bus.executor.call(sensor.open, timeout=5.0)
     async with asyncio.timeout(5.0):
         while bus.is_open:  # noqa: ASYNC110 - it is told in a turn of the loop
             await asyncio.sleep(0.001)
     with pytest.raises(DeviceLostError):
-        await bus.lane.call(sensor.open, timeout=5.0)
+        await bus.executor.call(sensor.open, timeout=5.0)
     await bus.close()
-    bus.lane.close()
+    bus.executor.close()
 
 
 @pytest.mark.real_clock
@@ -379,7 +379,7 @@ async def test_the_bus_looks_like_busio() -> None:
             i2c.writeto(0x20, b"")
             i2c.unlock()
 
-    await bus.lane.call(use, timeout=5.0)
+    await bus.executor.call(use, timeout=5.0)
     assert bus.is_open
     assert await bus.read(0x20, 5) == b"\xe9"
     with pytest.raises(RuntimeError, match="thread of the bus"):
@@ -400,7 +400,7 @@ async def test_an_actuator_may_be_an_attribute_or_a_method() -> None:
             bus=bus,
         )
         await session(actuator, "open")
-        await bus.lane.call(actuator.write, 0x42, timeout=5.0)
+        await bus.executor.call(actuator.write, 0x42, timeout=5.0)
         assert await bus.read(address, 0x00, 2) == b"\x42\x00"
     assert actuator.value_type is int
     await bus.close()

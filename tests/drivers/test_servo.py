@@ -442,7 +442,7 @@ async def test_a_request_that_nobody_waits_for_any_more_is_not_made(
     assert [type(each) for each in results] == [DriverStuckError] * 2
 
     go.set()
-    assert await bus.lane.join(10)
+    assert await bus.executor.join(10)
 
     assert [instruction for _, instruction, _ in fakes.written] == [PING]
     await bus.close()

@@ -352,8 +352,8 @@ async def test_an_adafruit_driver_on_a_real_kernel(adapter) -> None:
         bus=bus,
     )
 
-    await bus.lane.call(sensor.open, timeout=PATIENCE)
-    values = await bus.lane.call(sensor.read, timeout=PATIENCE)
+    await bus.executor.call(sensor.open, timeout=PATIENCE)
+    values = await bus.executor.call(sensor.read, timeout=PATIENCE)
 
     assert values["acceleration"] == pytest.approx((1.0, -2.0, GRAVITY), abs=0.01)
     assert values["temperature"] == pytest.approx(30.0, abs=0.01)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import pytest
 import uvloop
 
-from esair.loop import Deadlines, Wheel, clock_of
+from esair.loop import Deadlines, Scheduler, clock_of
 from esair.testing import VirtualLoop
 
 LOOPS = pytest.mark.parametrize(
@@ -43,13 +43,13 @@ def test_no_step_comes_early(make: Make) -> None:
 
     async def main() -> None:
         def step(_now: float) -> None:
-            ring = spoke.ring
-            assert ring is not None  # it stands at the next moment already
-            early.append(ring.due - ring.period - time.monotonic())
+            group = job.group
+            assert group is not None  # it stands at the next moment already
+            early.append(group.due - group.period - time.monotonic())
 
-        spoke = Wheel.of(asyncio.get_running_loop()).every(0.005, step)
+        job = Scheduler.of(asyncio.get_running_loop()).every(0.005, step)
         await asyncio.sleep(0.3)
-        spoke.stop()
+        job.stop()
 
     with asyncio.Runner(loop_factory=make) as runner:
         runner.run(main())
@@ -57,7 +57,7 @@ def test_no_step_comes_early(make: Make) -> None:
     assert max(early) <= 5e-5
 
 
-@pytest.mark.parametrize("kind", [Wheel, Deadlines])
+@pytest.mark.parametrize("kind", [Scheduler, Deadlines])
 def test_what_belongs_to_a_loop_goes_with_it(kind) -> None:
     """A program that makes loop after loop keeps none of them."""
     loop = VirtualLoop()

@@ -11,8 +11,8 @@ from tests.minimal import rules
 
 import esair
 from esair import minimal
-from esair.messages import snake_case
 from esair.testing import FakeActuator, FakeSensor
+from esair.values import snake_case
 
 pytestmark = pytest.mark.promise("MIN-2")
 

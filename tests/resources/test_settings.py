@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
-from esair.resources._resource import same_type
+from esair.values import same_type
 
 
 class Sonar(esair.Sensor[float]):

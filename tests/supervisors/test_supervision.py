@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 
 import esair
-from esair.messages import check_name
 from esair.supervisors._behavior_supervisor import ZOMBIE_LIMIT
 from esair.supervisors._restart_budget import RestartBudget
 from esair.testing import FakeActuator, FakeSensor
+from esair.values import check_name
 
 pytestmark = pytest.mark.virtual_clock
 seeds = [pytest.param(n, marks=pytest.mark.virtual_clock(seed=n)) for n in range(6)]

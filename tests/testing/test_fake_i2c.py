@@ -100,10 +100,10 @@ async def test_a_stall_does_not_stop_a_virtual_clock_in_a_drivers_thread() -> No
         return bus.direct(lambda link: link.read_byte_data(0x10, 0))
 
     with pytest.raises(DriverStuckError):
-        await bus.lane.call(plain, timeout=1.0)
+        await bus.executor.call(plain, timeout=1.0)
 
     bus.resume()
-    assert await bus.lane.call(plain, timeout=1.0) == 0
+    assert await bus.executor.call(plain, timeout=1.0) == 0
     await bus.close()
 
 

@@ -2,7 +2,15 @@
 
 from esair.actions._behavior import NOTHING, Behavior, Host
 from esair.actions._from_minimal import MinimalReaction, adapt_action
-from esair.actions._needs import Need, Reads, Writes, mistakes_in_needs, reads, writes
+from esair.actions._needs import (
+    Need,
+    ProfiledAction,
+    Reads,
+    Writes,
+    mistakes_in_needs,
+    reads,
+    writes,
+)
 from esair.actions._ports import (
     ActuatorPort,
     BlockingActuatorPort,
@@ -21,6 +29,7 @@ __all__ = [
     "Host",
     "MinimalReaction",
     "Need",
+    "ProfiledAction",
     "Reaction",
     "ReactionRunner",
     "Reads",

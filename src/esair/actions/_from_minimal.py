@@ -7,7 +7,7 @@ from typing import Any, TypeVar, overload
 from esair import minimal
 from esair.actions._needs import Reads, Writes
 from esair.actions._reaction import Reaction
-from esair.messages import snake_case
+from esair.values import snake_case
 
 T = TypeVar("T")
 

@@ -10,7 +10,8 @@ import attrs
 from esair import abc
 from esair.actions._ports import ActuatorPort, SensorPort
 from esair.exceptions import ConfigError, NotRegisteredError
-from esair.messages import Access, check_name, is_positive
+from esair.messages import Access
+from esair.values import check_name, is_positive
 
 T = TypeVar("T")
 

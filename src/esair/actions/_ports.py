@@ -16,16 +16,11 @@ from collections.abc import (
 )
 from typing import Any, Generic, TypeVar
 
-from esair.connections import (
-    READ_TIMEOUT,
-    ActuatorChannel,
-    Registration,
-    SensorChannel,
-    check_duration,
-)
+from esair.connections import READ_TIMEOUT, ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import BehaviorRemovedError, EsairError, NotRegisteredError
-from esair.loop import Bridge, speaks_for_nobody
+from esair.loop import Portal, speaks_for_nobody
 from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
+from esair.values import check_duration
 
 T = TypeVar("T")
 
@@ -169,9 +164,9 @@ class SensorPort(Generic[T]):
         """What the sensor is doing."""
         return self._channel.state
 
-    def blocking(self, bridge: Bridge) -> BlockingSensorPort[T]:
+    def blocking(self, portal: Portal) -> BlockingSensorPort[T]:
         """Return the same port for a plain behavior's thread."""
-        return BlockingSensorPort(self, bridge)
+        return BlockingSensorPort(self, portal)
 
     def __repr__(self) -> str:
         return f"<port of {self.registration!r}>"
@@ -298,9 +293,9 @@ class ActuatorPort(Generic[T]):
         """What the actuator is doing."""
         return self._channel.state
 
-    def blocking(self, bridge: Bridge) -> BlockingActuatorPort[T]:
+    def blocking(self, portal: Portal) -> BlockingActuatorPort[T]:
         """Return the same port for a plain behavior's thread."""
-        return BlockingActuatorPort(self, bridge)
+        return BlockingActuatorPort(self, portal)
 
     def __repr__(self) -> str:
         return f"<port of {self.registration!r}>"
@@ -319,27 +314,27 @@ _DONE = _Done()
 class BlockingSensorPort(Generic[T]):
     """A sensor port for a behavior with a plain ``run``: the thread waits."""
 
-    def __init__(self, port: SensorPort[T], bridge: Bridge) -> None:
+    def __init__(self, port: SensorPort[T], portal: Portal) -> None:
         self._port = port
-        self._bridge = bridge
+        self._portal = portal
 
     def read(self, **options: Any) -> T:
         """Return what `SensorPort.read` does."""
-        return self._bridge.call(self._port.read, **options)
+        return self._portal.call(self._port.read, **options)
 
     def reading(self, **options: Any) -> Reading[T]:
         """Return what `SensorPort.reading` does."""
-        return self._bridge.call(self._port.reading, **options)
+        return self._portal.call(self._port.reading, **options)
 
     def __iter__(self) -> Iterator[T]:
         """Yield each new value; a slow reader misses some and gets the newest."""
         values = self._port._values()  # noqa: SLF001 - the same port, for a thread
         try:
             while True:
-                yield self._bridge.call(_next, values)
+                yield self._portal.call(_next, values)
         finally:
             with contextlib.suppress(BehaviorRemovedError):  # its tasks are gone too
-                self._bridge.call(values.aclose)
+                self._portal.call(values.aclose)
 
     def history(self, count: int) -> list[Reading[T]]:
         """Return what `SensorPort.history` does."""
@@ -347,11 +342,11 @@ class BlockingSensorPort(Generic[T]):
         async def history() -> list[Reading[T]]:
             return self._port.history(count)
 
-        return self._bridge.call(history)
+        return self._portal.call(history)
 
     def configure(self, **settings: Any) -> None:
         """Do what `SensorPort.configure` does."""
-        self._bridge.call(self._port.configure, **settings)
+        self._portal.call(self._port.configure, **settings)
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -362,13 +357,13 @@ class BlockingSensorPort(Generic[T]):
 class BlockingActuatorPort(Generic[T]):
     """An actuator port for a behavior with a plain ``run``: the thread waits."""
 
-    def __init__(self, port: ActuatorPort[T], bridge: Bridge) -> None:
+    def __init__(self, port: ActuatorPort[T], portal: Portal) -> None:
         self._port = port
-        self._bridge = bridge
+        self._portal = portal
 
     def write(self, command: T, *, hold: float | None = None) -> Written[T] | Refused:
         """Do what `ActuatorPort.write` does."""
-        return self._bridge.call(self._port.write, command, hold=hold)
+        return self._portal.call(self._port.write, command, hold=hold)
 
     def release(self) -> None:
         """Do what `ActuatorPort.release` does."""
@@ -376,11 +371,11 @@ class BlockingActuatorPort(Generic[T]):
         async def release() -> None:
             self._port.release()
 
-        self._bridge.call(release)
+        self._portal.call(release)
 
     def configure(self, **settings: Any) -> None:
         """Do what `ActuatorPort.configure` does."""
-        self._bridge.call(self._port.configure, **settings)
+        self._portal.call(self._port.configure, **settings)
 
     @property
     def settings(self) -> Mapping[str, Any]:

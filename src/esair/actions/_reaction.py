@@ -7,7 +7,8 @@ from typing import Any
 
 from esair.actions._needs import ProfiledAction, Reads, Writes
 from esair.exceptions import ConfigError
-from esair.messages import Restart, is_positive
+from esair.messages import Restart
+from esair.values import is_positive
 
 
 class Reaction(ProfiledAction):

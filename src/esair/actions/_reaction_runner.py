@@ -1,4 +1,4 @@
-"""How a reaction runs: fed by sensors, stepped by the wheel, writing actuators."""
+"""How a reaction runs: fed by sensors, stepped by the scheduler, writing actuators."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.loop import Spoke, Step, Wheel, clock_of, spawn
+from esair.loop import Job, Scheduler, Step, clock_of, spawn
 from esair.messages import Reading, Refused, Written
 
 _FOR_EVER = float("inf")
@@ -64,7 +64,7 @@ class Input:
             self.ready = True
             runner.arrived()
         if runner.on_reading and not runner.missing:
-            runner.spoke.soon()
+            runner.job.soon()
 
     def changed(self, error: EsairError | None) -> None:
         """Park the reaction when the sensor is gone; feeding it wakes it up."""
@@ -128,6 +128,7 @@ class ReactionRunner:
         "_until",
         "_watch",
         "conflated",
+        "job",
         "missing",
         "on_reading",
         "overruns",
@@ -135,7 +136,6 @@ class ReactionRunner:
         "reaction",
         "refused",
         "rejected",
-        "spoke",
         "stale_at",
         "steps",
         "values",
@@ -171,7 +171,7 @@ class ReactionRunner:
         self.overruns = 0
         """How many steps have taken longer than their budget."""
         self._overruns_in_row = 0
-        self.spoke: Spoke = Wheel.of(self._loop).on_demand(self._turn)
+        self.job: Job = Scheduler.of(self._loop).on_demand(self._turn)
         self._react = reaction.react
         self._inputs: list[Input] = []
         self._outputs: dict[str, Output] = {}
@@ -188,7 +188,7 @@ class ReactionRunner:
     @property
     def late(self) -> int:
         """How many steps were left out because they came too late."""
-        return self.spoke.skipped
+        return self.job.skipped
 
     def start(
         self,
@@ -207,7 +207,7 @@ class ReactionRunner:
             (self._single,) = self._outputs.values()
         self.missing = len(self._inputs)
         if self.reaction.rate is not None:
-            self.spoke = Wheel.of(self._loop).every(
+            self.job = Scheduler.of(self._loop).every(
                 1.0 / self.reaction.rate, self._turn
             )
         for each in self._inputs:
@@ -224,7 +224,7 @@ class ReactionRunner:
     def stop(self) -> None:
         """Never step again, and follow nothing. What it wrote is the caller's to undo."""
         self._stopped = True
-        self.spoke.stop()
+        self.job.stop()
         if self._watch is not None:
             self._watch.cancel()
             self._watch = None
@@ -296,7 +296,7 @@ class ReactionRunner:
 
     @property
     def _turn(self) -> Step:
-        """What the wheel calls; only who has a budget pays for the clock."""
+        """What the scheduler calls; only who has a budget pays for the clock."""
         return self._step if self._budget is None else self._timed_step
 
     def _timed_step(self, now: float) -> Awaitable[object] | None:

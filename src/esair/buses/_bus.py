@@ -10,8 +10,8 @@ from typing import TypeVar
 
 from esair.buses._stats import BusStats
 from esair.exceptions import DeviceLostError, describe
-from esair.loop import Lane, spawn
-from esair.messages import check_name
+from esair.loop import Executor, spawn
+from esair.values import check_name
 
 T = TypeVar("T")
 
@@ -49,7 +49,7 @@ class Bus(abc.ABC):
         """Why the bus is not open; None if it is, or has not been tried."""
         self.stats = BusStats()
         """What happened on the bus since it was made."""
-        self.lane = Lane(name)
+        self.executor = Executor(name)
         """The thread for blocking calls of the devices on this bus."""
         self._opening: asyncio.Task[None] | None = None
         self._on_lost: list[Callable[[BaseException], None]] = []
@@ -110,10 +110,10 @@ class Bus(abc.ABC):
 
     async def _look_first(self) -> Hashable | None:
         """Look what is there, before it is opened: what comes later is an arrival."""
-        if self._presence is None or self.lane.stuck_since is not None:
+        if self._presence is None or self.executor.stuck_since is not None:
             return None
         try:
-            return await self.lane.call(self._presence, timeout=LOOK_TIMEOUT)
+            return await self.executor.call(self._presence, timeout=LOOK_TIMEOUT)
         except Exception:  # what it cannot see is not there
             return None
 
@@ -144,12 +144,12 @@ class Bus(abc.ABC):
         was_open, self.is_open = self.is_open, False
         if was_open or opening is not None or self.error is not None:
             await self._close()
-        await self.lane.join(timeout=0.2)
+        await self.executor.join(timeout=0.2)
 
     @property
     def waiting(self) -> int:
         """How much waits to be sent: bytes, frames or calls."""
-        return self.lane.waiting
+        return self.executor.waiting
 
     def on_lost(self, listener: Callable[[BaseException], None]) -> Callable[[], None]:
         """Call a function when the wire is gone; returns how to stop that."""
@@ -209,7 +209,7 @@ def _heard(opening: asyncio.Task[None]) -> None:
 def wanted() -> bool:
     """Guard a call that is not to be made once nobody waits for it any more.
 
-    A lane asks only guarded calls whether that is so: a close is made in any case.
+    An executor asks only guarded calls whether that is so: a close is made in any case.
     """
     return True
 

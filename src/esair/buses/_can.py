@@ -350,7 +350,7 @@ class CanBus(Bus):
         opener = python_can(
             self.interface,
             self.channel,
-            lane=self.lane,
+            executor=self.executor,
             stats=self.stats,
             fd=self.fd,
             bitrate_switch=self.bitrate_switch,

@@ -268,7 +268,7 @@ class I2CBus(Bus):
             DeviceLostError: The bus itself is gone.
             DriverStuckError: The adapter gave up on the bus.
         """
-        if not self.lane.is_current:
+        if not self.executor.is_current:
             raise RuntimeError(
                 f"{self.name}: direct() is for plain (not async) methods of drivers, "
                 "which run on the thread of the bus"
@@ -327,7 +327,7 @@ class I2CBus(Bus):
     @property
     def stuck_since(self) -> float | None:
         """When a transfer overran its time that has not returned; None if none has."""
-        return self.lane.stuck_since
+        return self.executor.stuck_since
 
     # The way of one transfer.
 
@@ -375,7 +375,7 @@ class I2CBus(Bus):
         if self._inline:
             return function(link, *args)
         try:
-            return await self.lane.call(
+            return await self.executor.call(
                 function, link, *args, timeout=timeout, guard=wanted
             )
         except DriverStuckError:
@@ -385,7 +385,7 @@ class I2CBus(Bus):
             raise
 
     def _check_stuck(self) -> None:
-        stuck = self.lane.stuck_since
+        stuck = self.executor.stuck_since
         if stuck is not None:
             self.stats.refused += 1
             since = asyncio.get_running_loop().time() - stuck + self.timeout
@@ -505,7 +505,7 @@ class I2CBus(Bus):
                 self._link = self._opener()
             else:
                 self._link = await open_on(
-                    self.lane, self._opener, _shut, timeout=OPEN_TIMEOUT
+                    self.executor, self._opener, _shut, timeout=OPEN_TIMEOUT
                 )
         except OSError as error:
             detail = f"cannot be opened: {describe(error)}"
@@ -520,7 +520,7 @@ class I2CBus(Bus):
             link.close()
             return
         try:
-            await shut_on(self.lane, link.close, timeout=0.2)
+            await shut_on(self.executor, link.close, timeout=0.2)
         except OSError as error:
             self.stats.last_error = describe(error)
 

@@ -8,18 +8,22 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from esair.exceptions import BusyError, DriverStuckError
-from esair.loop import Lane
+from esair.loop import Executor
 
 T = TypeVar("T")
 
 
 async def open_on(
-    lane: Lane, make: Callable[[], T], shut: Callable[[T], object], *, timeout: float
+    executor: Executor,
+    make: Callable[[], T],
+    shut: Callable[[T], object],
+    *,
+    timeout: float,
 ) -> T:
-    """Open something on a lane; nothing stays open that nobody waits for any more.
+    """Open something on an executor; nothing stays open that nobody waits for any more.
 
     Args:
-        lane: The thread to do it in.
+        executor: The thread to do it in.
         make: Opens it; blocks.
         shut: Closes it; may block, and is called in a thread.
         timeout: How long it may take, in seconds.
@@ -30,24 +34,26 @@ async def open_on(
     """
     opening = Opening(make, shut)
     try:
-        return await lane.call(opening.open, timeout=timeout)
+        return await executor.call(opening.open, timeout=timeout)
     except BaseException:
         opening.abandon()
         raise
 
 
-async def shut_on(lane: Lane, shut: Callable[[], object], *, timeout: float) -> None:
-    """Close something on a lane, behind the calls that it has.
+async def shut_on(
+    executor: Executor, shut: Callable[[], object], *, timeout: float
+) -> None:
+    """Close something on an executor, behind the calls that it has.
 
     If one of them is stuck it is closed when that returns.
 
     Args:
-        lane: The thread to do it in.
+        executor: The thread to do it in.
         shut: Closes it; may block.
         timeout: How long to wait for it, in seconds.
     """
     with contextlib.suppress(DriverStuckError, BusyError):  # no more threads
-        await lane.call(shut, timeout=timeout, bounded=False)
+        await executor.call(shut, timeout=timeout, bounded=False)
 
 
 class Opening(Generic[T]):

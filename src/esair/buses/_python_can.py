@@ -3,7 +3,7 @@
 Where the interface is SocketCAN the event loop watches the socket, and frames are read
 and written here: python-can makes two more system calls for each, fails on descriptors
 above 1023, and takes four times as long. Every other interface gets a thread that reads,
-and sends on the lane of the bus, because its ``send`` may block. Neither is python-can's
+and sends on the executor of the bus, because its ``send`` may block. Neither is python-can's
 own Notifier, which goes silent after an error (python-can#1865).
 """
 
@@ -30,7 +30,7 @@ from esair.exceptions import (
     DriverStuckError,
     describe,
 )
-from esair.loop import CallRefused, Lane, clock_of
+from esair.loop import CallRefused, Executor, clock_of
 
 OPEN_TIMEOUT = 5.0
 """How long opening an interface may take, in seconds."""
@@ -75,7 +75,7 @@ def python_can(
     interface: str,
     channel: str,
     *,
-    lane: Lane,
+    executor: Executor,
     stats: BusStats | None = None,
     fd: bool = False,
     bitrate_switch: bool = False,
@@ -86,7 +86,7 @@ def python_can(
     Args:
         interface: What python-can calls it.
         channel: Which of them.
-        lane: The thread for the calls that may block; has the name of the bus.
+        executor: The thread for the calls that may block; has the name of the bus.
         stats: Where frames are counted that were thrown away.
         fd: Whether frames may have up to 64 bytes.
         bitrate_switch: Whether the data of long ones are sent faster.
@@ -98,9 +98,9 @@ def python_can(
     async def opener(
         received: Callable[[Frame], None], gone: Callable[[Exception], None]
     ) -> FrameLink:
-        opening = _Opening(lane.name, interface, channel, options)
+        opening = _Opening(executor.name, interface, channel, options)
         try:
-            bus, state = await lane.call(opening.make, timeout=OPEN_TIMEOUT)
+            bus, state = await executor.call(opening.make, timeout=OPEN_TIMEOUT)
         except BaseException:
             opening.abandon()
             raise
@@ -110,7 +110,7 @@ def python_can(
                 return _SocketNode(
                     bus,
                     state,
-                    lane,
+                    executor,
                     counts,
                     received,
                     gone,
@@ -119,7 +119,7 @@ def python_can(
                 )
             return _ThreadNode(
                 bus,
-                lane,
+                executor,
                 counts,
                 received,
                 gone,
@@ -136,7 +136,7 @@ def python_can(
 
 
 class _Opening:
-    """One try to open an interface, on the lane."""
+    """One try to open an interface, on the executor."""
 
     def __init__(
         self, owner: str, interface: str, channel: str, options: dict[str, Any]
@@ -154,7 +154,7 @@ class _Opening:
         with self._deciding:
             self._abandoned = True
             bus, self._bus = self._bus, None
-        if bus is not None:  # the lane may be stuck
+        if bus is not None:  # the executor may be stuck
             threading.Thread(target=_shut, args=(bus,), daemon=True).start()
 
     def make(self) -> tuple[Any, CanState | None]:
@@ -252,7 +252,7 @@ class _SocketNode:
         self,
         bus: Any,
         state: CanState,
-        lane: Lane,
+        executor: Executor,
         stats: BusStats,
         received: Callable[[Frame], None],
         gone: Callable[[Exception], None],
@@ -262,7 +262,7 @@ class _SocketNode:
     ) -> None:
         self.state = state
         self._bus = bus
-        self._lane = lane
+        self._executor = executor
         self._stats = stats
         self._received = received
         self._gone = gone
@@ -320,7 +320,7 @@ class _SocketNode:
                 return False
             if error.errno in {errno.EINVAL, errno.EMSGSIZE}:
                 raise DeviceFaultError(
-                    self._lane.name,
+                    self._executor.name,
                     f"the interface takes no frame of {len(data)} bytes: "
                     f"{describe(error)}",
                 ) from error
@@ -333,7 +333,7 @@ class _SocketNode:
         self._closed = True
         self._loop.remove_reader(self._fd)
         with contextlib.suppress(DriverStuckError, BusyError):
-            await self._lane.call(_shut, self._bus, timeout=1.0)
+            await self._executor.call(_shut, self._bus, timeout=1.0)
 
     def _readable(self) -> None:
         now = self._time()
@@ -384,7 +384,7 @@ class _SocketNode:
 
 
 class _ThreadNode:
-    """A node of an interface without a socket: one thread reads, the lane sends."""
+    """A node of an interface without a socket: one thread reads, the executor sends."""
 
     inbox_limit = 1024
     state = CanState.ACTIVE
@@ -392,7 +392,7 @@ class _ThreadNode:
     def __init__(
         self,
         bus: Any,
-        lane: Lane,
+        executor: Executor,
         stats: BusStats,
         received: Callable[[Frame], None],
         gone: Callable[[Exception], None],
@@ -411,7 +411,7 @@ class _ThreadNode:
         own_recv = type(bus).recv is not can.BusABC.recv
         self._recv = bus.recv if own_recv else bus._recv_internal  # noqa: SLF001
         self._own_recv = own_recv
-        self._lane = lane
+        self._executor = executor
         self._stats = stats
         self._received = received
         self._gone = gone
@@ -432,7 +432,7 @@ class _ThreadNode:
         self._beats = 0
         self._missed_beats = 0
         self._reader = threading.Thread(
-            target=self._read, name=f"esair-{lane.name}-reader", daemon=True
+            target=self._read, name=f"esair-{executor.name}-reader", daemon=True
         )
         self._reader.start()
         self._watch = self._loop.call_later(HEARTBEAT, self._check, self._beats)
@@ -445,7 +445,7 @@ class _ThreadNode:
             raise ConnectionError("the node is closed")
         try:
             # With a guard, a frame whose time is over does not leave late.
-            return await self._lane.call(
+            return await self._executor.call(
                 self._send, frame, timeout=timeout, guard=lambda: not self._closed
             )
         except CallRefused:
@@ -458,7 +458,7 @@ class _ThreadNode:
         self._watch.cancel()
         self._count()
         with contextlib.suppress(DriverStuckError, BusyError):
-            await self._lane.call(self._end, timeout=1.0)
+            await self._executor.call(self._end, timeout=1.0)
 
     def _send(self, frame: Frame) -> bool:
         message = self._can.Message(

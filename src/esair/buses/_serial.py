@@ -295,12 +295,12 @@ class SerialBus(Bus):
             await asyncio.wait({letting_go})
         port, self._open_device = self._open_device, None
         if port is not None:
-            await close_port(port, self.lane)
+            await close_port(port, self.executor)
 
     async def _open_port(self, protocol: asyncio.Protocol) -> SerialLink:
         place = SerialPlace(self.name, self.port)
         port = await reach_port(
-            self.lane, place, self.baudrate, self._options, self._levels
+            self.executor, place, self.baudrate, self._options, self._levels
         )
         self._open_device = port
         self.path = port.path
@@ -357,7 +357,7 @@ class SerialBus(Bus):
         if port is not None:  # held, it keeps its number: it would return as another
             self._letting_go = spawn(
                 asyncio.get_running_loop(),
-                close_port(port, self.lane),
+                close_port(port, self.executor),
                 name=f"let go {self.name}",
             )
         self.lost(loss)

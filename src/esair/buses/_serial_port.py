@@ -25,7 +25,7 @@ from esair.exceptions import (
     DriverStuckError,
     describe,
 )
-from esair.loop import Lane
+from esair.loop import Executor
 
 OPEN_TIMEOUT = 2.0
 """How long opening a port may take, in seconds."""
@@ -192,7 +192,7 @@ def _open_device(
 
 
 async def reach_port(
-    lane: Lane,
+    executor: Executor,
     place: SerialPlace,
     baudrate: int,
     options: Mapping[str, Any],
@@ -204,13 +204,13 @@ async def reach_port(
     """
     try:
         return await open_on(
-            lane,
+            executor,
             functools.partial(open_port, place, baudrate, options, levels),
             Port.shut,
             timeout=OPEN_TIMEOUT,
         )
     except DriverStuckError as error:
-        raise DeviceLostError(lane.name, describe(error)) from error
+        raise DeviceLostError(executor.name, describe(error)) from error
 
 
 def link_of(port: Port, protocol: asyncio.Protocol, name: str) -> SerialLink:
@@ -229,9 +229,9 @@ def link_of(port: Port, protocol: asyncio.Protocol, name: str) -> SerialLink:
     return ThreadLink(loop, protocol, port.device, name=name)
 
 
-async def close_port(port: Port, lane: Lane) -> None:
+async def close_port(port: Port, executor: Executor) -> None:
     """Close a port in a thread; one that is stuck there is left to it."""
-    await shut_on(lane, port.shut, timeout=DRAIN_TIMEOUT + 0.5)
+    await shut_on(executor, port.shut, timeout=DRAIN_TIMEOUT + 0.5)
 
 
 @functools.cache

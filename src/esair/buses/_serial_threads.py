@@ -7,7 +7,7 @@ import contextlib
 import math
 from typing import Any
 
-from esair.loop import Lane, spawn
+from esair.loop import Executor, spawn
 
 READ_PERIOD = 0.1
 """How long a thread waits for bytes before it looks whether it is needed, in s."""
@@ -40,8 +40,8 @@ class ThreadLink:
         self._loop = loop
         self._protocol = protocol
         self._device = device
-        self._in = Lane(f"{name}-in")
-        self._out = Lane(f"{name}-out")
+        self._in = Executor(f"{name}-in")
+        self._out = Executor(f"{name}-out")
         self._buffer = bytearray()
         self._in_flight = 0
         self._closing = False

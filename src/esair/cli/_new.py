@@ -18,7 +18,7 @@ from rich.text import Text
 
 from esair.cli._errors import CANNOT_USE, tell
 from esair.exceptions import ConfigError
-from esair.messages import check_name
+from esair.values import check_name
 
 _RESERVED = {"esair", "test", "tests", "robot", "conftest"}
 

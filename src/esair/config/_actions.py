@@ -7,12 +7,12 @@ from typing import Any
 
 from esair.actions import (
     Behavior,
+    ProfiledAction,
     Reaction,
     adapt_action,
     mistakes_in_needs,
     mistakes_in_reaction,
 )
-from esair.actions._needs import ProfiledAction
 from esair.config._construct import construct
 from esair.config._draft import Draft
 from esair.config._mistakes import below

@@ -24,8 +24,7 @@ from esair.config._records import Field, fields_of, hints_of
 from esair.config._values import INVALID, convert
 from esair.config._words import unknown, wanted
 from esair.exceptions import BadValueError
-from esair.resources import Resource, Setting
-from esair.resources._setting import settings_of
+from esair.resources import Resource, Setting, settings_of
 
 _PLAIN: Final = (bool, int, float, str, tuple, frozenset, enum.Enum)
 

@@ -13,9 +13,9 @@ from esair.config._records import hints_of
 from esair.config._tables import Variant, class_of, variant_of
 from esair.config._values import INVALID, convert
 from esair.config._words import unknown, wanted
-from esair.connections._command_check import check_declaration
+from esair.connections import check_declaration
 from esair.resources import Actuator, Resource, adapt_resource
-from esair.resources._resource import value_type
+from esair.values import value_type
 
 
 def make_bus(draft: Draft, name: str, table: Mapping[str, Any]) -> Bus | None:

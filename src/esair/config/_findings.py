@@ -10,14 +10,13 @@ from typing import Any, Final
 
 import attrs
 
-from esair.actions import Behavior, Reaction, Reads, Writes
-from esair.actions._needs import Need
+from esair.actions import Behavior, Need, Reaction, Reads, Writes
 from esair.config._draft import Draft
 from esair.config._words import unknown
 from esair.exceptions import did_you_mean
 from esair.messages import Access, Policy
 from esair.resources import Actuator, Sensor
-from esair.resources._resource import same_type, type_name
+from esair.values import same_type, type_name
 
 _RENUMBERED: Final = re.compile(r"/dev/tty(USB|ACM)\d+\Z")
 

@@ -15,8 +15,8 @@ from esair.config._tables import named_tables
 from esair.config._values import INVALID, convert
 from esair.config._words import unknown
 from esair.exceptions import ConfigError, EsairError
-from esair.messages import check_name
 from esair.resources import Actuator, Sensor
+from esair.values import check_name
 
 TABLES: Final = ("robot", "bus", "sensor", "actuator", "behavior", "access")
 """The tables of a file."""

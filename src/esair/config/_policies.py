@@ -9,7 +9,8 @@ from esair.config._mistakes import below, dotted, show
 from esair.config._source import Source
 from esair.config._words import unknown
 from esair.exceptions import ConfigError, did_you_mean
-from esair.messages import Access, Policy, check_name
+from esair.messages import Access, Policy
+from esair.values import check_name
 
 _RIGHTS: Final = {
     "read": Access.READ,

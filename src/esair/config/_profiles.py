@@ -7,14 +7,13 @@ from typing import Any, Final
 
 import attrs
 
-from esair.actions import Reads, Writes
-from esair.actions._needs import ProfiledAction
+from esair.actions import ProfiledAction, Reads, Writes
 from esair.config._mistakes import below, show
 from esair.config._source import Source
 from esair.config._values import INVALID, convert
 from esair.config._words import unknown, wanted
 from esair.exceptions import ConfigError
-from esair.messages import check_name
+from esair.values import check_name
 
 FLOWS: Final = ("reads", "writes")
 """The keys that change the profile of a behavior or reaction."""

@@ -8,7 +8,7 @@ from typing import Any, Final
 import attrs
 
 from esair import minimal
-from esair.actions._needs import ProfiledAction
+from esair.actions import ProfiledAction
 from esair.buses import Bus
 from esair.config._classes import BUSES, find_class
 from esair.config._draft import Draft
@@ -16,8 +16,8 @@ from esair.config._mistakes import below, dotted, show
 from esair.config._source import Source
 from esair.config._words import wanted
 from esair.exceptions import ConfigError
-from esair.messages import check_name
 from esair.resources import Actuator, Sensor
+from esair.values import check_name
 
 
 def named_tables(source: Source, kind: str) -> list[tuple[str, dict[str, Any]]]:

@@ -1,9 +1,9 @@
 """The only way of data between actions and resources."""
 
-from esair.connections._actuator_channel import ActuatorChannel, Told
+from esair.connections._actuator_channel import ActuatorChannel, LastCommand
 from esair.connections._actuator_connection import ActuatorConnection
+from esair.connections._command_check import CommandCheck, check_declaration
 from esair.connections._driver import Driver, is_drivers, is_loss, translate
-from esair.connections._durations import check_duration
 from esair.connections._registrations import Registration, Registrations
 from esair.connections._sensor_channel import READ_TIMEOUT, Follower, SensorChannel
 from esair.connections._sensor_connection import SensorConnection
@@ -12,14 +12,15 @@ __all__ = [
     "READ_TIMEOUT",
     "ActuatorChannel",
     "ActuatorConnection",
+    "CommandCheck",
     "Driver",
     "Follower",
+    "LastCommand",
     "Registration",
     "Registrations",
     "SensorChannel",
     "SensorConnection",
-    "Told",
-    "check_duration",
+    "check_declaration",
     "is_drivers",
     "is_loss",
     "translate",

@@ -38,7 +38,7 @@ _EARLY = 1e-6  # timers may fire a hair early
 _log = logging.getLogger("esair")
 
 
-class Told(NamedTuple):
+class LastCommand(NamedTuple):
     """What an actuator was told last.
 
     Attributes:
@@ -602,9 +602,9 @@ class ActuatorChannel:
         """Take note that the device could not be told its safe command."""
         self._told_error = describe(error)
 
-    def told(self) -> Told:
+    def told(self) -> LastCommand:
         """Tell what the device was told last."""
-        return Told(
+        return LastCommand(
             self.name,
             self._told,
             self._told_safe,

@@ -6,10 +6,10 @@ from typing import Any
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
-from esair.connections._durations import check_duration
 from esair.connections._registrations import Registration
 from esair.exceptions import NotRegisteredError, UnknownNameError
 from esair.messages import Answer, Refused, Written
+from esair.values import check_duration
 
 
 class ActuatorConnection(Connection):

@@ -15,9 +15,8 @@ from typing import Any
 import attrs
 
 from esair.exceptions import BadValueError, ConfigError, describe
-from esair.messages import is_positive, passes_as
 from esair.resources import Actuator
-from esair.resources._resource import checked_class, type_name
+from esair.values import checked_class, is_positive, passes_as, type_name
 
 
 class CommandCheck:

@@ -15,7 +15,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.loop import Lane
+from esair.loop import Executor
 from esair.resources import Resource
 
 _GONE = frozenset(
@@ -26,7 +26,7 @@ Guard = Callable[[], bool]
 
 
 class Driver:
-    """The calls of one resource: in the loop, or on the lane of its bus.
+    """The calls of one resource: in the loop, or on the executor of its bus.
 
     Args:
         resource: Whose methods are called.
@@ -34,45 +34,51 @@ class Driver:
 
     def __init__(self, resource: Resource) -> None:
         self.resource = resource
-        self._own_lane: Lane | None = None
-        self._stream_lane: Lane | None = None
+        self._own_executor: Executor | None = None
+        self._stream_executor: Executor | None = None
 
     @property
-    def lane(self) -> Lane:
+    def executor(self) -> Executor:
         """The thread for blocking methods: the bus's, or one of its own."""
         if self.resource.bus is not None:
-            lane: Lane = self.resource.bus.lane
-            return lane
-        if self._own_lane is None:
-            self._own_lane = Lane(self.resource.name)
-        return self._own_lane
+            executor: Executor = self.resource.bus.executor
+            return executor
+        if self._own_executor is None:
+            self._own_executor = Executor(self.resource.name)
+        return self._own_executor
 
     @property
     def is_stuck(self) -> bool:
         """Whether a blocking call has not returned within its deadline."""
         bus = self.resource.bus
-        lane = self._own_lane if bus is None else bus.lane
-        return lane is not None and lane.stuck_since is not None
+        executor = self._own_executor if bus is None else bus.executor
+        return executor is not None and executor.stuck_since is not None
 
-    async def stream_lane(self) -> Lane:
+    async def stream_executor(self) -> Executor:
         """Return the one thread that waits for the next value of a blocking stream.
 
         Raises:
             DriverStuckError: It still waits for a value of the stream before.
         """
         resource = self.resource
-        lane = self._stream_lane
-        if lane is None:
-            lane = self._stream_lane = Lane(f"{resource.name}_stream")
-        if lane.stuck_since is not None:  # and one more thread would not help
+        executor = self._stream_executor
+        if executor is None:
+            executor = self._stream_executor = Executor(f"{resource.name}_stream")
+        if executor.stuck_since is not None:  # and one more thread would not help
             raise DriverStuckError(resource.name, "stream", resource.deadline)
-        await lane.call(_nothing, timeout=resource.deadline)
-        return lane
+        await executor.call(_nothing, timeout=resource.deadline)
+        return executor
 
-    async def end_lane(self, timeout: float) -> bool:
+    async def end_executors(self, timeout: float) -> bool:
         """End the resource's own threads; tells whether they have ended in time."""
-        lanes = [lane for lane in (self._own_lane, self._stream_lane) if lane]
-        ended = await asyncio.gather(*(lane.join(timeout) for lane in lanes))
+        executors = [
+            executor
+            for executor in (self._own_executor, self._stream_executor)
+            if executor
+        ]
+        ended = await asyncio.gather(
+            *(executor.join(timeout) for executor in executors)
+        )
         return all(ended)
 
     def blocks(self, method: str) -> bool:
@@ -94,16 +100,16 @@ class Driver:
             return function  # type: ignore[no-any-return]
         limit = self.resource.deadline if timeout is None else timeout
 
-        async def on_lane(
+        async def on_executor(
             *args: Any, guard: Guard | None = None, **options: Any
         ) -> Any:
             bound = (lambda: function(*args, **options)) if options else function
-            result = await self.lane.call(
+            result = await self.executor.call(
                 bound, *(() if options else args), timeout=limit, guard=guard
             )
             return await result if inspect.isawaitable(result) else result
 
-        return on_lane
+        return on_executor
 
 
 def _nothing() -> None:

@@ -22,17 +22,17 @@ from esair.exceptions import (
 )
 from esair.loop import (
     Deadlines,
-    Spoke,
+    Job,
+    Scheduler,
     Suspended,
-    Wheel,
     clock_of,
     finish,
     first_step,
     spawn,
 )
-from esair.messages import Reading, ResourceState, passes_as
+from esair.messages import Reading, ResourceState
 from esair.resources import Sensor
-from esair.resources._resource import checked_class, type_name
+from esair.values import checked_class, passes_as, type_name
 
 WAITING_LIMIT = 1024
 """How many readers may wait for one sensor at a time."""
@@ -86,7 +86,7 @@ class SensorChannel:
         self._on_error = on_error
         self._followers: tuple[Follower, ...] = ()
         self._waiters: list[tuple[float, asyncio.Future[Reading[Any]]]] = []
-        self._poll: Spoke | None = None
+        self._poll: Job | None = None
         self._last: Any = None
         self._repeats = 0
         """How many times in a row the device has given the last value."""
@@ -261,7 +261,9 @@ class SensorChannel:
             and self.state is ResourceState.READY
             and self.sensor.can_be_asked
         ):
-            self._poll = Wheel.of(self._loop).every(1.0 / self.sensor.rate, self._turn)
+            self._poll = Scheduler.of(self._loop).every(
+                1.0 / self.sensor.rate, self._turn
+            )
 
     def _stop_polling(self) -> None:
         if self._poll is not None:
@@ -374,10 +376,10 @@ class SensorChannel:
 
     async def _listen_blocking(self, values: Iterator[Any]) -> None:
         # A thread of its own: waiting for the next value must not block the bus.
-        lane = await self.driver.stream_lane()
+        executor = await self.driver.stream_executor()
         end = object()
         while (
-            value := await lane.call(next, values, end, timeout=math.inf)
+            value := await executor.call(next, values, end, timeout=math.inf)
         ) is not end:
             self.publish(value, math.inf)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from esair.abc import Connection
-from esair.connections._durations import check_duration
 from esair.connections._registrations import Registration
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.exceptions import NotRegisteredError, UnknownNameError
 from esair.messages import Reading
+from esair.values import check_duration
 
 
 class SensorConnection(Connection):

@@ -6,7 +6,7 @@ import attrs
 from rich.console import Console
 from rich.table import Table
 
-from esair.connections import Told
+from esair.connections import LastCommand
 from esair.demo._pace import Pace
 from esair.demo._story import Fault
 
@@ -60,7 +60,7 @@ class Summary:
     bumps: int
     rows: tuple[Row, ...]
     faults: tuple[Fault, ...]
-    told: tuple[Told, ...]
+    told: tuple[LastCommand, ...]
     unmet: tuple[str, ...]
 
     @property

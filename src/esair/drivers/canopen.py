@@ -60,9 +60,9 @@ from esair.exceptions import (
     describe,
     did_you_mean,
 )
-from esair.loop import CallRefused, Lane
+from esair.loop import CallRefused, Executor
 from esair.resources import Actuator, Resource, Sensor
-from esair.resources._resource import check_seconds
+from esair.values import check_seconds
 
 __all__ = ["CanopenActuator", "CanopenSensor"]
 
@@ -93,7 +93,7 @@ logging.getLogger("canopen.sdo.client").addFilter(lambda _record: False)
 class CanopenNetwork(canopen.Network):
     """The network of the package canopen, on a `CanBus` of esair.
 
-    Its own methods are for one thread, `lane`, which may wait; what comes in is told
+    Its own methods are for one thread, `executor`, which may wait; what comes in is told
     by the event loop.
 
     Args:
@@ -102,12 +102,12 @@ class CanopenNetwork(canopen.Network):
 
     def __init__(self, bus: CanBus) -> None:
         super().__init__()
-        self.lane = Lane(f"{bus.name}_canopen")
+        self.executor = Executor(f"{bus.name}_canopen")
         self._can = weakref.ref(bus)
         self._loop = asyncio.get_running_loop()
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        """Send a frame from the lane.
+        """Send a frame from the executor.
 
         Raises:
             DeviceLostError: The bus is gone.
@@ -202,7 +202,7 @@ class _Node:
         if self.network is not None:
             if self.remote is not None:
                 self.remote.remove_network()
-            await self.network.lane.join(timeout=1.0)
+            await self.network.executor.join(timeout=1.0)
 
     async def call(
         self,
@@ -215,7 +215,7 @@ class _Node:
         assert self.network is not None
         self.remote.sdo.RESPONSE_TIMEOUT = device.sdo_timeout
         try:
-            return await self.network.lane.call(
+            return await self.network.executor.call(
                 function, *args, timeout=device.deadline, guard=guard
             )
         except SdoAbortedError as error:

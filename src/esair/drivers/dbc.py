@@ -49,7 +49,7 @@ from esair.exceptions import (
     did_you_mean,
 )
 from esair.resources import Actuator, Sensor
-from esair.resources._resource import check_seconds
+from esair.values import check_seconds
 
 __all__ = ["DbcActuator", "DbcSensor"]
 

@@ -27,7 +27,7 @@ from esair.buses import Frame as CanFrame
 from esair.drivers._on_can import can_bus
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Actuator, Sensor
-from esair.resources._resource import check_seconds
+from esair.values import check_seconds
 
 __all__ = ["AxisReading", "OdriveAxis", "OdriveState"]
 

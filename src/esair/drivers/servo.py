@@ -218,7 +218,7 @@ class ServoBus(Bus):
             raise DeviceLostError(self.name, "the line is not open")
         self.stats.sent += 1
         try:
-            value, result, error = await self.lane.call(
+            value, result, error = await self.executor.call(
                 self._run, link, call, timeout=self.timeout, guard=wanted
             )
         except DriverStuckError as stuck:
@@ -270,13 +270,13 @@ class ServoBus(Bus):
         if self._opener is None:
             assert self._place is not None
             self._device = await reach_port(
-                self.lane, self._place, self.baudrate, {}, {}
+                self.executor, self._place, self.baudrate, {}, {}
             )
             line = _PortLink(self._device.fileno())
         else:
             try:
                 line = await open_on(
-                    self.lane, self._opener, _close_line, timeout=OPEN_TIMEOUT
+                    self.executor, self._opener, _close_line, timeout=OPEN_TIMEOUT
                 )
             except DeviceLostError:
                 raise
@@ -288,9 +288,9 @@ class ServoBus(Bus):
         link, self._link = self._link, None
         device, self._device = self._device, None
         if device is not None:
-            await close_port(device, self.lane)
+            await close_port(device, self.executor)
         elif link is not None:
-            await shut_on(self.lane, lambda: _close_line(link.line), timeout=0.5)
+            await shut_on(self.executor, lambda: _close_line(link.line), timeout=0.5)
 
 
 def _close_line(line: ServoLink) -> None:

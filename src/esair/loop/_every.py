@@ -7,10 +7,10 @@ import time
 from collections.abc import AsyncIterator, Iterator
 
 from esair.exceptions import BadValueError
-from esair.loop._bridge import bridge
+from esair.loop._portal import portal
+from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
-from esair.loop._wheel import Wheel
-from esair.messages import is_positive
+from esair.values import is_positive
 
 
 class Every:
@@ -44,18 +44,18 @@ class Every:
                 if not woken.done():
                     woken.set_result(None)
 
-            wheel = Wheel.of(loop)
-            shot = wheel.at(due, wake)
+            scheduler = Scheduler.of(loop)
+            one_shot = scheduler.at(due, wake)
             try:
                 await woken
             except BaseException:
-                wheel.cancel(shot)
+                scheduler.cancel(one_shot)
                 raise
         return self._count * self.period
 
     def __iter__(self) -> Iterator[float]:
         """Tick in a plain behavior, whose thread waits meanwhile."""
-        own = bridge.get(None)
+        own = portal.get(None)
         while True:
             if own is not None:
                 yield own.call(self.__anext__)

@@ -20,7 +20,7 @@ class SuspendWatch:
     """Tells who listens when the computer was suspended, and for how long.
 
     It compares the clock that goes on while the computer sleeps with the one that
-    does not. The wheel looks at it each time it begins to turn, so listeners hear
+    does not. The scheduler looks at it each time it begins to turn, so listeners hear
     of a sleep before the next step.
 
     Args:

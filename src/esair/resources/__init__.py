@@ -6,9 +6,9 @@ from esair.resources._from_minimal import (
     MinimalSensor,
     adapt_resource,
 )
-from esair.resources._resource import Resource
+from esair.resources._resource import Resource, bus_kind
 from esair.resources._sensor import Sensor
-from esair.resources._setting import Setting, setting
+from esair.resources._setting import Setting, check_settings, setting, settings_of
 
 __all__ = [
     "Actuator",
@@ -18,5 +18,8 @@ __all__ = [
     "Sensor",
     "Setting",
     "adapt_resource",
+    "bus_kind",
+    "check_settings",
     "setting",
+    "settings_of",
 ]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Awaitable, Mapping
 from typing import Any, Generic, TypeVar
 
-from esair.resources._resource import Resource, value_type
+from esair.resources._resource import Resource
+from esair.values import value_type
 
 T = TypeVar("T")
 

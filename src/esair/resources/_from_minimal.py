@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, TypeVar, overload
 
 from esair import minimal
-from esair.messages import snake_case
 from esair.resources._actuator import Actuator
 from esair.resources._resource import Resource
 from esair.resources._sensor import Sensor
+from esair.values import snake_case
 
 T = TypeVar("T")
 

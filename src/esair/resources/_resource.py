@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import inspect
 import itertools
-import types
 import typing
 from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from esair import abc
-from esair.exceptions import ConfigError
-from esair.messages import is_positive
 from esair.resources._setting import Setting, check_settings, setting, settings_of
 
 if TYPE_CHECKING:
@@ -162,17 +159,6 @@ class Resource(abc.Resource):
             listener(None)
 
 
-def value_type(cls: type, base: type) -> Any:
-    """Return ``T`` of ``class X(Sensor[T])``; `typing.Any` if it does not say."""
-    for klass in cls.__mro__:
-        for generic in getattr(klass, "__orig_bases__", ()):
-            origin = typing.get_origin(generic)
-            if inspect.isclass(origin) and issubclass(origin, base):
-                (argument, *_) = typing.get_args(generic)
-                return Any if isinstance(argument, typing.TypeVar) else argument
-    return Any
-
-
 def bus_kind(cls: type[Resource]) -> Any:
     """Return the type of ``bus: SomeBus`` in a class; `typing.Any` if it does not say."""
     narrowed = itertools.takewhile(lambda each: each is not Resource, cls.__mro__)
@@ -182,69 +168,3 @@ def bus_kind(cls: type[Resource]) -> Any:
         return typing.get_type_hints(cls)["bus"]
     except Exception:  # some hint names what only a type checker can see
         return Any
-
-
-def same_type(given: Any, wanted: Any) -> bool:
-    """Tell whether values of one type may be used where another is wanted."""
-    return all(
-        any(_same_type(one, other) for other in _alternatives(wanted))
-        for one in _alternatives(given)
-    )
-
-
-def _alternatives(kind: Any) -> tuple[Any, ...]:
-    """The types of a union; any other type alone."""
-    if typing.get_origin(kind) in {typing.Union, types.UnionType}:
-        return typing.get_args(kind)
-    return (kind,)
-
-
-def _same_type(given: Any, wanted: Any) -> bool:
-    if given is Any or wanted is Any or given is object or wanted is object:
-        return True
-    given_class = typing.get_origin(given) or given
-    wanted_class = typing.get_origin(wanted) or wanted
-    if not (inspect.isclass(given_class) and inspect.isclass(wanted_class)):
-        return bool(given == wanted)
-    if wanted_class is float and given_class is int:
-        return True
-    if _has_no_instances(wanted_class):
-        return given_class is wanted_class
-    return issubclass(given_class, wanted_class)
-
-
-def checked_class(kind: Any) -> type | None:
-    """Return the class that values can be checked for; None if any value will do."""
-    cls = typing.get_origin(kind) or kind
-    if cls is Any or cls is object or not inspect.isclass(cls):
-        return None
-    if cls is types.UnionType or _has_no_instances(cls):
-        return None
-    return cls
-
-
-def _has_no_instances(cls: type) -> bool:
-    """Tell whether a class describes values that are instances of other classes."""
-    if typing.is_typeddict(cls):
-        return True
-    return getattr(cls, "_is_protocol", False) and not getattr(
-        cls, "_is_runtime_protocol", False
-    )
-
-
-def type_name(kind: Any) -> str:
-    """Name a type in an error message."""
-    return getattr(kind, "__name__", str(kind))
-
-
-def check_seconds(component: str, field: str, value: object) -> float:
-    """Return a positive, finite number of seconds.
-
-    Raises:
-        ConfigError: It is something else.
-    """
-    if is_positive(value):
-        return float(typing.cast("float", value))
-    raise ConfigError(
-        component, field, f"expected a number of seconds > 0, not {value!r:.80}"
-    )

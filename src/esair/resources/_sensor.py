@@ -8,8 +8,9 @@ from typing import Any, Generic, TypeVar
 
 import attrs
 
-from esair.resources._resource import Resource, value_type
+from esair.resources._resource import Resource
 from esair.resources._setting import setting, settings_of
+from esair.values import value_type
 
 T = TypeVar("T")
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import attrs
 
 from esair.exceptions import BadValueError, did_you_mean
-from esair.messages import passes_as
+from esair.values import passes_as
 
 if TYPE_CHECKING:
     from esair.resources._resource import Resource

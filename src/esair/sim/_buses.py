@@ -71,7 +71,7 @@ class SimCanBus(CanBus):
         if isinstance(wire, MemoryCan):
             return await wire.node(received, gone)
         self.channel = wire.channel
-        return await wire.node(received, gone, lane=self.lane, stats=self.stats)
+        return await wire.node(received, gone, executor=self.executor, stats=self.stats)
 
 
 class SimI2CBus(I2CBus):

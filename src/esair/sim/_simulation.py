@@ -16,7 +16,7 @@ from types import TracebackType
 
 from esair.buses import Frame
 from esair.exceptions import ConfigError, did_you_mean
-from esair.loop import Spoke, Wheel
+from esair.loop import Job, Scheduler
 from esair.sim._arena import Arena
 from esair.sim._imu import SimMpu6050
 from esair.sim._motor import SimMotor
@@ -90,7 +90,7 @@ class Simulation:
         self._bumper = SimBumper(self.world, self.skirt)
         self._began = 0.0
         self._steps = 0
-        self._spoke: Spoke | None = None
+        self._job: Job | None = None
         self._users: dict[object, None] = {}
 
     async def __aenter__(self) -> Simulation:
@@ -117,14 +117,14 @@ class Simulation:
         self.skirt.plug()
         await self.drive.open()
         self._began = self._loop.time()
-        self._spoke = Wheel.of(self._loop).every(STEP, self._turn)
+        self._job = Scheduler.of(self._loop).every(STEP, self._turn)
 
     async def stop(self) -> None:
         """Let time stand still and let all wires go."""
         if _of_loop.get(self._loop) is self:
             del _of_loop[self._loop]
-        if self._spoke is not None:
-            self._spoke.stop()
+        if self._job is not None:
+            self._job.stop()
         self.front.unplug()
         self.skirt.unplug()
         await self.drive.close()

@@ -38,13 +38,13 @@ from esair.messages import (
     SupervisorPhase,
 )
 from esair.resources import Actuator, Resource, Sensor
-from esair.resources._resource import same_type, type_name
-from esair.supervisors._desk import Desk
+from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._member import Member
 from esair.supervisors._requests import Record
 from esair.supervisors._resource_mistakes import used_already
 from esair.supervisors._resource_supervisor import ResourceSupervisor
+from esair.values import same_type, type_name
 
 START_TIMEOUT = 5.0
 """How long the start waits for the ``setup`` of behaviors, in seconds."""
@@ -87,7 +87,7 @@ class BehaviorSupervisor(abc.Supervisor):
         self.zombies: list[Zombie] = []
         """What would not end, the oldest first."""
         self.zombie_count = 0
-        self._desk = Desk("behaviors", asleep=True)
+        self._command_queue = CommandQueue("behaviors", asleep=True)
         self._members: dict[str, Member] = {}
         self._adding: Member | None = None
         self._ending: list[Member] = []
@@ -99,7 +99,7 @@ class BehaviorSupervisor(abc.Supervisor):
     @property
     def phase(self) -> SupervisorPhase:
         """What the supervisor is doing."""
-        return self._desk.phase
+        return self._command_queue.phase
 
     @property
     def mediator(self) -> Mediator:
@@ -202,7 +202,7 @@ class BehaviorSupervisor(abc.Supervisor):
                 raise
 
         self._check_caller()
-        await self._desk.run(work, name=f"add {_name(action)}", undo=True)
+        await self._command_queue.run(work, name=f"add {_name(action)}", undo=True)
 
     async def remove(self, name: str) -> list[Any]:
         """Take a behavior away while everything else keeps running.
@@ -229,7 +229,7 @@ class BehaviorSupervisor(abc.Supervisor):
             return list(member.inbox)
 
         self._check_caller()
-        return await self._desk.run(work, name=f"remove {name}", undo=False)
+        return await self._command_queue.run(work, name=f"remove {name}", undo=False)
 
     async def replace(
         self, name: str, component: Behavior | Reaction | minimal.Reaction
@@ -267,7 +267,7 @@ class BehaviorSupervisor(abc.Supervisor):
             except BaseException:
                 await self._end(new)
                 raise
-            self._desk.no_return()
+            self._command_queue.no_return()
             self._members[name] = new
             self.mediator.moved(old, new)
             new.gate.set_result(None)  # its run begins when the old one is fenced off
@@ -276,7 +276,7 @@ class BehaviorSupervisor(abc.Supervisor):
             return list(old.inbox)
 
         self._check_caller()
-        return await self._desk.run(work, name=f"replace {name}", undo=True)
+        return await self._command_queue.run(work, name=f"replace {name}", undo=True)
 
     async def command(self, text: str) -> str:
         """Do what an operator types; it has the rights of the user.
@@ -307,7 +307,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
-        self._desk.wake()
+        self._command_queue.wake()
 
     async def start(self, behaviors: Iterable[Behavior | Reaction]) -> None:
         """Deploy the configuration list; returns when all run, or have failed."""
@@ -326,7 +326,7 @@ class BehaviorSupervisor(abc.Supervisor):
         if waits:
             await asyncio.wait(waits, timeout=START_TIMEOUT)
             _warn_of(process, " or ".join(self._members))
-        self._desk.initialized()
+        self._command_queue.initialized()
 
     def halt(self) -> None:
         """Let no reaction take another step: the robot stops."""
@@ -335,7 +335,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
     async def stop(self) -> None:
         """End every behavior, the last one first; all share one grace period."""
-        await self._desk.close()
+        await self._command_queue.close()
         if self._mediator is not None:
             self._mediator.close()
         members = list(reversed(self._members.values()))
@@ -400,7 +400,7 @@ class BehaviorSupervisor(abc.Supervisor):
             raise ExceptionGroup(f"{_name(action)} is described wrongly", mistakes)
 
     def _check_caller(self) -> None:
-        """Refuse a command of a behavior in its setup: the desk waits for that setup."""
+        """Refuse a command of a behavior in its setup: the command queue waits for that setup."""
         adding = self._adding
         if adding is not None and current_owner() is adding.owner:
             raise BusyError(

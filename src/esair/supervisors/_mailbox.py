@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from esair.actions import NOTHING, Behavior, Reaction
 from esair.exceptions import BehaviorRemovedError, BusyError, NotRegisteredError
-from esair.loop import Bridge, Owner, speaks_for_nobody
+from esair.loop import Owner, Portal, speaks_for_nobody
 from esair.messages import BehaviorState
 from esair.supervisors._requests import FairQueue
 
@@ -44,11 +44,11 @@ class Mailbox:
         "askers",
         "dropped",
         "error",
-        "haunted",
         "inbox",
         "is_quick",
         "name",
         "outbox",
+        "outlived",
         "owner",
         "provider",
         "receives",
@@ -63,7 +63,7 @@ class Mailbox:
         self.action = action
         self.name = name
         self.room = action.inbox_size if isinstance(action, Behavior) else 0
-        self.haunted = False
+        self.outlived = False
         """Tasks of a run that has ended may be there; they must not speak for it."""
         self.state = BehaviorState.STARTING
         self.error: BaseException | None = None
@@ -87,7 +87,7 @@ class Mailbox:
     def state(self, state: BehaviorState) -> None:
         self._state = state
         self.alive = state in _ALIVE
-        self.is_quick = self.alive and not self.haunted
+        self.is_quick = self.alive and not self.outlived
         self.receives = state is BehaviorState.RUNNING and self.room > 0
 
     def check_speaker(self) -> None:
@@ -154,8 +154,8 @@ class Mailbox:
         if inspect.iscoroutinefunction(provide):
             return await provide()
         result: list[Any] = []
-        bridge = Bridge(f"{self.name}_provide", self.owner)
-        await bridge.run(lambda: result.append(provide()))
+        portal = Portal(f"{self.name}_provide", self.owner)
+        await portal.run(lambda: result.append(provide()))
         return result[0]
 
     # What the behavior asks.

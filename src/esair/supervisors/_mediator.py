@@ -23,7 +23,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import Deadlines, spawn
-from esair.messages import BehaviorState, is_positive
+from esair.messages import BehaviorState
 from esair.supervisors._requests import (
     REQUESTS,
     REQUESTS_PER_SENDER,
@@ -32,6 +32,7 @@ from esair.supervisors._requests import (
     Record,
     Request,
 )
+from esair.values import is_positive
 
 if TYPE_CHECKING:
     from esair.supervisors._mailbox import Mailbox

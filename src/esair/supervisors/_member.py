@@ -32,10 +32,11 @@ from esair.exceptions import (
     UnknownNameError,
     describe,
 )
-from esair.loop import Bridge, Owner, spawn
-from esair.messages import Access, BehaviorState, BehaviorStatus, is_positive
+from esair.loop import Owner, Portal, spawn
+from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._restart_budget import RestartBudget
+from esair.values import is_positive
 
 if TYPE_CHECKING:
     from esair.supervisors._behavior_supervisor import BehaviorSupervisor
@@ -52,8 +53,8 @@ class Member(Mailbox):
     """
 
     __slots__ = (
-        "_bridge",
         "_budget",
+        "_portal",
         "_supervisor",
         "_timer",
         "detail",
@@ -83,7 +84,7 @@ class Member(Mailbox):
         self._supervisor = supervisor
         self._budget: RestartBudget | None = None
         self._timer: asyncio.TimerHandle | None = None
-        self._bridge: Bridge | None = None
+        self._portal: Portal | None = None
 
     # What the behavior asks (`Host`).
 
@@ -162,16 +163,16 @@ class Member(Mailbox):
         self.owner = Owner()
         for task in survivors:  # they would not end with the run before
             self.owner.adopt(task)
-        self.haunted = bool(survivors)
+        self.outlived = bool(survivors)
         self.action._host = self  # noqa: SLF001 - the behavior's own supervisor
         if not inspect.iscoroutinefunction(self.action.run):
-            self._bridge = Bridge(self.name, self.owner)
-            self._bind_methods(self._bridge)
+            self._portal = Portal(self.name, self.owner)
+            self._bind_methods(self._portal)
         try:
             for attribute, need in self.action.needs.items():
                 port: Any = self._port(self._grant_need(need), _max_age(need))
-                if self._bridge is not None:
-                    port = port.blocking(self._bridge)
+                if self._portal is not None:
+                    port = port.blocking(self._portal)
                 self.action.__dict__[attribute] = port
         except BaseException:
             self.fence()
@@ -206,10 +207,10 @@ class Member(Mailbox):
     async def _run(self, method: Callable[[], Any]) -> None:
         if inspect.iscoroutinefunction(method):
             await method()
-        elif self._bridge is not None:
-            await self._bridge.run(method)
+        elif self._portal is not None:
+            await self._portal.run(method)
         else:
-            await Bridge(self.name, self.owner).run(method)
+            await Portal(self.name, self.owner).run(method)
 
     def _runs(self, running: bool, why: str) -> None:
         self.detail = why
@@ -251,7 +252,7 @@ class Member(Mailbox):
         """Make safe what it held, and start it again unless its budget is spent."""
         self.error = error
         self.fence()
-        self.owner.over = self.haunted = True
+        self.owner.over = self.outlived = True
         self._cancel_tasks()
         ready = self.ready
         if ready is not None and not ready.done() and self._supervisor.is_adding(self):
@@ -349,8 +350,8 @@ class Member(Mailbox):
         for registration in self.uses():
             self._supervisor.resources.revoke(registration, reason)
         self.registrations.clear()
-        if self._bridge is not None:
-            self._bridge.close()
+        if self._portal is not None:
+            self._portal.close()
 
     async def stop(self, grace: float) -> None:
         """End it, whatever it does; what would not die is in ``zombies``."""
@@ -391,11 +392,11 @@ class Member(Mailbox):
 
     def _unbind(self, behavior: Behavior) -> None:
         behavior._host = None  # noqa: SLF001 - the behavior's own supervisor
-        if self._bridge is not None:
+        if self._portal is not None:
             for method in _BOUND:
                 behavior.__dict__.pop(method, None)
 
-    def _bind_methods(self, bridge: Bridge) -> None:
+    def _bind_methods(self, portal: Portal) -> None:
         """Let a plain behavior call, in its thread, what others await."""
         behavior = self.action
         assert isinstance(behavior, Behavior)
@@ -404,21 +405,21 @@ class Member(Mailbox):
         def blocking(name: str) -> Callable[..., Any]:
             method = getattr(cls, name)
             if inspect.iscoroutinefunction(method):
-                return lambda *args, **options: bridge.call(
+                return lambda *args, **options: portal.call(
                     method, behavior, *args, **options
                 )
 
             async def call(*args: Any, **options: Any) -> Any:
                 return method(behavior, *args, **options)
 
-            return lambda *args, **options: bridge.call(call, *args, **options)
+            return lambda *args, **options: portal.call(call, *args, **options)
 
         for name in _BOUND:
             behavior.__dict__[name] = blocking(name)
         register = behavior.__dict__["register"]
         behavior.__dict__["register"] = lambda *args, **options: register(
             *args, **options
-        ).blocking(bridge)
+        ).blocking(portal)
 
     # Registrations.
 

@@ -24,8 +24,7 @@ from esair.exceptions import (
 )
 from esair.loop import spawn
 from esair.messages import ResourceState, Restart
-from esair.resources import Resource
-from esair.resources._setting import settings_of
+from esair.resources import Resource, settings_of
 from esair.supervisors._restart_budget import RestartBudget
 
 if TYPE_CHECKING:
@@ -200,7 +199,7 @@ class ResourceLife:
             stuck = self.channel.driver.is_stuck
             await asyncio.wait({closing}, timeout=0.1 if stuck else timeout)
             closing.cancel()
-        if not await self.channel.driver.end_lane(timeout=0.1):
+        if not await self.channel.driver.end_executors(timeout=0.1):
             _log.warning(
                 "%s: a driver call is stuck; its thread is left", self.resource.name
             )

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from esair.connections._command_check import check_declaration
+from esair.connections import check_declaration
 from esair.exceptions import ConfigError, EsairError
-from esair.messages import is_positive
-from esair.resources import Actuator, Resource, Sensor
-from esair.resources._resource import bus_kind
+from esair.resources import Actuator, Resource, Sensor, bus_kind
+from esair.values import is_positive
 
 
 def in_use(resource: Resource) -> bool:

@@ -11,11 +11,11 @@ from esair import abc, minimal
 from esair.connections import (
     ActuatorChannel,
     ActuatorConnection,
+    LastCommand,
     Registration,
     Registrations,
     SensorChannel,
     SensorConnection,
-    Told,
 )
 from esair.exceptions import (
     AccessDeniedError,
@@ -36,13 +36,9 @@ from esair.messages import (
     Restart,
     SupervisorPhase,
     Why,
-    check_name,
-    is_positive,
 )
-from esair.resources import Actuator, Resource, Sensor, adapt_resource
-from esair.resources._resource import same_type
-from esair.resources._setting import check_settings
-from esair.supervisors._desk import Desk
+from esair.resources import Actuator, Resource, Sensor, adapt_resource, check_settings
+from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._resource_life import ResourceLife
 from esair.supervisors._resource_mistakes import (
     claimed_twice,
@@ -50,6 +46,7 @@ from esair.supervisors._resource_mistakes import (
     mistakes_in_resource,
 )
 from esair.supervisors._rules import Declared, Rules
+from esair.values import check_name, is_positive, same_type
 
 if TYPE_CHECKING:
     from esair.buses import Bus
@@ -79,7 +76,7 @@ class ResourceSupervisor(abc.Supervisor):
         self._registrations = registrations
         self.rules = Rules(policies, registrations, declared)
         self._grace = grace
-        self._desk = Desk("resources", asleep=True)
+        self._command_queue = CommandQueue("resources", asleep=True)
         self._lives: dict[str, ResourceLife] = {}
         self._leaving: set[str] = set()
         self.buses: list[Bus] = []
@@ -94,7 +91,7 @@ class ResourceSupervisor(abc.Supervisor):
     @property
     def phase(self) -> SupervisorPhase:
         """What the supervisor is doing."""
-        return self._desk.phase
+        return self._command_queue.phase
 
     def names(self) -> list[str]:
         """Return the names of the resources."""
@@ -174,7 +171,7 @@ class ResourceSupervisor(abc.Supervisor):
                 raise
             self.on_change(resource.name)
 
-        await self._desk.run(work, name=f"add {resource!r:.80}", undo=True)
+        await self._command_queue.run(work, name=f"add {resource!r:.80}", undo=True)
 
     async def remove(self, name: str) -> None:
         """Take a resource away; nobody needs to agree.
@@ -199,7 +196,7 @@ class ResourceSupervisor(abc.Supervisor):
             self._leaving.discard(name)
             self.on_change(name)
 
-        await self._desk.run(work, name=f"remove {name}", undo=False)
+        await self._command_queue.run(work, name=f"remove {name}", undo=False)
 
     async def replace(
         self, name: str, component: Resource | minimal.Sensor | minimal.Actuator
@@ -251,7 +248,7 @@ class ResourceSupervisor(abc.Supervisor):
             await self._lives[name].tried
             self.on_change(name)
 
-        await self._desk.run(work, name=f"replace {name}", undo=False)
+        await self._command_queue.run(work, name=f"replace {name}", undo=False)
 
     # What behaviors may ask for.
 
@@ -295,8 +292,8 @@ class ResourceSupervisor(abc.Supervisor):
         instead_of: str | None = None,
     ) -> Registration:
         """Do what `register` does, in one step without an await."""
-        if self._desk.phase is SupervisorPhase.STOPPED:
-            raise StoppingError("resources", self._desk.phase.value)
+        if self._command_queue.phase is SupervisorPhase.STOPPED:
+            raise StoppingError("resources", self._command_queue.phase.value)
         check_name("behavior", behavior)
         if resource not in self._lives:
             raise UnknownNameError("resource", resource, self._lives)
@@ -399,7 +396,7 @@ class ResourceSupervisor(abc.Supervisor):
 
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
-        self._desk.wake()
+        self._command_queue.wake()
 
     async def start(self, resources: Iterable[Resource]) -> None:
         """Deploy the configuration list; returns when each device was tried once.
@@ -417,7 +414,7 @@ class ResourceSupervisor(abc.Supervisor):
                 errors.append(error)
         if errors:
             raise ExceptionGroup("required devices are not there", errors)
-        self._desk.initialized()
+        self._command_queue.initialized()
 
     def latch(self) -> None:
         """Let nothing but safe commands leave from now on, and revoke all rights."""
@@ -440,7 +437,7 @@ class ResourceSupervisor(abc.Supervisor):
             if actuator.state is ResourceState.READY:
                 actuator.make_safe()
 
-    async def make_safe(self) -> list[Told]:
+    async def make_safe(self) -> list[LastCommand]:
         """Make every actuator safe, all at the same time.
 
         Returns:
@@ -453,7 +450,7 @@ class ResourceSupervisor(abc.Supervisor):
 
     async def stop(self) -> None:
         """Close every device, all at the same time; each has a deadline."""
-        await self._desk.close()
+        await self._command_queue.close()
         await asyncio.gather(
             *(self._undeploy(name, ResourceState.CLOSED) for name in tuple(self._lives))
         )

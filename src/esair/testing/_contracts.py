@@ -19,13 +19,10 @@ from typing import Any, ClassVar
 
 import pytest
 
-from esair.connections import translate
-from esair.connections._command_check import CommandCheck, check_declaration
-from esair.connections._driver import Driver
+from esair.connections import CommandCheck, Driver, check_declaration, translate
 from esair.exceptions import DeviceLostError
-from esair.resources import Actuator, Resource, Sensor
-from esair.resources._resource import checked_class
-from esair.resources._setting import settings_of
+from esair.resources import Actuator, Resource, Sensor, settings_of
+from esair.values import checked_class
 
 PATIENCE = 5.0
 """How long a suite waits for a device that has to give a value, in seconds."""
@@ -131,7 +128,7 @@ class SensorContract(ResourceContract):
                     return await anext(stream)
                 finally:
                     await stream.aclose()
-            return await driver.lane.call(next, iter(stream), timeout=PATIENCE)
+            return await driver.executor.call(next, iter(stream), timeout=PATIENCE)
 
     async def test_it_gives_values_of_its_type(self) -> None:
         """Three values in a row are what the class says that they are."""
@@ -209,7 +206,7 @@ class _Session:
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
-        assert await self.driver.end_lane(timeout=1.0), "a driver call is stuck"
+        assert await self.driver.end_executors(timeout=1.0), "a driver call is stuck"
         if self.device.bus is not None:
             await self.device.bus.close()
 

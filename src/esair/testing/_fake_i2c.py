@@ -228,7 +228,7 @@ class FakeI2c(I2CBus):
         if self._begun is not None:  # the wire is let go with what is stuck on it
             self._begun = None
             self._wire.release()
-            self.lane.stuck_since = None
+            self.executor.stuck_since = None
         await super()._close()
 
     async def _call(
@@ -259,7 +259,7 @@ class FakeI2c(I2CBus):
         except TimeoutError:
             # The transfer has begun: nobody waits for it, but the chip will see it.
             self._begun = lambda: function(link, *args)
-            self.lane.stuck_since = loop.time()
+            self.executor.stuck_since = loop.time()
             if self._go.is_set():
                 loop.call_later(max(0.0, self.link.stretch - timeout), self._finish)
             raise self._failed(stuck) from None
@@ -280,4 +280,4 @@ class FakeI2c(I2CBus):
             with contextlib.suppress(OSError):
                 begun()
             self._wire.release()
-            self.lane.stuck_since = None
+            self.executor.stuck_since = None

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from typing import Protocol
 
 from esair.buses import BusStats, CanState, Frame, FrameKind, FrameLink, python_can
-from esair.loop import Lane, clock_of, spawn
+from esair.loop import Executor, clock_of, spawn
 from esair.wires._plug import Plug
 
 Received = Callable[[Frame], None]
@@ -282,7 +282,7 @@ class VirtualCan(_Socket):
         self.lost = 0
         self._heard = heard
         self._loop = asyncio.get_running_loop()
-        self._lane = Lane("sim_can")
+        self._executor = Executor("sim_can")
         self._link: FrameLink | None = None
         self._queue: collections.deque[Frame] = collections.deque(
             maxlen=self.queue_limit
@@ -291,7 +291,7 @@ class VirtualCan(_Socket):
 
     async def open(self) -> None:
         """Begin."""
-        opener = python_can("virtual", self.channel, lane=self._lane)
+        opener = python_can("virtual", self.channel, executor=self._executor)
         self._link = await opener(self._heard, lambda _error: None)
         self._link.listen(None)
 
@@ -303,27 +303,27 @@ class VirtualCan(_Socket):
             await asyncio.wait({self._sender})
         if link is not None:
             await link.close()
-        await self._lane.join(timeout=0.5)
+        await self._executor.join(timeout=0.5)
 
     async def node(
-        self, received: Received, gone: Gone, *, lane: Lane, stats: BusStats
+        self, received: Received, gone: Gone, *, executor: Executor, stats: BusStats
     ) -> FrameLink:
         """Open a node of the robot.
 
         Args:
             received: Called with each frame.
             gone: Called once when it is unplugged, or lost otherwise.
-            lane: The thread of the robot's bus.
+            executor: The thread of the robot's bus.
             stats: What the robot's bus counts.
 
         Raises:
             ConnectionError: It is unplugged.
         """
         self._check()
-        node = await python_can("virtual", self.channel, lane=lane, stats=stats)(
-            received, gone
-        )
-        self._users[lane] = gone  # in the place of its former node, which is closed
+        node = await python_can(
+            "virtual", self.channel, executor=executor, stats=stats
+        )(received, gone)
+        self._users[executor] = gone  # in the place of its former node, which is closed
         return node
 
     def send(self, frame: Frame) -> None:

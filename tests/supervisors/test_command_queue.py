@@ -1,4 +1,4 @@
-"""The desk takes the user's commands one at a time."""
+"""The queue takes the user's commands one at a time."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Any
 import pytest
 
 import esair
-from esair.supervisors._desk import LIMIT, Desk
+from esair.supervisors._command_queue import LIMIT, CommandQueue
 
 pytestmark = pytest.mark.virtual_clock
 seeds = [pytest.param(n, marks=pytest.mark.virtual_clock(seed=n)) for n in range(6)]
 
 
-def opened() -> Desk:
-    desk = Desk("desk")
-    desk.initialized()
-    return desk
+def opened() -> CommandQueue:
+    queue = CommandQueue("queue")
+    queue.initialized()
+    return queue
 
 
 def work(log: list[Any], number: int, seconds: float = 1.0) -> Any:
@@ -30,9 +30,11 @@ def work(log: list[Any], number: int, seconds: float = 1.0) -> Any:
     return do
 
 
-async def begin(desk: Desk, log: list[Any], number: int, **options: Any) -> Any:
+async def begin(
+    queue: CommandQueue, log: list[Any], number: int, **options: Any
+) -> Any:
     task = asyncio.ensure_future(
-        desk.run(work(log, number), name=f"work {number}", undo=False, **options)
+        queue.run(work(log, number), name=f"work {number}", undo=False, **options)
     )
     await asyncio.sleep(0)
     return task
@@ -42,59 +44,59 @@ async def begin(desk: Desk, log: list[Any], number: int, **options: Any) -> Any:
 @pytest.mark.fault("L08")
 async def test_commands_are_done_in_order_one_at_a_time() -> None:
     """A command that comes while another is handled waits, and is not lost."""
-    desk, log = opened(), list[Any]()
-    tasks = [await begin(desk, log, n) for n in range(3)]
-    assert desk.phase.value == "handling a request"
+    queue, log = opened(), list[Any]()
+    tasks = [await begin(queue, log, n) for n in range(3)]
+    assert queue.phase.value == "handling a request"
 
     assert await asyncio.gather(*tasks) == [0, 1, 2]
     assert log == [(what, n) for n in range(3) for what in ("begin", "end")]
-    assert desk.phase is esair.SupervisorPhase.WAIT_REQUEST
+    assert queue.phase is esair.SupervisorPhase.WAIT_REQUEST
 
 
 @pytest.mark.promise("SUP-1")
 async def test_commands_wait_for_the_end_of_the_initialization() -> None:
     """Nothing is handled before the configuration list is deployed."""
-    desk, log = Desk("desk"), list[Any]()
-    task = await begin(desk, log, 1)
+    queue, log = CommandQueue("queue"), list[Any]()
+    task = await begin(queue, log, 1)
     await asyncio.sleep(5.0)
     assert log == []
-    assert desk.phase is esair.SupervisorPhase.INITIALIZING
+    assert queue.phase is esair.SupervisorPhase.INITIALIZING
 
-    desk.initialized()
+    queue.initialized()
     assert await task == 1
 
 
 @pytest.mark.promise("SUP-1")
 async def test_waiting_commands_are_bounded() -> None:
     """One more than the bound is refused, those that wait are done."""
-    desk, log = Desk("desk"), list[Any]()
-    tasks = [await begin(desk, log, n) for n in range(LIMIT)]
+    queue, log = CommandQueue("queue"), list[Any]()
+    tasks = [await begin(queue, log, n) for n in range(LIMIT)]
     with pytest.raises(esair.BusyError, match="256"):
-        await desk.run(work(log, 999), name="one more", undo=False)
+        await queue.run(work(log, 999), name="one more", undo=False)
 
-    desk.initialized()
+    queue.initialized()
     assert await asyncio.gather(*tasks) == list(range(LIMIT))
 
 
 @pytest.mark.promise("SUP-1")
 async def test_an_error_of_a_command_is_its_callers_only() -> None:
     """The next command is done as usual."""
-    desk = opened()
+    queue = opened()
 
     async def fails() -> None:
         raise RuntimeError("no")
 
     with pytest.raises(RuntimeError, match="no"):
-        await desk.run(fails, name="fails", undo=False)
-    assert await desk.run(work([], 2), name="works", undo=False) == 2
+        await queue.run(fails, name="fails", undo=False)
+    assert await queue.run(work([], 2), name="works", undo=False) == 2
 
 
 @pytest.mark.fault("X01", "X07")
 @pytest.mark.parametrize("seed", seeds)
 async def test_a_cancelled_waiting_command_is_never_done(seed: int) -> None:
     """Whoever waits behind it gets the turn."""
-    desk, log = opened(), list[Any]()
-    tasks = [await begin(desk, log, n) for n in range(3)]
+    queue, log = opened(), list[Any]()
+    tasks = [await begin(queue, log, n) for n in range(3)]
     tasks[1].cancel()
 
     await asyncio.wait(tasks)
@@ -106,36 +108,36 @@ async def test_a_cancelled_waiting_command_is_never_done(seed: int) -> None:
 @pytest.mark.fault("X02", "X07")
 async def test_a_turn_that_comes_in_the_tick_of_a_cancellation_is_passed_on() -> None:
     """The turn is not lost with the caller."""
-    desk, log = Desk("desk"), list[Any]()
-    first, second = await begin(desk, log, 1), await begin(desk, log, 2)
-    desk.initialized()
+    queue, log = CommandQueue("queue"), list[Any]()
+    first, second = await begin(queue, log, 1), await begin(queue, log, 2)
+    queue.initialized()
     first.cancel()
 
     assert await second == 2
     assert first.cancelled()
     assert ("begin", 1) not in log
-    assert desk.phase is esair.SupervisorPhase.WAIT_REQUEST
+    assert queue.phase is esair.SupervisorPhase.WAIT_REQUEST
 
 
 @pytest.mark.fault("X01")
 async def test_a_command_is_finished_without_its_caller() -> None:
     """Cancelling the caller does not leave a command half done."""
-    desk, log = opened(), list[Any]()
-    task = await begin(desk, log, 1)
+    queue, log = opened(), list[Any]()
+    task = await begin(queue, log, 1)
     await asyncio.sleep(0)
     task.cancel()
     await asyncio.wait({task})
     assert log == [("begin", 1)]
     assert task.cancelled()
 
-    assert await desk.run(work(log, 2), name="next", undo=False) == 2
+    assert await queue.run(work(log, 2), name="next", undo=False) == 2
     assert log[:3] == [("begin", 1), ("end", 1), ("begin", 2)]
 
 
 @pytest.mark.fault("X01", "X03")
 async def test_a_cancelled_caller_undoes_what_can_be_undone() -> None:
     """The caller waits for the undoing; a second cancel lets it go on alone."""
-    desk, log = opened(), list[Any]()
+    queue, log = opened(), list[Any]()
 
     async def undoable() -> None:
         try:
@@ -145,7 +147,7 @@ async def test_a_cancelled_caller_undoes_what_can_be_undone() -> None:
             log.append("undone")
 
     for twice in (False, True):
-        task = asyncio.ensure_future(desk.run(undoable, name="undoable", undo=True))
+        task = asyncio.ensure_future(queue.run(undoable, name="undoable", undo=True))
         await asyncio.sleep(0.5)
         task.cancel()
         await asyncio.sleep(0.1)
@@ -160,15 +162,15 @@ async def test_a_cancelled_caller_undoes_what_can_be_undone() -> None:
 
 async def test_a_command_past_its_point_of_no_return_is_finished() -> None:
     """What can no longer be undone is done in spite of a cancelled caller."""
-    desk, log = opened(), list[Any]()
+    queue, log = opened(), list[Any]()
 
     async def half() -> None:
         await asyncio.sleep(1.0)
-        desk.no_return()
+        queue.no_return()
         await asyncio.sleep(1.0)
         log.append("done")
 
-    task = asyncio.ensure_future(desk.run(half, name="half", undo=True))
+    task = asyncio.ensure_future(queue.run(half, name="half", undo=True))
     await asyncio.sleep(1.5)
     task.cancel()
     await asyncio.wait({task})
@@ -182,25 +184,25 @@ async def test_a_command_past_its_point_of_no_return_is_finished() -> None:
 @pytest.mark.fault("M20")
 async def test_closing_ends_what_runs_and_refuses_the_rest() -> None:
     """Every command, running or waiting, ends with StoppingError."""
-    desk, log = opened(), list[Any]()
-    tasks = [await begin(desk, log, n) for n in range(3)]
+    queue, log = opened(), list[Any]()
+    tasks = [await begin(queue, log, n) for n in range(3)]
     await asyncio.sleep(0.1)
-    await desk.close()
+    await queue.close()
 
     results = await asyncio.gather(*tasks, return_exceptions=True)
     assert [type(result) for result in results] == [esair.StoppingError] * 3
-    assert desk.phase is esair.SupervisorPhase.STOPPED
-    with pytest.raises(esair.StoppingError, match="desk"):
-        await desk.run(work(log, 4), name="late", undo=False)
+    assert queue.phase is esair.SupervisorPhase.STOPPED
+    with pytest.raises(esair.StoppingError, match="queue"):
+        await queue.run(work(log, 4), name="late", undo=False)
     assert log == [("begin", 0)]
 
 
 async def test_closing_in_the_tick_of_a_turn_does_not_begin_the_command() -> None:
-    """A turn that was given is void once the desk is closed."""
-    desk, log = Desk("desk"), list[Any]()
-    task = await begin(desk, log, 1)
-    desk.initialized()
-    await desk.close()
+    """A turn that was given is void once the queue is closed."""
+    queue, log = CommandQueue("queue"), list[Any]()
+    task = await begin(queue, log, 1)
+    queue.initialized()
+    await queue.close()
     with pytest.raises(esair.StoppingError):
         await task
     assert log == []
@@ -209,10 +211,10 @@ async def test_closing_in_the_tick_of_a_turn_does_not_begin_the_command() -> Non
 @pytest.mark.fault("X02")
 async def test_closing_and_cancelling_at_once_is_a_cancellation() -> None:
     """A caller that was cancelled is told so, whatever else happens."""
-    desk, log = opened(), list[Any]()
-    task = await begin(desk, log, 1)
+    queue, log = opened(), list[Any]()
+    task = await begin(queue, log, 1)
     await asyncio.sleep(0.1)
-    closing = asyncio.ensure_future(desk.close())
+    closing = asyncio.ensure_future(queue.close())
     await asyncio.sleep(0)
     task.cancel()
     await closing
@@ -221,10 +223,10 @@ async def test_closing_and_cancelling_at_once_is_a_cancellation() -> None:
 
 
 async def test_a_cancelled_wait_in_a_closed_desk_ends_cancelled() -> None:
-    """Closing a desk and cancelling a waiting caller at once is no error."""
-    desk, log = Desk("desk"), list[Any]()
-    task = await begin(desk, log, 1)
-    await desk.close()
+    """Closing a queue and cancelling a waiting caller at once is no error."""
+    queue, log = CommandQueue("queue"), list[Any]()
+    task = await begin(queue, log, 1)
+    await queue.close()
     task.cancel()
     await asyncio.wait({task})
     assert task.cancelled()
@@ -234,16 +236,16 @@ async def test_a_cancelled_wait_in_a_closed_desk_ends_cancelled() -> None:
 async def test_a_caller_cancelled_in_the_tick_of_its_turn_is_left_out(
     closing: bool,
 ) -> None:
-    """Neither the next turn nor the end of the desk waits for it."""
-    desk, log = Desk("desk"), list[Any]()
-    first, second = await begin(desk, log, 1), await begin(desk, log, 2)
+    """Neither the next turn nor the end of the queue waits for it."""
+    queue, log = CommandQueue("queue"), list[Any]()
+    first, second = await begin(queue, log, 1), await begin(queue, log, 2)
     first.cancel()
     if closing:
-        await desk.close()
+        await queue.close()
         with pytest.raises(esair.StoppingError):
             await second
     else:
-        desk.initialized()
+        queue.initialized()
         assert await second == 2
     assert first.cancelled()
     assert ("begin", 1) not in log

@@ -1,8 +1,8 @@
-"""The wheel: one timer and one task that call every step when it is due.
+"""The scheduler: one timer and one task that call every step when it is due.
 
 A step is a plain function, called as ``step(now)``. So a thousand steps cost a
 thousand calls, not a thousand wake-ups of tasks. A step that has to wait returns
-the rest of its work as an awaitable; the task that turned the wheel then stays with
+the rest of its work as an awaitable; the task that turned the scheduler then stays with
 that rest, and a new task goes on turning (the *leader and followers* pattern), so
 that whatever the step began stays in the task that began it.
 """
@@ -38,7 +38,7 @@ def _idle(_now: float) -> None:
     return None
 
 
-class Shot:
+class OneShot:
     """One call at one moment."""
 
     __slots__ = ("due", "function", "number")
@@ -48,64 +48,68 @@ class Shot:
         self.number = number
         self.function = function
 
-    def __lt__(self, other: Shot | Ring) -> bool:
+    def __lt__(self, other: OneShot | RateGroup) -> bool:
         return (self.due, self.number) < (other.due, other.number)
 
-    def turn(self, _now: float) -> tuple[Spoke | Shot, ...]:
+    def turn(self, _now: float) -> tuple[Job | OneShot, ...]:
         return (self,)
 
 
-class Spoke:
-    """A step that the wheel calls again and again."""
+class Job:
+    """A step that the scheduler calls again and again."""
 
-    __slots__ = ("_skipped_before", "function", "queued", "ring", "wheel")
+    __slots__ = ("_skipped_before", "function", "group", "queued", "scheduler")
 
-    def __init__(self, wheel: Wheel, function: Step, ring: Ring | None) -> None:
-        self.wheel = wheel
+    def __init__(
+        self, scheduler: Scheduler, function: Step, group: RateGroup | None
+    ) -> None:
+        self.scheduler = scheduler
         self.function = function
-        self.ring = ring
+        self.group = group
         self.queued = False
-        self._skipped_before = ring.skipped if ring is not None else 0
+        self._skipped_before = group.skipped if group is not None else 0
 
     @property
     def skipped(self) -> int:
         """How many steps were left out because they came too late."""
-        return self.ring.skipped - self._skipped_before if self.ring is not None else 0
+        return (
+            self.group.skipped - self._skipped_before if self.group is not None else 0
+        )
 
     @property
     def lateness(self) -> float:
         """How late the steps have been on average, in seconds."""
-        ring = self.ring
-        return ring.late / ring.turns if ring is not None and ring.turns else 0.0
+        group = self.group
+        return group.late / group.turns if group is not None and group.turns else 0.0
 
     def soon(self) -> None:
         """Have the step called in the next turn, once."""
         if not self.queued:
             self.queued = True
-            self.wheel.queue(self)
+            self.scheduler.queue(self)
 
     def stop(self) -> None:
         """Never call the step again."""
         self.function = _idle
-        ring = self.ring
-        if ring is not None and self in ring.spokes:
-            ring.spokes = tuple(spoke for spoke in ring.spokes if spoke is not self)
-            if not ring.spokes:
-                self.wheel.drop(ring)
+        group = self.group
+        if group is not None and self in group.jobs:
+            group.jobs = tuple(job for job in group.jobs if job is not self)
+            if not group.jobs:
+                self.scheduler.drop(group)
 
 
-class Ring:
+class RateGroup:
     """The steps that share a period and a phase. It never drifts."""
 
     __slots__ = (
         "_begin",
         "_count",
         "due",
+        "jobs",
         "late",
         "number",
         "period",
         "skipped",
-        "spokes",
         "turns",
     )
 
@@ -113,17 +117,17 @@ class Ring:
         self.period = period
         self.due = begin
         self.number = number
-        self.spokes: tuple[Spoke, ...] = ()
+        self.jobs: tuple[Job, ...] = ()
         self.skipped = 0
         self.late = 0.0
         self.turns = 0
         self._begin = begin
         self._count = 0
 
-    def __lt__(self, other: Shot | Ring) -> bool:
+    def __lt__(self, other: OneShot | RateGroup) -> bool:
         return (self.due, self.number) < (other.due, other.number)
 
-    def turn(self, now: float) -> tuple[Spoke | Shot, ...]:
+    def turn(self, now: float) -> tuple[Job | OneShot, ...]:
         """Move on to the next moment that has not passed; return whom to call."""
         behind = now - self.due
         self.late += behind if behind > 0 else 0.0
@@ -134,22 +138,22 @@ class Ring:
             self._count += missed
         self._count += 1
         self.due = self._begin + self._count * self.period
-        return self.spokes
+        return self.jobs
 
 
-class Wheel:
+class Scheduler:
     """Calls steps when they are due, all from one timer. One for each event loop."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._time = clock_of(loop)
         self.suspends = SuspendWatch(loop)
-        """Looked at each time the wheel begins to turn after a sleep."""
+        """Looked at each time the scheduler begins to turn after a sleep."""
         self._numbers = itertools.count()
-        self._heap: list[Shot | Ring] = []
-        self._rings: dict[float, list[Ring]] = {}
-        self._queue: list[Spoke] = []
-        self._calls: Iterator[Spoke | Shot] = iter(())
+        self._heap: list[OneShot | RateGroup] = []
+        self._groups: dict[float, list[RateGroup]] = {}
+        self._queue: list[Job] = []
+        self._calls: Iterator[Job | OneShot] = iter(())
         self._now = 0.0
         self._began = 0.0
         """When this turn began; what falls due later waits for the next one."""
@@ -161,69 +165,69 @@ class Wheel:
         self._sleep: asyncio.Future[None] | None = None
 
     @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> Wheel:
-        """Return the wheel of a loop."""
+    def of(cls, loop: asyncio.AbstractEventLoop) -> Scheduler:
+        """Return the scheduler of a loop."""
         return of_loop(loop, cls)
 
-    def every(self, period: float, function: Step) -> Spoke:
+    def every(self, period: float, function: Step) -> Job:
         """Call a step each period (seconds), the first time within one period."""
-        ring = self._ring(period)
-        spoke = Spoke(self, function, ring)
-        ring.spokes = (*ring.spokes, spoke)
-        return spoke
+        group = self._group(period)
+        job = Job(self, function, group)
+        group.jobs = (*group.jobs, job)
+        return job
 
-    def on_demand(self, function: Step) -> Spoke:
+    def on_demand(self, function: Step) -> Job:
         """Return a step that is called only when its ``soon`` is."""
-        return Spoke(self, function, None)
+        return Job(self, function, None)
 
-    def at(self, due: float, function: Step) -> Shot:
+    def at(self, due: float, function: Step) -> OneShot:
         """Call a function once, at a moment of the loop's clock."""
-        shot = Shot(due, next(self._numbers), function)
-        self._push(shot)
-        return shot
+        one_shot = OneShot(due, next(self._numbers), function)
+        self._push(one_shot)
+        return one_shot
 
-    def cancel(self, shot: Shot) -> None:
-        """Never call the function of a shot."""
-        shot.function = _idle
-        self.drop(shot)
+    def cancel(self, one_shot: OneShot) -> None:
+        """Never call the function of a one-shot."""
+        one_shot.function = _idle
+        self.drop(one_shot)
 
-    def queue(self, spoke: Spoke) -> None:
-        """Call the step of a spoke in the next turn."""
-        self._queue.append(spoke)
+    def queue(self, job: Job) -> None:
+        """Call the step of a job in the next turn."""
+        self._queue.append(job)
         self._wake()
 
-    def drop(self, entry: Shot | Ring) -> None:
-        """Take an entry out; the wheel stands still when it was the last one."""
+    def drop(self, entry: OneShot | RateGroup) -> None:
+        """Take an entry out; the scheduler stands still when it was the last one."""
         if entry in self._heap:
             self._heap.remove(entry)
             heapq.heapify(self._heap)
-        if isinstance(entry, Ring):
-            self._rings[entry.period].remove(entry)
-            if not self._rings[entry.period]:
-                del self._rings[entry.period]
+        if isinstance(entry, RateGroup):
+            self._groups[entry.period].remove(entry)
+            if not self._groups[entry.period]:
+                del self._groups[entry.period]
         if not self._heap:
             self._wake()
 
-    def _ring(self, period: float) -> Ring:
-        rings = self._rings.setdefault(period, [])
+    def _group(self, period: float) -> RateGroup:
+        groups = self._groups.setdefault(period, [])
         phases = max(1, int(period / SPREAD))
-        emptiest = min(rings, key=lambda ring: len(ring.spokes), default=None)
+        emptiest = min(groups, key=lambda group: len(group.jobs), default=None)
         if emptiest is not None and (
-            len(emptiest.spokes) < CROWD or len(rings) >= phases
+            len(emptiest.jobs) < CROWD or len(groups) >= phases
         ):
             return emptiest
         begin = self._time()
-        if not any(self._rings.values()):
+        if not any(self._groups.values()):
             self._grid = begin
-        # All rings begin on one grid, so that one wake-up serves many of them.
+        # All groups begin on one grid, so that one wake-up serves many of them.
         begin = self._grid + math.ceil((begin - self._grid) / SPREAD - _EARLY) * SPREAD
-        begin += len(rings) * SPREAD % period
-        ring = Ring(period, begin, next(self._numbers))
-        rings.append(ring)
-        self._push(ring)
-        return ring
+        begin += len(groups) * SPREAD % period
+        group = RateGroup(period, begin, next(self._numbers))
+        groups.append(group)
+        self._push(group)
+        return group
 
-    def _push(self, entry: Shot | Ring) -> None:
+    def _push(self, entry: OneShot | RateGroup) -> None:
         heapq.heappush(self._heap, entry)
         if not self._turning:
             self._wake()
@@ -245,7 +249,7 @@ class Wheel:
     def _lead_on(self) -> None:
         self._turning = True
         self._leader = None  # an eager task sets it before spawn returns
-        spawn(self._loop, self._lead(), name="esair wheel")
+        spawn(self._loop, self._lead(), name="esair scheduler")
 
     async def _lead(self) -> None:
         me = self._leader = asyncio.current_task()
@@ -256,7 +260,7 @@ class Wheel:
                     try:
                         rest = call.function(self._now)
                     except Exception:
-                        _log.exception("a step of the wheel raised; it goes on")
+                        _log.exception("a step of the scheduler raised; it goes on")
                         continue
                     if rest is not None:
                         self._lead_on()
@@ -279,15 +283,15 @@ class Wheel:
         heap = self._heap
         if self._queue:
             queue, self._queue = self._queue, []
-            for spoke in queue:
-                spoke.queued = False
+            for job in queue:
+                job.queued = False
             self._calls = iter(queue)
             return True
         if not heap or heap[0].due > self._began + _EARLY:
             return False
         entry = heap[0]
         self._calls = iter(entry.turn(now))
-        if isinstance(entry, Ring):
+        if isinstance(entry, RateGroup):
             heapq.heapreplace(heap, entry)
         else:
             heapq.heappop(heap)
@@ -316,6 +320,6 @@ class Wheel:
         self.suspends.look()
 
 
-def wheel() -> Wheel:
-    """Return the wheel of the running loop."""
-    return Wheel.of(asyncio.get_running_loop())
+def scheduler() -> Scheduler:
+    """Return the scheduler of the running loop."""
+    return Scheduler.of(asyncio.get_running_loop())

@@ -1,4 +1,4 @@
-"""A lane: one worker thread that makes the blocking calls of one bus, in order."""
+"""An executor: one worker thread that makes the blocking calls of one bus, in order."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class CallRefused(Exception):  # noqa: N818 - an answer of the guard, not a faul
     """The guard of a call said no; the function was not called."""
 
 
-class Job:
-    """One call on a lane."""
+class Call:
+    """One call on an executor."""
 
     __slots__ = ("args", "function", "future", "guard")
 
@@ -38,7 +38,7 @@ class Job:
         self.future = future
 
 
-class Lane:
+class Executor:
     """One daemon thread; its calls run one after the other, in the order given.
 
     A call that does not return in time raises `DriverStuckError` for its caller
@@ -55,7 +55,7 @@ class Lane:
         self.name = name
         self.limit = limit
         self.stuck_since: float | None = None
-        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
         self._results: Results | None = None
         self._thread: threading.Thread | None = None
 
@@ -66,7 +66,7 @@ class Lane:
 
     @property
     def is_current(self) -> bool:
-        """Whether the code that asks is running on the lane."""
+        """Whether the code that asks is running on the executor."""
         return threading.current_thread() is self._thread
 
     async def call(
@@ -83,7 +83,7 @@ class Lane:
             function: What to call.
             *args: Its arguments.
             timeout: How long to wait for it, the queue included, in seconds;
-                infinite only for a lane that serves nothing else.
+                infinite only for an executor that serves nothing else.
             guard: Asked in the thread, immediately before the call; if it says
                 no, the function is not called.
             bounded: Refuse it if too many calls wait; not if it is a close, without
@@ -95,12 +95,14 @@ class Lane:
             CallRefused: The guard said no.
         """
         if bounded and self._jobs.qsize() >= self.limit:
-            raise BusyError(f"lane {self.name}", "number of waiting calls", self.limit)
+            raise BusyError(
+                f"executor {self.name}", "number of waiting calls", self.limit
+            )
         loop = asyncio.get_running_loop()
         future: asyncio.Future[T] = loop.create_future()
         self._start(loop)
         in_flight(loop, +1)
-        self._jobs.put(Job(function, args, guard, future))
+        self._jobs.put(Call(function, args, guard, future))
         if timeout == math.inf:
             return await future
         deadline = Deadlines.of(loop).after(
@@ -155,7 +157,7 @@ class Lane:
                 thread.start()
             except RuntimeError as error:  # the limit of the process or the user
                 raise BusyError(
-                    f"lane {self.name}", "the limit of threads", error
+                    f"executor {self.name}", "the limit of threads", error
                 ) from None
             self._thread = thread
 
@@ -176,14 +178,14 @@ class Lane:
 
 
 class Results:
-    """What the thread of a lane has done, on its way into the event loop.
+    """What the thread of an executor has done, on its way into the event loop.
 
     However many results there are, one wake-up of the loop is under way at a time:
     what is done until the loop gets to it goes with it.
     """
 
-    def __init__(self, lane: Lane, loop: asyncio.AbstractEventLoop) -> None:
-        self._lane = lane
+    def __init__(self, executor: Executor, loop: asyncio.AbstractEventLoop) -> None:
+        self._executor = executor
         self._loop = loop
         self._done: collections.deque[
             tuple[asyncio.Future[Any], Any, BaseException | None]
@@ -204,7 +206,7 @@ class Results:
 
     def _deliver(self) -> None:
         self._wakes = False  # before the look: what comes later wakes the loop again
-        self._lane.returned(self)
+        self._executor.returned(self)
         done = self._done
         while done:
             future, result, error = done.popleft()
@@ -223,19 +225,19 @@ class Results:
                 future.set_result(result)
 
 
-def _work(jobs: queue.SimpleQueue[Job | None], results: Results) -> None:
-    while (job := jobs.get()) is not None:
+def _work(calls: queue.SimpleQueue[Call | None], results: Results) -> None:
+    while (call := calls.get()) is not None:
         result: Any = None
         error: BaseException | None = None
         try:
-            if job.guard is not None and (job.future.done() or not job.guard()):
+            if call.guard is not None and (call.future.done() or not call.guard()):
                 error = CallRefused()
             else:
-                result = job.function(*job.args)
+                result = call.function(*call.args)
         except BaseException as raised:  # a driver may raise anything
             error = raised
-        results.add(job.future, result, error)
-        del job, result, error  # nothing is kept alive while the lane is idle
+        results.add(call.future, result, error)
+        del call, result, error  # nothing is kept alive while the executor is idle
 
 
 def _nothing() -> None:

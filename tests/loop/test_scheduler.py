@@ -1,4 +1,4 @@
-"""The wheel calls every step when it is due, and what has to wait stays in its task."""
+"""The scheduler calls every step when it is due, and what has to wait stays in its task."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.loop import Wheel
+from esair.loop import Scheduler
 from esair.testing import VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
@@ -19,28 +19,28 @@ def clock() -> float:
     return asyncio.get_running_loop().time()
 
 
-def wheel() -> Wheel:
-    return Wheel.of(asyncio.get_running_loop())
+def scheduler() -> Scheduler:
+    return Scheduler.of(asyncio.get_running_loop())
 
 
 async def test_a_step_is_called_each_period_without_drift() -> None:
     """A thousand turns later the step is still on its grid."""
     calls: list[float] = []
-    spoke = wheel().every(0.1, lambda _now: calls.append(clock()))
+    job = scheduler().every(0.1, lambda _now: calls.append(clock()))
     await asyncio.sleep(100.05)
-    spoke.stop()
+    job.stop()
     await asyncio.sleep(1.0)
 
     assert len(calls) in {1000, 1001}
     assert calls[-1] - calls[0] == pytest.approx(0.1 * (len(calls) - 1))
-    assert spoke.skipped == 0
+    assert job.skipped == 0
 
 
 @pytest.mark.promise("REA-3")
 async def test_late_steps_are_counted_and_skipped() -> None:
     """After a second in which the computer was busy there is no burst."""
     calls: list[float] = []
-    spoke = wheel().every(0.1, lambda _now: calls.append(clock()))
+    job = scheduler().every(0.1, lambda _now: calls.append(clock()))
     await asyncio.sleep(0.25)
     before = len(calls)
     loop: Any = asyncio.get_running_loop()
@@ -49,24 +49,24 @@ async def test_late_steps_are_counted_and_skipped() -> None:
     await asyncio.sleep(0.05)
 
     assert len(calls) - before <= 2
-    assert spoke.skipped in {9, 10}
-    spoke.stop()
+    assert job.skipped in {9, 10}
+    job.stop()
 
 
 @pytest.mark.promise("ROB-3")
 async def test_a_step_that_raises_does_not_stop_the_others(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """The error is logged, and the wheel turns on."""
+    """The error is logged, and the scheduler turns on."""
     calls: list[float] = []
 
     def bad(_now: float) -> None:
         raise RuntimeError("no")
 
-    spokes = [wheel().every(0.1, bad), wheel().every(0.1, calls.append)]
+    jobs = [scheduler().every(0.1, bad), scheduler().every(0.1, calls.append)]
     await asyncio.sleep(1.05)
-    for spoke in spokes:
-        spoke.stop()
+    for job in jobs:
+        job.stop()
     await asyncio.sleep(0)
     assert len(calls) >= 10
     assert "RuntimeError: no" in caplog.text
@@ -86,10 +86,10 @@ async def test_a_step_that_waits_holds_nobody_up() -> None:
         started.append(asyncio.current_task())
         return rest() if len(started) == 1 else None
 
-    spokes = [wheel().every(0.1, slow), wheel().every(0.1, calls.append)]
+    jobs = [scheduler().every(0.1, slow), scheduler().every(0.1, calls.append)]
     await asyncio.sleep(1.05)
-    for spoke in spokes:
-        spoke.stop()
+    for job in jobs:
+        job.stop()
     await asyncio.sleep(0)
     assert len(calls) >= 10
     assert tasks == started[:1]
@@ -98,13 +98,13 @@ async def test_a_step_that_waits_holds_nobody_up() -> None:
 async def test_a_step_on_demand_is_called_once_for_many_demands() -> None:
     """Demands within one turn are one call."""
     calls: list[float] = []
-    spoke = wheel().on_demand(calls.append)
+    job = scheduler().on_demand(calls.append)
     for _ in range(5):
-        spoke.soon()
+        job.soon()
     await asyncio.sleep(0.01)
     assert len(calls) == 1
-    spoke.soon()
-    spoke.stop()
+    job.soon()
+    job.stop()
     await asyncio.sleep(0.01)
     assert len(calls) == 1
 
@@ -113,9 +113,9 @@ async def test_a_shot_is_called_at_its_moment_unless_it_is_cancelled() -> None:
     """One call, neither early nor twice."""
     calls: list[float] = []
     loop = asyncio.get_running_loop()
-    wheel().at(loop.time() + 0.5, lambda _now: calls.append(clock()))
-    other = wheel().at(loop.time() + 0.2, lambda _now: calls.append(-1.0))
-    wheel().cancel(other)
+    scheduler().at(loop.time() + 0.5, lambda _now: calls.append(clock()))
+    other = scheduler().at(loop.time() + 0.2, lambda _now: calls.append(-1.0))
+    scheduler().cancel(other)
     await asyncio.sleep(2.0)
     assert calls == [pytest.approx(0.5)]
 
@@ -175,11 +175,11 @@ async def test_a_step_slower_than_its_period_starves_nobody() -> None:
         if len(seen) <= 50:
             loop.advance(0.03)
 
-    spoke = wheel().every(0.01, slow)
+    job = scheduler().every(0.01, slow)
     while len(seen) <= 50:
         turns_of_others += 1
         await asyncio.sleep(0)
-    spoke.stop()
+    job.stop()
 
     assert all(after > before for before, after in itertools.pairwise(seen[:50]))
-    assert spoke.skipped >= 100
+    assert job.skipped >= 100

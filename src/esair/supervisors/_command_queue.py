@@ -1,4 +1,4 @@
-"""The desk where a supervisor takes the user's commands, one at a time."""
+"""The command queue where a supervisor takes the user's commands, one at a time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LIMIT = 256
 """How many commands of the user may wait at a supervisor."""
 
 
-class Desk:
+class CommandQueue:
     """Takes commands in WAIT_REQUEST only; the others wait in order, none is lost.
 
     A command runs in a task of its own, so that whoever gave it can be cancelled at

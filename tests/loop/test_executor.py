@@ -1,4 +1,4 @@
-"""The lane: one thread for blocking calls, and one wake-up for many results."""
+"""The executor: one thread for blocking calls, and one wake-up for many results."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ import time
 import pytest
 
 from esair.exceptions import BusyError, DriverStuckError
-from esair.loop import Lane
+from esair.loop import Executor
 
 pytestmark = pytest.mark.real_clock
 
 
-def keep_the_loop_busy(lane: Lane) -> None:
+def keep_the_loop_busy(executor: Executor) -> None:
     """Give the loop no turn until the thread has done everything."""
     end = time.monotonic() + 5.0
-    while lane.waiting and time.monotonic() < end:
+    while executor.waiting and time.monotonic() < end:
         time.sleep(0.001)
     time.sleep(0.01)
 
 
 async def test_calls_run_in_order_on_one_thread() -> None:
     """Whoever asks first is served first, however many ask."""
-    lane = Lane("bus")
+    executor = Executor("bus")
     order: list[int] = []
     threads: set[str] = set()
 
     def work(number: int) -> int:
         order.append(number)
         threads.add(threading.current_thread().name)
-        assert lane.is_current
+        assert executor.is_current
         return number
 
     results = await asyncio.gather(
-        *(lane.call(work, n, timeout=5.0) for n in range(100))
+        *(executor.call(work, n, timeout=5.0) for n in range(100))
     )
 
     assert results == order == list(range(100))
     assert threads == {"esair-bus"}
-    assert not lane.is_current
-    lane.close()
+    assert not executor.is_current
+    executor.close()
 
 
 @pytest.mark.promise("BUS-1")
@@ -58,29 +58,31 @@ async def test_results_that_are_ready_together_wake_the_loop_once(monkeypatch) -
         return call_soon_threadsafe(callback, *args)
 
     monkeypatch.setattr(loop, "call_soon_threadsafe", counting)
-    lane = Lane("bus")
-    calls = [asyncio.ensure_future(lane.call(int, "7", timeout=5.0)) for _ in range(20)]
+    executor = Executor("bus")
+    calls = [
+        asyncio.ensure_future(executor.call(int, "7", timeout=5.0)) for _ in range(20)
+    ]
     await asyncio.sleep(0)
-    keep_the_loop_busy(lane)
+    keep_the_loop_busy(executor)
 
     assert await asyncio.gather(*calls) == [7] * 20
     assert wakes == 1
-    lane.close()
+    executor.close()
 
 
 async def test_errors_come_to_their_own_caller() -> None:
     """Also one that would end a coroutine, or the process."""
-    lane = Lane("bus")
+    executor = Executor("bus")
 
     def fail(error: BaseException) -> None:
         raise error
 
     results = await asyncio.gather(
-        lane.call(fail, ValueError("a"), timeout=5.0),
-        lane.call(fail, StopIteration(), timeout=5.0),
-        lane.call(fail, SystemExit(3), timeout=5.0),
-        lane.call(fail, asyncio.CancelledError(), timeout=5.0),
-        lane.call(int, "7", timeout=5.0),
+        executor.call(fail, ValueError("a"), timeout=5.0),
+        executor.call(fail, StopIteration(), timeout=5.0),
+        executor.call(fail, SystemExit(3), timeout=5.0),
+        executor.call(fail, asyncio.CancelledError(), timeout=5.0),
+        executor.call(int, "7", timeout=5.0),
         return_exceptions=True,
     )
 
@@ -91,31 +93,31 @@ async def test_errors_come_to_their_own_caller() -> None:
         RuntimeError,
         int,
     ]
-    lane.close()
+    executor.close()
 
 
 @pytest.mark.fault("D21")
 async def test_a_new_thread_is_not_stuck_because_the_old_one_was() -> None:
     """What was left behind goes on alone, and does no harm."""
-    lane = Lane("bus")
+    executor = Executor("bus")
     go = threading.Event()
     with pytest.raises(DriverStuckError):
-        await lane.call(go.wait, timeout=0.01)
-    assert lane.stuck_since is not None
-    lane.close()
+        await executor.call(go.wait, timeout=0.01)
+    assert executor.stuck_since is not None
+    executor.close()
 
-    again = asyncio.ensure_future(lane.call(go.wait, timeout=5.0))
+    again = asyncio.ensure_future(executor.call(go.wait, timeout=5.0))
     await asyncio.sleep(0)
-    assert lane.stuck_since is None
+    assert executor.stuck_since is None
     go.set()
     assert await again is True
-    lane.close()
+    executor.close()
 
 
 @pytest.mark.fault("D21", "D22")
 async def test_an_old_thread_that_returns_does_not_free_the_new_one() -> None:
     """Who asks is refused at once, as long as the newest thread is stuck."""
-    lane = Lane("bus")
+    executor = Executor("bus")
     old, new = threading.Event(), threading.Event()
     returned = threading.Event()
 
@@ -124,19 +126,19 @@ async def test_an_old_thread_that_returns_does_not_free_the_new_one() -> None:
         returned.set()
 
     with pytest.raises(DriverStuckError):
-        await lane.call(call, timeout=0.01)
-    lane.close()
+        await executor.call(call, timeout=0.01)
+    executor.close()
     with pytest.raises(DriverStuckError):
-        await lane.call(new.wait, timeout=0.01)
+        await executor.call(new.wait, timeout=0.01)
 
     old.set()
     assert await asyncio.to_thread(returned.wait, 10)
     await asyncio.sleep(0.05)  # it has nothing to tell, so nothing can be waited for
 
-    assert lane.stuck_since is not None
+    assert executor.stuck_since is not None
     new.set()
-    assert await lane.join(10)
-    assert lane.stuck_since is None
+    assert await executor.join(10)
+    assert executor.stuck_since is None
 
 
 class Unspeakable:
@@ -155,45 +157,47 @@ class Unspeakable:
 @pytest.mark.fault("D21", "D25")
 async def test_a_driver_without_a_representation_is_stuck_like_any_other() -> None:
     """Its caller is told in time, by the name of the call."""
-    lane = Lane("bus")
+    executor = Executor("bus")
     driver = Unspeakable()
     begin = time.monotonic()
 
     with pytest.raises(DriverStuckError, match=r"Unspeakable\.read"):
-        await lane.call(driver.read, timeout=0.01)
+        await executor.call(driver.read, timeout=0.01)
     with pytest.raises(DriverStuckError, match="partial"):
-        await lane.call(functools.partial(print, driver), timeout=0.01)
+        await executor.call(functools.partial(print, driver), timeout=0.01)
 
     assert time.monotonic() - begin < 20
     driver.go.set()
-    assert await lane.join(10)
+    assert await executor.join(10)
 
 
 async def test_what_waits_is_bounded() -> None:
     """One more than the limit is refused at once."""
-    lane = Lane("bus", limit=3)
+    executor = Executor("bus", limit=3)
     go = threading.Event()
-    first = asyncio.ensure_future(lane.call(go.wait, timeout=5.0))
+    first = asyncio.ensure_future(executor.call(go.wait, timeout=5.0))
     async with asyncio.timeout(5.0):
         await asyncio.sleep(0)
-        while lane.waiting:  # noqa: ASYNC110 - nobody tells
+        while executor.waiting:  # noqa: ASYNC110 - nobody tells
             await asyncio.sleep(0.001)
-    others = [asyncio.ensure_future(lane.call(int, "7", timeout=5.0)) for _ in range(3)]
+    others = [
+        asyncio.ensure_future(executor.call(int, "7", timeout=5.0)) for _ in range(3)
+    ]
     await asyncio.sleep(0)
 
-    assert lane.waiting == lane.limit
+    assert executor.waiting == executor.limit
     with pytest.raises(BusyError, match="3"):
-        await lane.call(int, "7", timeout=5.0)
+        await executor.call(int, "7", timeout=5.0)
 
     go.set()
     assert await first is True
     assert await asyncio.gather(*others) == [7, 7, 7]
-    lane.close()
+    executor.close()
 
 
 async def test_each_call_has_its_own_deadline() -> None:
     """One timer serves them all, and none is told too early, too late or twice."""
-    lane = Lane("bus")
+    executor = Executor("bus")
     go = threading.Event()
     loop = asyncio.get_running_loop()
     told: dict[float, float] = {}
@@ -201,7 +205,7 @@ async def test_each_call_has_its_own_deadline() -> None:
 
     async def ask(timeout: float) -> None:
         with pytest.raises(DriverStuckError, match=f"in {timeout:g} s"):
-            await lane.call(go.wait, timeout=timeout)
+            await executor.call(go.wait, timeout=timeout)
         told[timeout] = loop.time() - begin
 
     await asyncio.gather(*(ask(timeout) for timeout in (0.2, 0.05, 0.3, 0.1)))
@@ -209,22 +213,22 @@ async def test_each_call_has_its_own_deadline() -> None:
     assert list(told) == [0.05, 0.1, 0.2, 0.3]
     assert all(timeout - 0.001 <= seconds for timeout, seconds in told.items())
     go.set()
-    assert await lane.call(int, "7", timeout=5.0) == 7
-    lane.close()
+    assert await executor.call(int, "7", timeout=5.0) == 7
+    executor.close()
 
 
 async def test_a_lane_serves_one_loop_after_another() -> None:
     """A deadline of the loop before does not count in the next."""
-    lane = Lane("bus")
+    executor = Executor("bus")
     go = threading.Event()
 
     async def life() -> None:
-        assert await lane.call(int, "7", timeout=1000.0) == 7
-        lane.close()
+        assert await executor.call(int, "7", timeout=1000.0) == 7
+        executor.close()
 
     await asyncio.to_thread(asyncio.run, life())
 
     with pytest.raises(DriverStuckError):
-        await lane.call(go.wait, 5.0, timeout=0.05)
+        await executor.call(go.wait, 5.0, timeout=0.05)
     go.set()
-    lane.close()
+    executor.close()

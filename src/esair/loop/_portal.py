@@ -1,4 +1,4 @@
-"""The bridge between a plain behavior's thread and the event loop."""
+"""The portal between a plain behavior's thread and the event loop."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 from esair.exceptions import BehaviorRemovedError
-from esair.loop._lane import in_flight
+from esair.loop._executor import in_flight
 from esair.loop._ownership import Owner, spawn
 
 T = TypeVar("T")
 
 
-class Bridge:
+class Portal:
     """Runs a plain function in its own thread, and its calls in the loop.
 
     The thread calls `call`, which waits there while the coroutine runs in the
-    loop. Once the bridge is closed every call raises `BehaviorRemovedError`, so a
+    loop. Once the portal is closed every call raises `BehaviorRemovedError`, so a
     function that still runs learns of its end at its next call.
 
     Args:
@@ -39,7 +39,7 @@ class Bridge:
     async def run(self, function: Callable[[], object]) -> None:
         """Run a function in a new daemon thread and wait for its end.
 
-        If the waiting task is cancelled the bridge is closed and the end is
+        If the waiting task is cancelled the portal is closed and the end is
         awaited; cancel again not to wait for it.
         """
         loop = self._loop
@@ -58,7 +58,7 @@ class Bridge:
 
         def work() -> None:
             error: BaseException | None = None
-            bridge.set(self)
+            portal.set(self)
             try:
                 function()
             except BaseException as raised:  # contained, as in a task
@@ -109,7 +109,7 @@ class Bridge:
                 f"{self.name}: a call that waits, in the event loop: its run is a "
                 "plain function, so its other methods must be plain functions too"
             )
-        mine = bridge.get(None)
+        mine = portal.get(None)
         if mine is not None and mine.closed:  # a thread that outlived its own run
             raise BehaviorRemovedError(self.name)
         outcome: concurrent.futures.Future[T] = concurrent.futures.Future()
@@ -171,5 +171,5 @@ def _look_at(ended: asyncio.Future[None]) -> None:
         ended.exception()
 
 
-bridge: contextvars.ContextVar[Bridge] = contextvars.ContextVar("esair_bridge")
-"""The bridge of the thread that runs, if it is the thread of a plain behavior."""
+portal: contextvars.ContextVar[Portal] = contextvars.ContextVar("esair_portal")
+"""The portal of the thread that runs, if it is the thread of a plain behavior."""

@@ -1,0 +1,147 @@
+"""What every layer asks of a plain value: names, numbers, durations, types."""
+
+from __future__ import annotations
+
+import inspect
+import numbers
+import re
+import sys
+import types
+import typing
+from typing import Any
+
+from esair.exceptions import BadValueError, ConfigError
+
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,62}\Z")
+
+_NUMBERS: dict[type, type] = {int: numbers.Integral, float: numbers.Real}
+
+
+def check_name(kind: str, name: object) -> str:
+    """Return the name of a component, or say what a name must look like.
+
+    Raises:
+        ConfigError: It is not ``[a-z][a-z0-9_]{0,62}``.
+    """
+    if isinstance(name, str) and _NAME.match(name):
+        return name
+    raise ConfigError(
+        f"{kind} {name!r:.80}",
+        "name",
+        "expected a lower-case letter, then letters, digits or '_', 63 at most",
+    )
+
+
+def is_positive(value: object) -> bool:
+    """Tell whether a value is a time or a rate: a positive, finite int or float.
+
+    NumPy's ``float64`` is a float too; a bool is no number here.
+    """
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and 0 < value <= sys.float_info.max
+    )
+
+
+def passes_as(value: object, wanted: type) -> bool:
+    """Tell whether a number of another class, NumPy's say, may stand for one wanted.
+
+    Any whole number passes as an int, any real one as a float; a bool as neither.
+    """
+    kind = _NUMBERS.get(wanted)
+    return kind is not None and isinstance(value, kind) and not isinstance(value, bool)
+
+
+def snake_case(name: str) -> str:
+    """Turn the name of a class into the name of a component: ``MyArm`` → ``my_arm``."""
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name)
+    return words.lower().strip("_")
+
+
+def check_duration(component: str, field: str, value: object) -> float:
+    """Return a positive, finite number of seconds.
+
+    Raises:
+        BadValueError: It is something else.
+    """
+    if is_positive(value):
+        return typing.cast("float", value)
+    raise BadValueError(component, field, f"expected seconds > 0, not {value!r:.80}")
+
+
+def value_type(cls: type, base: type) -> Any:
+    """Return ``T`` of ``class X(Sensor[T])``; `typing.Any` if it does not say."""
+    for klass in cls.__mro__:
+        for generic in getattr(klass, "__orig_bases__", ()):
+            origin = typing.get_origin(generic)
+            if inspect.isclass(origin) and issubclass(origin, base):
+                (argument, *_) = typing.get_args(generic)
+                return Any if isinstance(argument, typing.TypeVar) else argument
+    return Any
+
+
+def same_type(given: Any, wanted: Any) -> bool:
+    """Tell whether values of one type may be used where another is wanted."""
+    return all(
+        any(_same_type(one, other) for other in _alternatives(wanted))
+        for one in _alternatives(given)
+    )
+
+
+def _alternatives(kind: Any) -> tuple[Any, ...]:
+    """The types of a union; any other type alone."""
+    if typing.get_origin(kind) in {typing.Union, types.UnionType}:
+        return typing.get_args(kind)
+    return (kind,)
+
+
+def _same_type(given: Any, wanted: Any) -> bool:
+    if given is Any or wanted is Any or given is object or wanted is object:
+        return True
+    given_class = typing.get_origin(given) or given
+    wanted_class = typing.get_origin(wanted) or wanted
+    if not (inspect.isclass(given_class) and inspect.isclass(wanted_class)):
+        return bool(given == wanted)
+    if wanted_class is float and given_class is int:
+        return True
+    if _has_no_instances(wanted_class):
+        return given_class is wanted_class
+    return issubclass(given_class, wanted_class)
+
+
+def checked_class(kind: Any) -> type | None:
+    """Return the class that values can be checked for; None if any value will do."""
+    cls = typing.get_origin(kind) or kind
+    if cls is Any or cls is object or not inspect.isclass(cls):
+        return None
+    if cls is types.UnionType or _has_no_instances(cls):
+        return None
+    return cls
+
+
+def _has_no_instances(cls: type) -> bool:
+    """Tell whether a class describes values that are instances of other classes."""
+    if typing.is_typeddict(cls):
+        return True
+    return getattr(cls, "_is_protocol", False) and not getattr(
+        cls, "_is_runtime_protocol", False
+    )
+
+
+def type_name(kind: Any) -> str:
+    """Name a type in an error message."""
+    return getattr(kind, "__name__", str(kind))
+
+
+def check_seconds(component: str, field: str, value: object) -> float:
+    """Return a positive, finite number of seconds.
+
+    Raises:
+        ConfigError: It is something else.
+    """
+    if is_positive(value):
+        return float(typing.cast("float", value))
+    raise ConfigError(
+        component, field, f"expected a number of seconds > 0, not {value!r:.80}"
+    )
