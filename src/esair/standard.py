@@ -25,6 +25,7 @@ from esair.exceptions import (
     NameTakenError,
     StoppingError,
 )
+from esair.journal import Journal, LogLines
 from esair.loop import (
     GLANCE,
     Job,
@@ -71,6 +72,7 @@ class Robot:
         behaviors: The behavior supervisor (BS).
         sensors: The sensor connection (SC).
         actuators: The actuator connection (AC).
+        journal: What happens, event by event, and all counters.
 
     Example:
         >>> async with esair.Robot(resources=[sonar, wheels], behaviors=[Wander()]):
@@ -93,7 +95,8 @@ class Robot:
         self._list_of_behaviors: list[Any] = [adapt_action(b) for b in behaviors]
         self.sensors = SensorConnection()
         self.actuators = ActuatorConnection()
-        registrations = Registrations()
+        self.journal = Journal()
+        registrations = Registrations(self.journal)
         self.resources = ResourceSupervisor(
             self.sensors,
             self.actuators,
@@ -117,6 +120,7 @@ class Robot:
         self._watch = SignalWatch(self._end_by_signal, self._hurry)
         self._owned: OwnedTasks | None = None
         self._glances: Job | None = None
+        self._log_lines: LogLines | None = None
 
     @classmethod
     def from_config(cls, path: str | Path, *, simulated: bool = False) -> Self:
@@ -145,6 +149,9 @@ class Robot:
         self.behaviors.wake()
         loop = asyncio.get_running_loop()
         self._host = asyncio.current_task()
+        self.journal.start(loop)
+        self._log_lines = LogLines(self.journal)
+        self._log_lines.start()
         self._watch.start(interrupts=self._interrupts)
         self._owned = OwnedTasks(loop)
         self._owned.install()
@@ -261,6 +268,9 @@ class Robot:
             if self._owned is not None:
                 self._owned.uninstall()
             self._watch.stop()
+            if self._log_lines is not None:
+                self._log_lines.stop()
+            self.journal.close()
 
     async def _close_buses(self) -> None:
         buses = {*self._buses, *self.resources.buses}

@@ -185,6 +185,17 @@ class ReactionRunner:
         self._settling: set[asyncio.Task[Any]] = set()
         """The tasks of writes whose drivers wait."""
 
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        return {
+            "steps": self.steps,
+            "late": self.late,
+            "refused": self.refused,
+            "rejected": self.rejected,
+            "conflated": self.conflated,
+            "overruns": self.overruns,
+        }
+
     @property
     def late(self) -> int:
         """How many steps were left out because they came too late."""

@@ -37,3 +37,11 @@ class BusStats:
     opened: int = 0
     lost: int = 0
     last_error: str = ""
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        return {
+            name: value
+            for name, value in attrs.asdict(self).items()
+            if isinstance(value, int)
+        }

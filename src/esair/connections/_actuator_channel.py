@@ -20,6 +20,7 @@ from esair.exceptions import (
     StoppingError,
     describe,
 )
+from esair.journal import Kind
 from esair.loop import CallRefused, Suspended, clock_of, finish, first_step, spawn
 from esair.messages import Answer, Refused, ResourceState, Why, Written
 from esair.resources import Actuator
@@ -95,6 +96,7 @@ class ActuatorChannel:
         "_check",
         "_checked",
         "_dead_man",
+        "_journal",
         "_last_moment",
         "_last_write",
         "_loop",
@@ -148,6 +150,7 @@ class ActuatorChannel:
         self.timeouts = 0
         """How often the safe command was sent because nobody wrote."""
         self.registrations = registrations
+        self._journal = registrations.journal
         self._loop = loop
         self._time = clock_of(loop)
         self._on_error = on_error
@@ -196,6 +199,14 @@ class ActuatorChannel:
     def successes(self) -> int:
         """How many commands the device has taken."""
         return self.writes
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        return {
+            "writes": self.writes,
+            "refusals": self.refusals,
+            "timeouts": self.timeouts,
+        }
 
     # State, told by the supervisor.
 
@@ -264,6 +275,9 @@ class ActuatorChannel:
         if not (registration.usable and self._accepts):
             raise self._refusal(registration)
         now = self._time()
+        journal = self._journal
+        if journal.heard:
+            journal.publish(Kind.COMMAND, self.name, registration.behavior, command)
         holder = self.holder
         if (
             holder is not registration
@@ -273,13 +287,16 @@ class ActuatorChannel:
             and holder.behavior != registration.behavior
         ):
             self.refusals += 1
-            return Refused(
+            refused = Refused(
                 holder.behavior,
                 holder.priority,
                 _rule(holder),
                 self.since,
                 self.until,
             )
+            if journal.heard:
+                journal.publish(Kind.REFUSED, self.name, registration.behavior, refused)
+            return refused
         command = self._checked(command)
         if self._busy:
             return self._when_idle(registration, command, hold)
@@ -299,6 +316,8 @@ class ActuatorChannel:
                 now + self.command_timeout, self._nobody_wrote
             )
         self._busy = True
+        if journal.heard:
+            journal.publish(Kind.SENT, self.name, registration.behavior, command)
         call = (
             self._call(command, guard=self._guard(registration))
             if self._blocks
@@ -310,7 +329,10 @@ class ActuatorChannel:
             self._busy = False
             self.writes += 1
             self._told_error = ""
-            return Written(command if stop.value is None else stop.value)
+            applied = command if stop.value is None else stop.value
+            if journal.heard:
+                journal.publish(Kind.APPLIED, self.name, registration.behavior, applied)
+            return Written(applied)
         except BaseException as error:
             self._busy = False
             if not is_drivers(error):
@@ -352,7 +374,13 @@ class ActuatorChannel:
             self._last_write = self._time()
         if not self._told_safe:
             self._told_error = ""
-        return Written(command if applied is None else applied)
+        if applied is None:
+            applied = command
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.APPLIED, self.name, registration.behavior, applied
+            )
+        return Written(applied)
 
     def _refusal(self, registration: Registration) -> EsairError:
         """Make the error for a write that may not even be looked at."""
@@ -419,6 +447,10 @@ class ActuatorChannel:
         translated = translate(self.name, error)
         if opening == self._opening:
             self._told_error = describe(translated)
+            if self._journal.heard:
+                self._journal.publish(
+                    Kind.UNANSWERED, self.name, "", self._told, self._told_error
+                )
             self._on_error(translated)
         return translated
 
@@ -545,6 +577,8 @@ class ActuatorChannel:
         if type(applied) is Suspended:
             await finish(applied, actuator.deadline)
         self._told_error = ""
+        if self._journal.heard:
+            self._journal.publish(Kind.SAFE, self.name, "", actuator.safe)
 
     def _nobody_wrote(self) -> None:
         self._dead_man = None

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator
 
 from esair.exceptions import BusyError, EsairError, NotRegisteredError
+from esair.journal import Journal, Kind
 from esair.messages import Access
 
 LIMIT = 65_536
@@ -88,7 +89,9 @@ class Registration:
 class Registrations:
     """The one table of all registrations of a robot."""
 
-    def __init__(self) -> None:
+    def __init__(self, journal: Journal | None = None) -> None:
+        self.journal = Journal() if journal is None else journal
+        """Where the connections tell what flows."""
         self._numbers = itertools.count(1)
         self.live: dict[int, Registration] = {}
         """What is valid now, by number."""
@@ -119,6 +122,8 @@ class Registrations:
             next(self._numbers), behavior, resource, access, priority, hold
         )
         self.live[registration.number] = registration
+        if self.journal.heard:
+            self.journal.publish(Kind.REGISTERED, behavior, resource, access)
         return registration
 
     def revoke(
@@ -137,6 +142,13 @@ class Registrations:
             return False
         del self.live[registration.number]
         registration.end(reason)
+        if self.journal.heard:
+            self.journal.publish(
+                Kind.REVOKED,
+                registration.behavior,
+                registration.resource,
+                registration.access,
+            )
         return True
 
     def find(

@@ -20,6 +20,7 @@ from esair.exceptions import (
     ResourceRemovedError,
     StaleReadingError,
 )
+from esair.journal import Kind
 from esair.loop import (
     Deadlines,
     Job,
@@ -80,6 +81,7 @@ class SensorChannel:
         """How many readings a slow follower has not seen."""
         self.sequence = 0
         self.registrations = registrations
+        self._journal = registrations.journal
         self._loop = loop
         self.time = clock_of(loop)
         self._deadlines = Deadlines.of(loop)
@@ -121,6 +123,15 @@ class SensorChannel:
     def successes(self) -> int:
         """How many values the device has given."""
         return self.sequence
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        return {
+            "readings": self.sequence,
+            "transactions": self.transactions,
+            "missed": self.missed,
+            "dropped": self.dropped,
+        }
 
     # State, told by the supervisor.
 
@@ -406,6 +417,8 @@ class SensorChannel:
         reading = Reading(value, self.time(), self.sequence)
         self.newest = reading
         self._history.append(reading)
+        if self._journal.heard:
+            self._journal.publish(Kind.READING, self.name, "", reading)
         if self._waiters:
             self._resolve(reading, number)
         for follower in self._followers:

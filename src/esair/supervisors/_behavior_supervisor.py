@@ -6,7 +6,7 @@ import asyncio
 import inspect
 import itertools
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from esair import abc, minimal
@@ -29,6 +29,7 @@ from esair.exceptions import (
     UnknownNameError,
     describe,
 )
+from esair.journal import Event, Kind
 from esair.loop import ProcessWatch, current_owner
 from esair.messages import (
     Access,
@@ -93,6 +94,11 @@ class BehaviorSupervisor(abc.Supervisor):
         self._ending: list[Member] = []
         self._mediator: Mediator | None = None
         self._all_ended: asyncio.Future[None] | None = None
+        self.journal = resources.journal
+        self.journal.count("behaviors", self._counted)
+        self.journal.attach(Kind.UP, self._resource_up)
+        self.journal.attach(Kind.ADDED, self._resource_changed)
+        self.journal.attach(Kind.REMOVED, self._resource_changed)
 
     # What everybody may ask.
 
@@ -105,7 +111,7 @@ class BehaviorSupervisor(abc.Supervisor):
     def mediator(self) -> Mediator:
         """The mediator of all data between behaviors."""
         if self._mediator is None:
-            self._mediator = Mediator(self._members)
+            self._mediator = Mediator(self._members, self.journal)
         return self._mediator
 
     def names(self) -> list[str]:
@@ -200,6 +206,7 @@ class BehaviorSupervisor(abc.Supervisor):
                 await self._end(member)
                 del self._members[member.name]
                 raise
+            self.journal.publish(Kind.ADDED, member.name, "behavior")
 
         self._check_caller()
         await self._command_queue.run(work, name=f"add {_name(action)}", undo=True)
@@ -225,6 +232,7 @@ class BehaviorSupervisor(abc.Supervisor):
             self.mediator.peer_removed(member)
             await self._end(member)
             del self._members[name]
+            self.journal.publish(Kind.REMOVED, name, "behavior")
             self._check_all_ended()
             return list(member.inbox)
 
@@ -314,8 +322,6 @@ class BehaviorSupervisor(abc.Supervisor):
         members = [Member(behavior, self, behavior.name) for behavior in behaviors]
         for member in members:
             self._members[member.name] = member
-        self.resources.on_change = self._resource_changed
-        self.resources.on_up = self._resource_up
         process = ProcessWatch(asyncio.get_running_loop())
         for member in members:
             try:
@@ -362,6 +368,13 @@ class BehaviorSupervisor(abc.Supervisor):
         return failed
 
     # Inside.
+
+    def _counted(self) -> Iterator[tuple[str, Mapping[str, int]]]:
+        for name, member in self._members.items():
+            yield name, member.counts()
+        if self._mediator is not None:
+            yield "behaviors", self._mediator.counts()
+        yield "behaviors", {"zombies": self.zombie_count}
 
     def declared(self, behavior: str, resource: str) -> Access:
         """Return what the class of a behavior declares to do with a resource."""
@@ -443,13 +456,14 @@ class BehaviorSupervisor(abc.Supervisor):
             del self.zombies[:-ZOMBIE_LIMIT]
             _log.warning("%s: %s would not end; it is fenced off", member.name, task)
 
-    def _resource_changed(self, name: str) -> None:
-        for member in tuple(self._members.values()):
-            member.resource_changed(name)
+    def _resource_changed(self, event: Event) -> None:
+        if event.peer == "resource":
+            for member in tuple(self._members.values()):
+                member.resource_changed(event.component)
 
-    def _resource_up(self, name: str) -> None:
+    def _resource_up(self, event: Event) -> None:
         for member in tuple(self._members.values()):
-            member.resource_up(name)
+            member.resource_up(event.component)
 
     def _check_all_ended(self) -> None:
         if self._all_ended is None or self._all_ended.done():

@@ -22,6 +22,7 @@ from esair.exceptions import (
     UnknownNameError,
     describe,
 )
+from esair.journal import Journal, Kind
 from esair.loop import Deadlines, spawn
 from esair.messages import BehaviorState
 from esair.supervisors._requests import (
@@ -55,8 +56,9 @@ class Mediator:
         members: The behaviors by name.
     """
 
-    def __init__(self, members: Mapping[str, Mailbox]) -> None:
+    def __init__(self, members: Mapping[str, Mailbox], journal: Journal) -> None:
         self._members = members
+        self._journal = journal
         self._loop = asyncio.get_running_loop()
         self._deadlines = Deadlines.of(self._loop)
         self._pending = 0
@@ -74,6 +76,14 @@ class Mediator:
     def outcomes(self) -> list[Record]:
         """Return the last outcomes, the oldest first."""
         return [Record(*line) for line in self.ledger]
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        return {
+            "delivered": self.delivered,
+            "pending": self._pending,
+            "late_answers": self.late_answers,
+        }
 
     # Put.
 
@@ -94,6 +104,8 @@ class Mediator:
             member.wake()
         self.delivered += 1
         self.ledger.append(("put", sender, receiver, _DELIVERED))
+        if self._journal.heard:
+            self._journal.publish(Kind.PUT, receiver, sender, data)
         return True
 
     async def put(self, data: Any, sender: str, receiver: str, interval: float) -> None:
@@ -107,7 +119,7 @@ class Mediator:
         member = self._check(receiver, interval, data)
         if member.can_receive:
             member.deliver(data)
-            self._record("put", sender, receiver, _DELIVERED)
+            self._record("put", sender, receiver, _DELIVERED, data)
             return
         request = self._begin("put", sender, receiver, data, member.senders.count)
         member.senders.push(request)
@@ -131,7 +143,9 @@ class Mediator:
             request = member.senders.pop()
             if not request.future.done():
                 member.deliver(request.data)
-                self._record("put", request.sender, request.receiver, _DELIVERED)
+                self._record(
+                    "put", request.sender, request.receiver, _DELIVERED, request.data
+                )
                 request.future.set_result(None)
 
     # Get.
@@ -150,7 +164,10 @@ class Mediator:
             return NOTHING
         self.delivered += 1
         self.ledger.append(("get", sender, receiver, _DELIVERED))
-        return member.outbox.pop(0)
+        data = member.outbox.pop(0)
+        if self._journal.heard:
+            self._journal.publish(Kind.GOT, receiver, sender, data)
+        return data
 
     async def get(self, sender: str, receiver: str, interval: float) -> Any:
         """Ask a behavior for data; see `BehaviorSupervisor.get`."""
@@ -166,8 +183,9 @@ class Mediator:
             self._record("get", sender, receiver, Outcome.REFUSED)
             raise CircularRequestError(path)
         if member.outbox:
-            self._record("get", sender, receiver, _DELIVERED)
-            return member.outbox.pop(0)
+            offered = member.outbox.pop(0)
+            self._record("get", sender, receiver, _DELIVERED, offered)
+            return offered
         request = self._begin("get", sender, receiver, None, member.askers.count)
         member.askers.push(request)
         self._gets.setdefault(receiver, []).append(request)
@@ -198,7 +216,7 @@ class Mediator:
             request = member.askers.pop()
             if request.future.done():
                 continue
-            self._record("get", request.sender, request.receiver, _DELIVERED)
+            self._record("get", request.sender, request.receiver, _DELIVERED, data)
             request.future.set_result(data)
             return True
         return False
@@ -233,7 +251,7 @@ class Mediator:
         if not waited or request.future.done():
             self.late_answers += error is None
         elif error is None:
-            self._record("get", request.sender, request.receiver, _DELIVERED)
+            self._record("get", request.sender, request.receiver, _DELIVERED, data)
             request.future.set_result(data)
         else:
             failed: EsairError = _failed(member, error)
@@ -355,10 +373,20 @@ class Mediator:
             request.future.set_exception(error)
             request.future.exception()  # its asker may be cancelled in this moment
 
-    def _record(self, kind: str, sender: str, receiver: str, outcome: Outcome) -> None:
+    def _record(
+        self,
+        kind: str,
+        sender: str,
+        receiver: str,
+        outcome: Outcome,
+        data: Any = None,
+    ) -> None:
+        self.ledger.append((kind, sender, receiver, outcome))
         if outcome is _DELIVERED:
             self.delivered += 1
-        self.ledger.append((kind, sender, receiver, outcome))
+            if self._journal.heard:
+                event = Kind.PUT if kind == "put" else Kind.GOT
+                self._journal.publish(event, receiver, sender, data)
 
     def _circle(self, asker: str, giver: str) -> list[str]:
         """Return the circle that a get would close, or nothing."""

@@ -32,6 +32,7 @@ from esair.exceptions import (
     UnknownNameError,
     describe,
 )
+from esair.journal import Kind
 from esair.loop import Owner, Portal, spawn
 from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._mailbox import Mailbox
@@ -224,10 +225,17 @@ class Member(Mailbox):
         if running:
             self._mediator.admit(self)
             self._mediator.serve(self)
+        if before is not self.state:
+            self._tell(Kind.RUNNING if running else Kind.PARKED, why)
         if before is BehaviorState.RUNNING and not running:
             _log.info("%s: parked: %s", self.name, why)
         elif before is BehaviorState.PARKED and running:
             _log.info("%s: goes on", self.name)
+
+    def _tell(self, kind: Kind, text: str = "") -> None:
+        journal = self._supervisor.journal
+        if journal.heard:
+            journal.publish(kind, self.name, "", self.error, text)
 
     def _is_ready(self) -> None:
         if self.ready is not None and not self.ready.done():
@@ -242,6 +250,7 @@ class Member(Mailbox):
         error = asyncio.CancelledError() if task.cancelled() else task.result()
         if error is None:
             self.state = BehaviorState.FINISHED
+            self._tell(Kind.FINISHED)
             self.fence()
             self._cancel_tasks()
             self._supervisor.ended(self)
@@ -251,6 +260,7 @@ class Member(Mailbox):
     def _crashed(self, error: BaseException) -> None:
         """Make safe what it held, and start it again unless its budget is spent."""
         self.error = error
+        self._tell(Kind.CRASHED, describe(error))
         self.fence()
         self.owner.over = self.outlived = True
         self._cancel_tasks()
@@ -266,6 +276,7 @@ class Member(Mailbox):
             # Not its own fault: it begins anew when everything it uses is there.
             self.state = BehaviorState.PARKED
             self.detail = f"{', '.join(absent)} is not there"
+            self._tell(Kind.PARKED, self.detail)
             _log.info("%s: parked: %s", self.name, self.detail)
             self._mediator.peer_failed(self, error)
             return
@@ -275,6 +286,7 @@ class Member(Mailbox):
         pause = self._budget.spend(loop.time())
         if pause is None:
             self.state = BehaviorState.FAILED
+            self._tell(Kind.FAILED, describe(error))
             _log.error(
                 "%s: failed for good: %s",
                 self.name,
@@ -327,6 +339,7 @@ class Member(Mailbox):
 
     def _restart(self) -> None:
         self._timer = None
+        self._tell(Kind.RESTARTED)
         try:
             self.start()
         except Exception as error:
@@ -522,6 +535,17 @@ class Member(Mailbox):
             self.start()
         except Exception as error:
             self._crashed(error)
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        found = {
+            "restarts": self._budget.restarts if self._budget is not None else 0,
+            "inbox": len(self.inbox),
+            "waiting": self.senders.count,
+        }
+        if self.runner is not None:
+            found |= self.runner.counts()
+        return found
 
     def status(self) -> BehaviorStatus:
         """Tell what it is doing."""

@@ -22,6 +22,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
+from esair.journal import Kind
 from esair.loop import spawn
 from esair.messages import ResourceState, Restart
 from esair.resources import Resource, settings_of
@@ -53,14 +54,13 @@ class ResourceLife:
     ) -> None:
         self.resource = resource
         self.channel = channel
-        self.on_up: Callable[[str], None] = _ignore
-        """Called each time the device has become ready."""
         self.losses = 0
         self.faults = 0
         self.tried: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         """Done when the device was tried for the first time."""
         self.configuring = asyncio.Lock()
         """Held while settings are applied: one change at a time, none in an opening."""
+        self._journal = channel.registrations.journal
         self._budget = RestartBudget(restart)
         self._loop = asyncio.get_running_loop()
         self._thread = threading.current_thread()
@@ -257,6 +257,9 @@ class ResourceLife:
                 pause = self._budget.spend(self._loop.time())
             if pause is None:
                 self.channel.state = ResourceState.FAILED
+                self._journal.publish(
+                    Kind.FAILED, self.resource.name, "", error, describe(error)
+                )
                 _log.error(
                     "%s: failed for good, %d restarts did not help: %s",
                     self.resource.name,
@@ -342,7 +345,7 @@ class ResourceLife:
     def _up(self) -> None:
         self._faults_in_row = 0
         self.channel.up()
-        self.on_up(self.resource.name)
+        self._journal.publish(Kind.UP, self.resource.name)
         if self.losses:
             _log.info("%s: back", self.resource.name)
 
@@ -360,6 +363,9 @@ class ResourceLife:
         self.channel.down(ResourceState.LOST, cause)
         if first:
             self.losses += 1
+            self._journal.publish(
+                Kind.DOWN, self.resource.name, "", cause, describe(cause)
+            )
             _log.warning("%s: lost: %s", self.resource.name, describe(error))
         elif type(error) is _AnotherDeviceError and type(before) is not type(error):
             _log.warning("%s: still lost: %s", self.resource.name, describe(error))
@@ -395,7 +401,3 @@ def _is_absence(error: BaseException | None) -> bool:
     return isinstance(error, OSError) and (
         error.errno is not None or not isinstance(error, EsairError)
     )
-
-
-def _ignore(_name: str) -> None:
-    """Tell nobody: the supervisor has not said whom."""

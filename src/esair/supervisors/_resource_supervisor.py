@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from esair import abc, minimal
@@ -27,6 +27,7 @@ from esair.exceptions import (
     StoppingError,
     UnknownNameError,
 )
+from esair.journal import Kind
 from esair.loop import spawn
 from esair.messages import (
     Access,
@@ -81,10 +82,8 @@ class ResourceSupervisor(abc.Supervisor):
         self._leaving: set[str] = set()
         self.buses: list[Bus] = []
         """Every bus that a resource of this robot is or was on."""
-        self.on_up: Callable[[str], None] = lambda _name: None
-        """Called when a device has become ready; the other supervisor sets it."""
-        self.on_change: Callable[[str], None] = lambda _name: None
-        """Called when a resource was added or removed; the other supervisor sets it."""
+        self.journal = registrations.journal
+        self.journal.count("resources", self._counted)
 
     # What everybody may ask.
 
@@ -169,7 +168,7 @@ class ResourceSupervisor(abc.Supervisor):
             except BaseException:
                 await self._undeploy(resource.name, ResourceState.REMOVED)
                 raise
-            self.on_change(resource.name)
+            self.journal.publish(Kind.ADDED, resource.name, "resource")
 
         await self._command_queue.run(work, name=f"add {resource!r:.80}", undo=True)
 
@@ -194,7 +193,7 @@ class ResourceSupervisor(abc.Supervisor):
             await self._make_safe(name)
             await self._undeploy(name, ResourceState.REMOVED)
             self._leaving.discard(name)
-            self.on_change(name)
+            self.journal.publish(Kind.REMOVED, name, "resource")
 
         await self._command_queue.run(work, name=f"remove {name}", undo=False)
 
@@ -246,7 +245,7 @@ class ResourceSupervisor(abc.Supervisor):
                 self._deploy(resource)
                 self._leaving.discard(name)
             await self._lives[name].tried
-            self.on_change(name)
+            self.journal.publish(Kind.ADDED, name, "resource", resource, "in its place")
 
         await self._command_queue.run(work, name=f"replace {name}", undo=False)
 
@@ -375,7 +374,11 @@ class ResourceSupervisor(abc.Supervisor):
         async with life.configuring:
             if self._configurable(registration) is not life:
                 raise DeviceLostError(registration.resource, "it was replaced")
-            await life.configure(check_settings(life.resource, settings))
+            changes = check_settings(life.resource, settings)
+            await life.configure(changes)
+            self.journal.publish(
+                Kind.CONFIGURED, registration.resource, registration.behavior, changes
+            )
 
     # What the robot does at its start and stop.
 
@@ -457,6 +460,13 @@ class ResourceSupervisor(abc.Supervisor):
 
     # Inside.
 
+    def _counted(self) -> Iterator[tuple[str, Mapping[str, int]]]:
+        for name, life in self._lives.items():
+            yield name, life.channel.counts()
+            yield name, {"losses": life.losses, "faults": life.faults}
+        for bus in self.buses:
+            yield f"bus {bus.name}", bus.stats.counts()
+
     def _life(self, name: str) -> ResourceLife:
         life = self._lives.get(name)
         if life is None:
@@ -498,7 +508,6 @@ class ResourceSupervisor(abc.Supervisor):
         life = ResourceLife(
             resource, channel, restart if isinstance(restart, Restart) else Restart()
         )
-        life.on_up = lambda name: self.on_up(name)
         self._lives[resource.name] = life
         life.start()
 

@@ -1,0 +1,11 @@
+"""What happened: one numbered event for each effect, listeners, and all counters.
+
+Recording, the operator's seat and the supervisors stand on it. It observes: nothing
+that a listener does changes an order, a decision or a command.
+"""
+
+from esair.journal._event import Event, Kind
+from esair.journal._journal import BACKLOG, SLICE, Journal, Listener
+from esair.journal._log_lines import LogLines
+
+__all__ = ["BACKLOG", "SLICE", "Event", "Journal", "Kind", "Listener", "LogLines"]

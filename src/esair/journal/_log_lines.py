@@ -1,0 +1,55 @@
+"""Lines of esair's log as events."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+
+from esair.journal._event import Kind
+from esair.journal._journal import Journal
+
+
+class LogLines(logging.Handler):
+    """Publishes each line of esair's log in the journals of the robots that run.
+
+    A line that another thread writes is published in the loop, not in that thread.
+    """
+
+    def __init__(self, journal: Journal) -> None:
+        super().__init__(logging.INFO)
+        self._journal = journal
+        self._loop = asyncio.get_running_loop()
+        self._home = threading.get_ident()
+        self._inside = False
+
+    def start(self) -> None:
+        """Begin to hear the log."""
+        logging.getLogger("esair").addHandler(self)
+
+    def stop(self) -> None:
+        """Hear it no more."""
+        logging.getLogger("esair").removeHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Publish a line; one that the journal itself causes is left out."""
+        if self._inside or not self._journal.heard:
+            return
+        try:
+            text = record.getMessage()
+        except Exception as error:  # a line that cannot be formatted
+            text = f"{record.msg!r:.80} cannot be formatted: {type(error).__name__}"
+        level = record.levelname.lower()
+        if threading.get_ident() == self._home:
+            self._publish(record.name, level, text)
+            return
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._publish, record.name, level, text)
+
+    def _publish(self, name: str, level: str, text: str) -> None:
+        self._inside = True
+        try:
+            self._journal.publish(Kind.LOG, name, level, None, text)
+        finally:
+            self._inside = False

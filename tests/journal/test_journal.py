@@ -1,0 +1,234 @@
+"""The journal: one order of events, listeners that harm nobody, all counters."""
+
+import asyncio
+import logging
+import time
+
+import pytest
+
+import esair
+from esair.journal import SLICE, Event, Journal, Kind
+
+pytestmark = [pytest.mark.promise("TURN-5"), pytest.mark.virtual_clock]
+
+
+class Wander(esair.Behavior):
+    """Drives on."""
+
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.wheels.write(0.3)
+
+
+class Greet(esair.Behavior):
+    """Hands something to another behavior."""
+
+    async def run(self) -> None:
+        await self.put("guest", "hello")
+
+
+class Guest(esair.Behavior):
+    """Takes what it is given."""
+
+    async def run(self) -> None:
+        await self.receive()
+        await asyncio.Event().wait()
+
+
+def of(events: list[Event], kind: Kind) -> list[Event]:
+    return [event for event in events if event.kind is kind]
+
+
+async def test_a_command_is_told_from_asking_to_applied(fake_actuator):
+    """Asked, sent and applied are three events of one write, in this order."""
+    events: list[Event] = []
+    wheels = fake_actuator("wheels", safe=0.0)
+    robot = esair.Robot(resources=[wheels], behaviors=[Wander()])
+    robot.journal.listen(events.append)
+    async with robot:
+        await wheels.until(0.3, timeout=1.0)
+        await asyncio.sleep(0.0)
+    about = [event.kind for event in events if event.peer == "wander"]
+    first = about.index(Kind.COMMAND)
+    assert about[first : first + 3] == [Kind.COMMAND, Kind.SENT, Kind.APPLIED]
+    assert of(events, Kind.SENT)[0].value == 0.3
+
+
+async def test_the_numbers_have_no_gaps(fake_sensor, fake_actuator):
+    """Every event has the next number, and time never goes back."""
+    events: list[Event] = []
+    robot = esair.Robot(
+        resources=[fake_sensor("sonar", 1.0), fake_actuator("wheels", safe=0.0)],
+        behaviors=[Wander()],
+    )
+    robot.journal.listen(events.append)
+    async with robot:
+        await asyncio.sleep(0.5)
+    assert [event.number for event in events] == list(range(1, len(events) + 1))
+    assert [event.time for event in events] == sorted(event.time for event in events)
+
+
+async def test_the_safe_command_is_the_last_word(fake_actuator):
+    """The stop is in the journal: safe is the last thing told of the actuator."""
+    events: list[Event] = []
+    robot = esair.Robot(
+        resources=[fake_actuator("wheels", safe=0.0)], behaviors=[Wander()]
+    )
+    robot.journal.listen(events.append)
+    async with robot:
+        await asyncio.sleep(0.2)
+    told = [e for e in events if e.component == "wheels" and e.kind in {"sent", "safe"}]
+    assert told[-1].kind is Kind.SAFE
+
+
+async def test_a_loss_and_a_return_are_told(fake_sensor):
+    """A device that goes and comes back is a DOWN and an UP."""
+    events: list[Event] = []
+    sonar = fake_sensor("sonar", 1.0)
+    robot = esair.Robot(resources=[sonar])
+    robot.journal.listen(events.append, kinds=[Kind.UP, Kind.DOWN])
+    async with robot:
+        sonar.unplug()
+        await asyncio.sleep(1.0)
+        sonar.plug()
+        await asyncio.sleep(1.0)
+    kinds = [event.kind for event in events if event.component == "sonar"]
+    assert kinds == [Kind.UP, Kind.DOWN, Kind.UP]
+
+
+async def test_data_between_behaviors_is_told():
+    """A put that was delivered names both and the data."""
+    events: list[Event] = []
+    robot = esair.Robot(behaviors=[Guest(), Greet()])
+    robot.journal.listen(events.append, kinds=[Kind.PUT])
+    async with robot:
+        await asyncio.sleep(0.1)
+    assert [event[3:6] for event in events] == [("guest", "greet", "hello")]
+
+
+async def test_a_listener_that_raises_is_ended_with_a_line(fake_actuator, caplog):
+    """It hears nothing more; the robot and the other listeners go on."""
+    heard: list[Event] = []
+
+    def broken(event: Event) -> None:
+        raise ValueError("no")
+
+    wheels = fake_actuator("wheels", safe=0.0)
+    robot = esair.Robot(resources=[wheels], behaviors=[Wander()])
+    robot.journal.listen(broken)
+    robot.journal.listen(heard.append)
+    with caplog.at_level(logging.ERROR, "esair"):
+        async with robot:
+            await wheels.until(0.3, timeout=1.0)
+            await asyncio.sleep(0.5)
+    assert sum("a listener raised" in line for line in caplog.messages) == 1
+    assert len(of(heard, Kind.SENT)) > 5
+    assert robot.journal.counts()["journal"]["ended"] == 1
+
+
+async def test_what_a_listener_misses_is_counted():
+    """With a backlog of three, of ten events in one turn the newest three are told."""
+    journal, heard = Journal(), list[int]()
+    listener = journal.listen(lambda event: heard.append(event.value), backlog=3)
+    journal.start(asyncio.get_running_loop())
+    for number in range(10):
+        journal.publish(Kind.READING, "sonar", "", number)
+    await asyncio.sleep(0)
+    assert heard == [7, 8, 9]
+    assert listener.dropped == 7
+    assert journal.counts()["journal"]["dropped"] == 7
+
+
+async def test_a_listener_never_runs_inside_the_effect():
+    """It is called at the end of the turn, when the step that told is over."""
+    journal, order = Journal(), list[str]()
+    journal.listen(lambda event: order.append("told"))
+    journal.start(asyncio.get_running_loop())
+    journal.publish(Kind.SENT, "wheels")
+    order.append("step over")
+    await asyncio.sleep(0)
+    assert order == ["step over", "told"]
+
+
+async def test_a_listener_that_was_stopped_hears_nothing():
+    """Neither what waits nor what comes."""
+    journal, heard = Journal(), list[Event]()
+    listener = journal.listen(heard.append)
+    journal.start(asyncio.get_running_loop())
+    journal.publish(Kind.SENT, "wheels")
+    listener.stop()
+    journal.publish(Kind.SENT, "wheels")
+    await asyncio.sleep(0)
+    assert heard == []
+    assert not journal.heard
+
+
+async def test_a_slow_listener_gives_way():
+    """After its share of a turn the others are served, and it goes on in the next."""
+    journal, order = Journal(), list[str]()
+
+    def slow(event: Event) -> None:
+        order.append("slow")
+        end = time.perf_counter() + 1.5 * SLICE
+        while time.perf_counter() < end:
+            pass
+
+    journal.listen(slow)
+    journal.listen(lambda event: order.append("quick"))
+    journal.start(asyncio.get_running_loop())
+    for _ in range(2):
+        journal.publish(Kind.SENT, "wheels")
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert order == ["slow", "quick", "quick", "slow"]
+
+
+async def test_a_resident_acts_in_the_same_step():
+    """What supervisors need of each other belongs to the effect itself."""
+    journal, order = Journal(), list[str]()
+    journal.attach(Kind.UP, lambda event: order.append(event.component))
+    journal.publish(Kind.UP, "sonar")
+    assert order == ["sonar"]
+
+
+async def test_lines_of_the_log_are_events():
+    """Also those that another thread writes."""
+    events: list[Event] = []
+    robot = esair.Robot(name="rover")
+    robot.journal.listen(events.append, kinds=[Kind.LOG])
+    log = logging.getLogger("esair.test")
+    async with robot:
+        log.warning("from the %s", "loop")
+        await asyncio.to_thread(log.warning, "from a thread")
+        await asyncio.sleep(0.1)
+    assert [event.text for event in events[:2]] == ["from the loop", "from a thread"]
+
+
+async def test_counts_name_every_component(fake_sensor, fake_actuator):
+    """Counters of sensors, actuators, behaviors and the journal are in one place."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    robot = esair.Robot(
+        resources=[fake_sensor("sonar", 1.0), wheels], behaviors=[Wander()]
+    )
+    async with robot:
+        await wheels.until(0.3, timeout=1.0)
+        counts = robot.journal.counts()
+    assert counts["wheels"]["writes"] >= 1
+    assert counts["sonar"]["losses"] == 0
+    assert counts["wander"]["restarts"] == 0
+    assert set(counts) >= {"behaviors", "journal"}
+
+
+def test_supervisors_have_no_slot_to_overwrite():
+    """A user who assigns something cuts no supervisor off from the other."""
+    robot = esair.Robot()
+    slots = [
+        f"{type(each).__name__}.{name}"
+        for each in (robot, robot.resources, robot.behaviors)
+        for name in vars(each)
+        if name.startswith("on_")
+    ]
+    assert slots == []
