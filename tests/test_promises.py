@@ -11,20 +11,31 @@ import pytest
 
 TESTS = Path(__file__).parent
 
+PROMISE_GROUPS = {
+    "ROB": 7, "SUP": 5, "BS": 11, "RS": 8, "SC": 4, "AC": 5, "BEH": 6, "REA": 4,
+    "TURN": 6, "CALL": 3, "PRO": 14, "RES": 4, "BUS": 4, "GRD": 3, "REC": 6, "REP": 3,
+    "OPS": 5, "SEC": 1, "MIN": 5,
+}  # fmt: skip
+"""How many promises each group of the contract has."""
+
 PROMISES = {
-    *(f"ROB-{n}" for n in range(1, 4)),
-    *(f"SUP-{n}" for n in range(1, 6)),
-    *(f"BS-{n}" for n in range(1, 8)),
-    *(f"RS-{n}" for n in range(1, 7)),
-    *(f"SC-{n}" for n in range(1, 4)),
-    *(f"AC-{n}" for n in range(1, 5)),
-    *(f"BEH-{n}" for n in range(1, 4)),
-    *(f"REA-{n}" for n in range(1, 4)),
-    *(f"RES-{n}" for n in range(1, 3)),
-    *(f"BUS-{n}" for n in range(1, 3)),
-    *(f"MIN-{n}" for n in range(1, 3)),
+    f"{group}-{number}"
+    for group, count in PROMISE_GROUPS.items()
+    for number in range(1, count + 1)
 }
-"""What the library promises now."""
+"""What the library promises."""
+
+NOT_YET = {
+    *("ROB-4", "ROB-5", "ROB-6", "ROB-7", "BS-8", "BS-9", "BS-10", "BS-11"),
+    *("RS-7", "RS-8", "SC-4", "AC-5", "BEH-4", "BEH-5", "BEH-6", "REA-4"),
+    *("TURN-1", "TURN-2", "TURN-3", "TURN-4", "TURN-6"),
+    *("CALL-1", "CALL-2", "CALL-3", *(f"PRO-{n}" for n in range(1, 15))),
+    *("RES-3", "RES-4", "BUS-3", "BUS-4", "GRD-1", "GRD-2", "GRD-3"),
+    *(f"REC-{n}" for n in range(1, 7)),
+    *("REP-1", "REP-2", "REP-3", "OPS-1", "OPS-2", "OPS-3", "OPS-4", "OPS-5"),
+    *("SEC-1", "MIN-3", "MIN-4", "MIN-5"),
+}
+"""Promises of the second edition that are not built, or not proved, yet."""
 
 GROUPS = {
     "D": 30, "C": 10, "I": 7, "B": 22, "X": 10, "M": 20, "R": 16, "L": 12,
@@ -89,16 +100,17 @@ def files() -> list[Path]:
 
 
 def test_the_catalogue_is_whole() -> None:
-    """There are 193 faults in 14 groups, and 40 promises."""
+    """There are 193 faults in 14 groups, and 104 promises in 19."""
     assert len(FAULTS) == 193
-    assert len(PROMISES) == 40
+    assert len(PROMISES) == 104
+    assert NOT_YET < PROMISES
 
 
 def test_every_promise_has_a_test() -> None:
     """No promise is only words."""
     proved = {each for each, _ in marks("promise", files())}
 
-    missing = sorted(PROMISES - proved)
+    missing = sorted(PROMISES - proved - NOT_YET)
     assert not missing, f"promises without a test: {', '.join(missing)}"
 
 
