@@ -133,8 +133,9 @@ FIXED: list[tuple[Any, str]] = [
     (esair.Robot.from_config, "path"),
     (esair.run, "robot"),
     (esair.every, "period"),
-    (esair.reads, "type * name max_age configure"),
-    (esair.writes, "type * name priority hold configure"),
+    (esair.reads, "type * name max_age every optional configure"),
+    (esair.writes, "type * name priority hold blind configure"),
+    (esair.guards, "type * name priority latch"),
     (esair.BehaviorSupervisor.remove, "name"),
     (esair.BehaviorSupervisor.put, "data * sender receiver interval"),
     (esair.BehaviorSupervisor.get, "* sender receiver interval"),
@@ -159,7 +160,7 @@ FIXED: list[tuple[Any, str]] = [
     (ActuatorPort.release, ""),
     (ActuatorPort.configure, "**settings"),
     (esair.Policy, "resource allow * exclusive"),
-    (esair.Written, "command"),
+    (esair.Written, "command asked by"),
     (esair.Refused, "holder priority rule since until"),
     (FakeSensor.feed, "value"),
     (FakeActuator.until, "wanted * timeout"),
@@ -194,6 +195,8 @@ def test_the_fixed_names_are_exported() -> None:
         "every",
         "reads",
         "writes",
+        "guards",
+        "HOLD",
         "setting",
         "Supervisor",
         "Action",
@@ -220,7 +223,8 @@ def test_the_fixed_names_are_exported() -> None:
 
     assert set(wanted) <= set(esair.__all__)
     assert all(hasattr(esair, name) for name in esair.__all__)
-    assert sorted(esair.__all__) == list(esair.__all__)
+    constants_first = sorted(esair.__all__, key=lambda each: (not each.isupper(), each))
+    assert constants_first == list(esair.__all__)
 
 
 def test_the_four_bases_and_eight_leaves() -> None:
@@ -244,7 +248,7 @@ def test_the_values_of_the_contract() -> None:
     assert [p.name for p in esair.SupervisorPhase] == [
         "INITIALIZING", "WAIT_REQUEST", "HANDLING_REQUEST", "STOPPED",
     ]  # fmt: skip
-    assert [a.name for a in esair.Access] == ["READ", "WRITE", "CONFIGURE"]
+    assert [a.name for a in esair.Access] == ["READ", "WRITE", "CONFIGURE", "GUARD"]
     assert esair.Reading._fields == ("value", "time", "sequence")
     assert esair.Actuator.command_timeout == 0.2
     assert esair.Sensor.rate.default == 10.0  # type: ignore[attr-defined]

@@ -14,7 +14,7 @@ reactions (its *actions*). Subclass those, hand them to a `Robot`, and `run` it:
 """
 
 from esair.abc import Action, Connection, Supervisor
-from esair.actions import Behavior, Reaction, reads, writes
+from esair.actions import Behavior, Reaction, guards, reads, writes
 from esair.connections import ActuatorConnection, Registration, SensorConnection
 from esair.exceptions import (
     AccessDeniedError,
@@ -51,13 +51,14 @@ from esair.messages import (
     Why,
     Written,
 )
-from esair.resources import Actuator, Resource, Sensor, setting
+from esair.resources import HOLD, Actuator, Resource, Sensor, setting
 from esair.standard import Robot, run
 from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "HOLD",
     "Access",
     "AccessDeniedError",
     "Action",
@@ -103,6 +104,7 @@ __all__ = [
     "Why",
     "Written",
     "every",
+    "guards",
     "reads",
     "run",
     "setting",

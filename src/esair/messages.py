@@ -23,6 +23,8 @@ class Access(enum.Flag):
     """Write an actuator."""
     CONFIGURE = enum.auto()
     """Change the settings of a resource."""
+    GUARD = enum.auto()
+    """Guard an actuator: every command for it passes whoever has this right."""
 
     def __str__(self) -> str:
         return " | ".join(flag.name or "" for flag in type(self) if flag in self)
@@ -88,9 +90,13 @@ class Written(Answer, Generic[T]):
 
     Attributes:
         command: What was really applied, which may be less than what was asked.
+        asked: What was asked.
+        by: The guard that let only a weaker command pass; None if none did.
     """
 
     command: T
+    asked: T | None = None
+    by: str | None = None
 
     def __bool__(self) -> bool:
         return True
@@ -101,18 +107,19 @@ class Refused(Answer):
     """A command that was not sent, and why; false in a condition.
 
     Attributes:
-        holder: Who holds the actuator.
+        holder: Who holds the actuator: a writer, one that is blind, or a guard.
         priority: The priority of the holder.
         rule: The rule that refused the command, in words.
         since: Since when it has been held, on the event loop's clock (seconds).
-        until: When the hold ends unless it is renewed, on the same clock.
+        until: When the hold ends unless it is renewed, on the same clock; None if
+            that is not a matter of time.
     """
 
     holder: str
     priority: int
     rule: str
     since: float
-    until: float
+    until: float | None
 
     def __bool__(self) -> bool:
         return False

@@ -55,7 +55,9 @@ HIDDEN = {
 def documented(page: str) -> set[str]:
     text = (REFERENCE / page).read_text(encoding="utf-8")
     found = set(
-        re.findall(r"auto(?:class|function|exception):: (\w+)$", text, re.MULTILINE)
+        re.findall(
+            r"auto(?:class|function|exception|data):: (\w+)$", text, re.MULTILINE
+        )
     )
     for names in re.findall(r"automodule:: .*\n   :members: (.+)", text):
         found |= {name.strip() for name in names.split(",")}

@@ -3,10 +3,13 @@
 from esair.actions._behavior import NOTHING, Behavior, Host
 from esair.actions._from_minimal import MinimalReaction, adapt_action
 from esair.actions._needs import (
+    Blind,
+    Guards,
     Need,
     ProfiledAction,
     Reads,
     Writes,
+    guards,
     mistakes_in_needs,
     reads,
     writes,
@@ -24,8 +27,10 @@ __all__ = [
     "NOTHING",
     "ActuatorPort",
     "Behavior",
+    "Blind",
     "BlockingActuatorPort",
     "BlockingSensorPort",
+    "Guards",
     "Host",
     "MinimalReaction",
     "Need",
@@ -36,6 +41,7 @@ __all__ = [
     "SensorPort",
     "Writes",
     "adapt_action",
+    "guards",
     "mistakes_in_needs",
     "mistakes_in_reaction",
     "reads",

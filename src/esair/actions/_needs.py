@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Generic, TypeVar, overload
+from typing import Any, ClassVar, Generic, Literal, NoReturn, TypeVar, overload
 
 import attrs
 
@@ -15,6 +15,9 @@ from esair.values import check_name, is_positive
 
 T = TypeVar("T")
 
+Blind = Literal["safe", "release"]
+"""What is done with the actuator of a component that cannot see."""
+
 
 @attrs.frozen
 class Reads(Generic[T]):
@@ -23,8 +26,11 @@ class Reads(Generic[T]):
     Attributes:
         type: The type of the readings.
         name: The name of the sensor; that of the attribute unless given.
-        max_age: The greatest age of a reading, in seconds; None for any.
+        max_age: The greatest age of a reading, in seconds; the sensor's own limit
+            unless given.
         configure: Whether the action may change the sensor's settings.
+        every: Whether a reaction runs on every single reading.
+        optional: Whether a reaction decides without it; it gets None then.
     """
 
     type: Any
@@ -32,6 +38,8 @@ class Reads(Generic[T]):
     max_age: float | None = None
     configure: bool = False
     attribute: str = ""
+    every: bool = attrs.field(default=False, kw_only=True)
+    optional: bool = attrs.field(default=False, kw_only=True)
 
     def __set_name__(self, owner: type, name: str) -> None:
         object.__setattr__(self, "attribute", name)
@@ -68,6 +76,8 @@ class Writes(Generic[T]):
         hold: For how long a write holds the actuator, in seconds; the actuator's
             command timeout unless given.
         configure: Whether the action may change the actuator's settings.
+        blind: What is done with the actuator while the action cannot see; None for
+            what is usual: "safe" for a reaction, "release" for a behavior.
     """
 
     type: Any
@@ -76,6 +86,7 @@ class Writes(Generic[T]):
     hold: float | None = None
     configure: bool = False
     attribute: str = ""
+    blind: Blind | None = attrs.field(default=None, kw_only=True)
 
     def __set_name__(self, owner: type, name: str) -> None:
         object.__setattr__(self, "attribute", name)
@@ -102,7 +113,50 @@ class Writes(Generic[T]):
         return Access.WRITE | Access.CONFIGURE if self.configure else Access.WRITE
 
 
-Need = Reads[Any] | Writes[Any]
+@attrs.frozen
+class Guards(Generic[T]):
+    """A reaction guards an actuator: every command of everybody passes it.
+
+    Attributes:
+        type: The type of the commands.
+        name: The name of the actuator; that of the attribute unless given.
+        priority: Which guard is asked first if there are several; higher is earlier.
+        latch: Whether nothing passes any more, once it has stopped something, until
+            the user resets it.
+    """
+
+    type: Any
+    name: str | None = None
+    priority: int = 0
+    latch: bool = False
+    attribute: str = ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        object.__setattr__(self, "attribute", name)
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> Guards[T]: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> NoReturn: ...
+    def __get__(self, instance: object | None, owner: type) -> Guards[T]:
+        if instance is None:
+            return self
+        raise AttributeError(
+            f"{self.attribute}: a guard gets the command as a parameter of react"
+        )
+
+    @property
+    def resource(self) -> str:
+        """The name of the actuator."""
+        return self.name or self.attribute
+
+    @property
+    def access(self) -> Access:
+        """What the action wants to do."""
+        return Access.GUARD
+
+
+Need = Reads[Any] | Writes[Any] | Guards[Any]
 
 
 def reads(
@@ -110,6 +164,8 @@ def reads(
     *,
     name: str | None = None,
     max_age: float | None = None,
+    every: bool = False,
+    optional: bool = False,
     configure: bool = False,
 ) -> Reads[T]:
     """Declare, as a class attribute, that an action reads a sensor.
@@ -117,16 +173,20 @@ def reads(
     Args:
         type: The type of the readings.
         name: The name of the sensor; that of the attribute unless given.
-        max_age: The greatest age of a reading, in seconds. An older one is never
-            passed off as current: a behavior gets `StaleReadingError`, a reaction
-            is parked.
+        max_age: The greatest age of a reading, in seconds; the sensor's own limit
+            unless given (three of its periods if it is polled). An older one is
+            never passed off as current: a behavior gets `StaleReadingError`, a
+            reaction is blind.
+        every: A reaction runs on every single reading, not on the newest alone.
+        optional: A reaction decides without it as well: while it is absent or
+            stale, ``react`` gets None in its place.
         configure: Whether the action may change the sensor's settings.
 
     Example:
         >>> class Avoid(esair.Reaction):
         ...     sonar = esair.reads(float, max_age=0.5)
     """
-    return Reads(type, name, max_age, configure)
+    return Reads(type, name, max_age, configure, every=every, optional=optional)
 
 
 def writes(
@@ -135,6 +195,7 @@ def writes(
     name: str | None = None,
     priority: int = 0,
     hold: float | None = None,
+    blind: Blind | None = None,
     configure: bool = False,
 ) -> Writes[T]:
     """Declare, as a class attribute, that an action writes an actuator.
@@ -145,13 +206,49 @@ def writes(
         priority: Who moves the actuator if several want to; higher wins.
         hold: For how long a write holds the actuator, in seconds; the actuator's
             command timeout unless given.
+        blind: What is done with the actuator while the action cannot decide. With
+            ``"safe"``, which is a reaction's default, the actuator is told safe at
+            once unless a higher priority moves it, and writes of the same or a
+            lower priority are refused. With ``"release"``, a behavior's default,
+            the action just has no say, and lower priorities get through.
         configure: Whether the action may change the actuator's settings.
 
     Example:
         >>> class Wander(esair.Behavior):
         ...     wheels = esair.writes(Twist)
     """
-    return Writes(type, name, priority, hold, configure)
+    return Writes(type, name, priority, hold, configure, blind=blind)
+
+
+def guards(
+    type: type[T],  # noqa: A002 - the contract's name
+    *,
+    name: str | None = None,
+    priority: int = 0,
+    latch: bool = False,
+) -> Guards[T]:
+    """Declare, as a class attribute, that a reaction guards an actuator.
+
+    Every command for the actuator, whoever writes it, passes the guard: ``react``
+    gets it by the name of the port, and returns it, or a weaker one, or None to
+    refuse it. While the guard cannot see, nothing passes.
+
+    Args:
+        type: The type of the commands.
+        name: The name of the actuator; that of the attribute unless given.
+        priority: Which guard is asked first if there are several; higher is earlier.
+        latch: Once it has refused a command, or was blind while something moved,
+            nothing passes until the user calls ``robot.behaviors.reset(name)``.
+
+    Example:
+        >>> class Bumpers(esair.Reaction):
+        ...     bumper = esair.reads(bool)
+        ...     wheels = esair.guards(Twist)
+        ...
+        ...     def react(self, bumper: bool, wheels: Twist) -> Twist | None:
+        ...         return None if bumper else wheels
+    """
+    return Guards(type, name, priority, latch)
 
 
 class ProfiledAction(abc.Action):
@@ -161,7 +258,11 @@ class ProfiledAction(abc.Action):
         name: The name; the class name in snake case unless given.
         reads: Sensors to read besides, or instead of, those of the class.
         writes: Actuators to write besides, or instead of, those of the class.
+        guards: An actuator to guard instead of that of the class.
     """
+
+    blind_unless_said: ClassVar[Blind] = "release"
+    """What ``blind`` of its ports is, where they do not say."""
 
     _declared: Mapping[str, Need] = {}
     _profile: Mapping[str, Need] = {}
@@ -171,7 +272,7 @@ class ProfiledAction(abc.Action):
         found: dict[str, Need] = {}
         for each in reversed(cls.__mro__):
             for attribute, value in vars(each).items():
-                if isinstance(value, Reads | Writes):
+                if isinstance(value, Reads | Writes | Guards):
                     found[attribute] = value
                 else:
                     found.pop(attribute, None)
@@ -183,9 +284,10 @@ class ProfiledAction(abc.Action):
         name: str | None = None,
         reads: Mapping[str, Reads[Any]] | None = None,
         writes: Mapping[str, Writes[Any]] | None = None,
+        guards: Mapping[str, Guards[Any]] | None = None,
     ) -> None:
         super().__init__(name=name)
-        given: dict[str, Need] = {**(reads or {}), **(writes or {})}
+        given: dict[str, Need] = {**(reads or {}), **(writes or {}), **(guards or {})}
         if given:
             self._profile = {
                 attribute: attrs.evolve(need, attribute=attribute)
@@ -194,8 +296,14 @@ class ProfiledAction(abc.Action):
 
     @property
     def needs(self) -> dict[str, Need]:
-        """What this action reads and writes, by the name of its port."""
+        """What this action reads, writes and guards, by the name of its port."""
         return {**self._declared, **self._profile}
+
+    def holds_when_blind(self, need: Need) -> bool:
+        """Tell whether an actuator is kept safe while this action cannot decide."""
+        if not isinstance(need, Writes):
+            return isinstance(need, Guards)
+        return (need.blind or self.blind_unless_said) == "safe"
 
 
 def mistakes_in_needs(action: ProfiledAction) -> list[ConfigError]:
@@ -215,8 +323,12 @@ def mistakes_in_needs(action: ProfiledAction) -> list[ConfigError]:
                     "(a name is given by name=)",
                 )
             )
-        seconds = need.max_age if isinstance(need, Reads) else need.hold
-        field = "max_age" if isinstance(need, Reads) else "hold"
+        if isinstance(need, Guards):
+            field, seconds = "", None
+        elif isinstance(need, Reads):
+            field, seconds = "max_age", need.max_age
+        else:
+            field, seconds = "hold", need.hold
         if seconds is not None and not is_positive(seconds):
             found.append(
                 ConfigError(
@@ -225,7 +337,15 @@ def mistakes_in_needs(action: ProfiledAction) -> list[ConfigError]:
                     f"expected seconds > 0, not {seconds!r:.80}",
                 )
             )
-        if isinstance(need, Writes) and type(need.priority) is not int:
+        if isinstance(need, Writes) and need.blind not in {None, "safe", "release"}:
+            found.append(
+                ConfigError(
+                    action.name,
+                    f"{attribute}.blind",
+                    f"expected 'safe' or 'release', not {need.blind!r:.80}",
+                )
+            )
+        if not isinstance(need, Reads) and type(need.priority) is not int:
             found.append(
                 ConfigError(
                     action.name,

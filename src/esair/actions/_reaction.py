@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any
+from typing import Any, ClassVar
 
-from esair.actions._needs import ProfiledAction, Reads, Writes
+from esair.actions._needs import Blind, Guards, ProfiledAction, Reads, Writes
 from esair.exceptions import ConfigError
 from esair.messages import Restart
 from esair.values import is_positive
@@ -15,8 +15,12 @@ class Reaction(ProfiledAction):
     """A reactive action: one small decision each step, on the newest readings.
 
     It runs on every new reading of its sensors, or at a fixed ``rate``. While one
-    of its sensors is lost, removed or stale it is parked and its actuators are
-    given back.
+    of its sensors is not heard yet, lost, removed or stale, and while it has
+    crashed, it is *blind*: its actuators are kept safe against the same and lower
+    priorities, unless its port says ``blind="release"``.
+
+    A reaction with a port of `esair.guards` is a guard: ``react`` gets each command
+    that anybody writes, and returns what of it may pass.
 
     Example:
         >>> class Avoid(esair.Reaction):
@@ -43,6 +47,11 @@ class Reaction(ProfiledAction):
     restart: Restart = Restart()
     """How often it is started again after an error."""
 
+    mute_limit: float = 30.0
+    """For how long the user may mute what it protects, in seconds; 0: not at all."""
+
+    blind_unless_said: ClassVar[Blind] = "safe"
+
     def react(self, *args: Any, **readings: Any) -> Any:
         """Decide on the newest readings, which come by the names of their ports.
 
@@ -51,6 +60,14 @@ class Reaction(ProfiledAction):
             opinion", which gives the actuator back at once.
         """
         raise NotImplementedError
+
+    def blind(self, *args: Any, **commands: Any) -> Any:
+        """Of a guard: decide what of a command may pass while it cannot see.
+
+        It gets the command by the name of its port, as ``react`` does, and no
+        readings. Unless overridden it lets nothing pass.
+        """
+        return None
 
     @property
     def inputs(self) -> dict[str, Reads[Any]]:
@@ -65,6 +82,14 @@ class Reaction(ProfiledAction):
         return {
             key: need for key, need in self.needs.items() if isinstance(need, Writes)
         }
+
+    @property
+    def guarded(self) -> tuple[str, Guards[Any]] | None:
+        """The port by which it guards an actuator, and its name; None if it does not."""
+        for key, need in self.needs.items():
+            if isinstance(need, Guards):
+                return key, need
+        return None
 
 
 def mistakes_in_reaction(reaction: Reaction) -> list[ConfigError]:
@@ -85,7 +110,25 @@ def mistakes_in_reaction(reaction: Reaction) -> list[ConfigError]:
                 name, "overrun_limit", f"expected a whole number, not {limit!r:.80}"
             )
         )
-    if rate is None and not reaction.inputs:
+    mute_limit = reaction.mute_limit
+    if mute_limit != 0 and not is_positive(mute_limit):
+        found.append(
+            ConfigError(
+                name, "mute_limit", f"expected seconds >= 0, not {mute_limit!r:.80}"
+            )
+        )
+    guards = [key for key, need in reaction.needs.items() if isinstance(need, Guards)]
+    if len(guards) > 1 or (guards and reaction.outputs):
+        others = ", ".join([*guards[1:], *reaction.outputs])
+        found.append(
+            ConfigError(
+                name,
+                guards[0],
+                f"a guard guards one actuator and writes none: make {others} part of "
+                "another reaction",
+            )
+        )
+    if rate is None and not reaction.inputs and not guards:
         found.append(
             ConfigError(
                 name, "rate", "it reads no sensor, so it needs a rate (Hz) to run at"
@@ -102,15 +145,30 @@ def mistakes_in_reaction(reaction: Reaction) -> list[ConfigError]:
             ConfigError(name, "react", "expected a plain function that does not yield")
         )
         return found
+    given = [*reaction.inputs, *guards]
+    kind = "readings and the command" if guards else "readings"
     try:
-        inspect.signature(reaction.react).bind(**dict.fromkeys(reaction.inputs))
+        inspect.signature(reaction.react).bind(**dict.fromkeys(given))
     except TypeError as error:
         found.append(
             ConfigError(
                 name,
                 "react",
-                f"its parameters must be its readings ({', '.join(reaction.inputs) or 'none'}): "
+                f"its parameters must be its {kind} ({', '.join(given) or 'none'}): "
                 f"{error}",
             )
         )
+    if guards:
+        found.extend(_mistakes_in_blind(reaction, guards))
     return found
+
+
+def _mistakes_in_blind(reaction: Reaction, guards: list[str]) -> list[ConfigError]:
+    if inspect.iscoroutinefunction(reaction.blind):
+        return [ConfigError(reaction.name, "blind", "expected a plain function")]
+    try:
+        inspect.signature(reaction.blind).bind(**dict.fromkeys(guards))
+    except TypeError as error:
+        told = f"its parameter must be the command ({guards[0]}): {error}"
+        return [ConfigError(reaction.name, "blind", told)]
+    return []

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import attrs
 
-from esair.actions import ProfiledAction, Reads, Writes
+from esair.actions import Guards, Need, ProfiledAction, Reads, Writes
 from esair.config._mistakes import below, show
 from esair.config._source import Source
 from esair.config._values import INVALID, convert
@@ -15,16 +15,30 @@ from esair.config._words import unknown, wanted
 from esair.exceptions import ConfigError
 from esair.values import check_name
 
-FLOWS: Final = ("reads", "writes")
+FLOWS: Final = ("reads", "writes", "guards")
 """The keys that change the profile of a behavior or reaction."""
 
-_KINDS: Final[Mapping[str, type[Reads[Any]] | type[Writes[Any]]]] = {
+_KINDS: Final[Mapping[str, type[Need]]] = {
     "reads": Reads,
     "writes": Writes,
+    "guards": Guards,
 }
 _FIELDS: Final[Mapping[str, Mapping[str, Any]]] = {
-    "reads": {"name": str, "max_age": float, "configure": bool},
-    "writes": {"name": str, "priority": int, "hold": float, "configure": bool},
+    "reads": {
+        "name": str,
+        "max_age": float,
+        "every": bool,
+        "optional": bool,
+        "configure": bool,
+    },
+    "writes": {
+        "name": str,
+        "priority": int,
+        "hold": float,
+        "blind": str,
+        "configure": bool,
+    },
+    "guards": {"name": str, "priority": int, "latch": bool},
 }
 
 
@@ -34,7 +48,7 @@ def set_profile(
     keys: Mapping[str, str],
     source: Source,
 ) -> None:
-    """Change what an action reads or writes as the file says, or note why not.
+    """Change what an action reads, writes or guards as the file says, or note why not.
 
     Args:
         action: A behavior or reaction.
@@ -45,7 +59,7 @@ def set_profile(
     before = len(source.mistakes.errors)
     given: dict[str, dict[str, Any]] = {flow: {} for flow in FLOWS}
     for attribute, need in action.needs.items():
-        given["writes" if isinstance(need, Writes) else "reads"][attribute] = need
+        given[_flow_of(need)][attribute] = need
     for flow in FLOWS:
         if flow not in table:
             continue
@@ -56,13 +70,13 @@ def set_profile(
                 f"expected a table with a key for each port, not {show(ports)}",
             )
             continue
-        other = given["reads" if flow == "writes" else "writes"]
         for attribute, changes in ports.items():
             where = below(keys[flow], attribute)
-            if attribute in other:
-                source.mistakes.add(
-                    where, f"its class declares {attribute!r} the other way round"
-                )
+            declared = action.needs.get(attribute)
+            if declared is not None and _flow_of(declared) != flow:
+                doing = _flow_of(declared)
+                told = f"its class declares {attribute!r} the other way round: it {doing} it"
+                source.mistakes.add(where, told)
                 continue
             changed = _changed(flow, given[flow].get(attribute), changes, where, source)
             if changed is not None:
@@ -72,9 +86,13 @@ def set_profile(
         ProfiledAction.__init__(action, name=action.name, **given)
 
 
+def _flow_of(need: Need) -> str:
+    return next(flow for flow, kind in _KINDS.items() if isinstance(need, kind))
+
+
 def _changed(
     flow: str, declared: Any, changes: object, key: str, source: Source
-) -> Reads[Any] | Writes[Any] | None:
+) -> Need | None:
     if isinstance(changes, str):
         changes = {"name": changes}
     if not isinstance(changes, dict):
@@ -103,7 +121,7 @@ def _changed(
             continue
         values[field] = result
     if declared is not None:
-        changed: Reads[Any] | Writes[Any] = attrs.evolve(declared, **values)
+        changed: Need = attrs.evolve(declared, **values)
         return changed
     return _KINDS[flow](Any, **values)
 

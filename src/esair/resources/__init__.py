@@ -1,6 +1,6 @@
 """What the hardware is: sensors, actuators, and their settings."""
 
-from esair.resources._actuator import Actuator
+from esair.resources._actuator import HOLD, Actuator
 from esair.resources._from_minimal import (
     MinimalActuator,
     MinimalSensor,
@@ -11,6 +11,7 @@ from esair.resources._sensor import Sensor
 from esair.resources._setting import Setting, check_settings, setting, settings_of
 
 __all__ = [
+    "HOLD",
     "Actuator",
     "MinimalActuator",
     "MinimalSensor",

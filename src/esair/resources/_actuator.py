@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Awaitable, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -9,6 +10,22 @@ from esair.resources._resource import Resource
 from esair.values import value_type
 
 T = TypeVar("T")
+
+
+class _Hold(enum.Enum):
+    """A command of its own kind: it has no numbers, and equals nothing else."""
+
+    HOLD = "stay where you are"
+
+    def __repr__(self) -> str:
+        return "esair.HOLD"
+
+
+HOLD: Any = _Hold.HOLD
+"""The safe command of an actuator whose commands are places to go: stay where you are.
+
+Its driver gets it in ``write``, as any other command, and stops where it is.
+"""
 
 
 class Actuator(Resource, Generic[T]):
@@ -29,7 +46,14 @@ class Actuator(Resource, Generic[T]):
     """
 
     safe: T
-    """The command that makes the device safe. There is no default."""
+    """The command that makes the device safe. There is no default.
+
+    It must not move: for commands that are positions it is `esair.HOLD`, or what
+    releases the power.
+    """
+
+    safe_moves: bool = False
+    """Whether ``safe`` is a place to go. Protection then uses `esair.HOLD` instead."""
 
     command_timeout: float = 0.2
     """After this many seconds without a write the device gets ``safe``; never 0."""
@@ -62,6 +86,6 @@ class Actuator(Resource, Generic[T]):
     def value_type(self) -> Any:
         """The type of the commands, from the class or else from ``safe``."""
         declared = value_type(type(self), Actuator)
-        if declared is Any and hasattr(self, "safe"):
+        if declared is Any and hasattr(self, "safe") and self.safe is not HOLD:
             return type(self.safe)
         return declared

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Awaitable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
 import attrs
@@ -49,6 +49,25 @@ class Sensor(Resource, Generic[T]):
         )
         if rate != own:
             setattr(cls, "rate", rate)  # noqa: B010 - its type is that of its value
+
+    period: float | None = None
+    """Of a device that pushes: its greatest silence, in seconds; None if it may be silent.
+
+    An older reading is no longer current, unless a port says another ``max_age``. A
+    device that is asked is heard in each of its periods; its limit is three of them.
+    """
+
+    initial: T
+    """Of a device that pushes: its value at each opening, if it cannot be asked.
+
+    There is no default: without it, nobody knows the value before the first push.
+    """
+
+    limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None
+    """Least and greatest value: of the reading, or of each of its fields by name.
+
+    A reading outside them is a fault of the device, and reaches no action.
+    """
 
     history_size: int = 64
     """How many readings are kept for ``port.history``."""

@@ -13,7 +13,7 @@ from esair import abc, minimal
 from esair.actions import (
     Behavior,
     Reaction,
-    Writes,
+    Reads,
     adapt_action,
     mistakes_in_needs,
     mistakes_in_reaction,
@@ -514,7 +514,7 @@ class BehaviorSupervisor(abc.Supervisor):
                     )
                 )
                 continue
-            writes = isinstance(need, Writes)
+            writes = not isinstance(need, Reads)
             if writes is not isinstance(resource, Actuator):
                 kind = "an actuator" if writes else "a sensor"
                 found.append(
@@ -541,7 +541,7 @@ class BehaviorSupervisor(abc.Supervisor):
                     performer or name,
                     need.resource,
                     need.access,
-                    need.priority if isinstance(need, Writes) else 0,
+                    0 if isinstance(need, Reads) else need.priority,
                     is_actuator=writes,
                     declares=need.access,
                     instead_of=performer or name,

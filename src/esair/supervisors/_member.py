@@ -472,7 +472,7 @@ class Member(Mailbox):
         return self._grant(
             need.resource,
             need.access,
-            need.priority if isinstance(need, Writes) else 0,
+            0 if isinstance(need, Reads) else need.priority,
             need.hold if isinstance(need, Writes) else None,
             owned,
         )

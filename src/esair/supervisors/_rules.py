@@ -75,8 +75,8 @@ class Rules:
             raise AccessDeniedError(
                 behavior, resource, "nothing", "ask for some access"
             )
-        wrong = Access.READ if is_actuator else Access.WRITE
-        if wrong in access:
+        wrong = access & (Access.READ if is_actuator else Access.WRITE | Access.GUARD)
+        if wrong:
             kind = "an actuator is written" if is_actuator else "a sensor is read"
             raise AccessDeniedError(behavior, resource, str(wrong), kind)
         policy = self.policies.get(resource)
