@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 SCOPES = ["function", "class", "module", "package", "session"]
@@ -164,3 +166,19 @@ def test_the_seed_of_a_marker_counts_more(outcomes, pytester) -> None:
     one, two = orders(outcomes, pytester, marker, 0, 2)
 
     assert one == two
+
+
+def test_pytest_works_without_pytest_asyncio(pytester, monkeypatch) -> None:
+    """Who installs esair and pytest alone can run plain tests, with the fixtures."""
+    pytester.makepyfile(
+        "def test_it(fake_sensor):\n    assert fake_sensor('sonar', 1.0).name == 'sonar'\n"
+    )
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    result = pytester.run(
+        sys.executable,
+        "-c",
+        "import sys; sys.modules['pytest_asyncio'] = None; import pytest; "
+        "sys.exit(pytest.main(['-p', 'esair.testing.plugin', '-p', 'no:cacheprovider']))",
+    )
+    assert result.ret == 0
+    result.assert_outcomes(passed=1)

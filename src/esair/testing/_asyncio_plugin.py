@@ -1,0 +1,91 @@
+"""What the plugin does with pytest-asyncio: the virtual clock, and leak checks.
+
+It is a module of its own, so that pytest without pytest-asyncio still works.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Literal
+
+import pytest
+import pytest_asyncio
+
+from esair.testing._clock import VirtualLoop
+from esair.testing._leaks import Leaks
+
+FIXTURES = frozenset(
+    {"fake_sensor", "fake_actuator", "fake_serial", "fake_can", "fake_i2c"}
+)
+"""Who uses one of these runs on the virtual clock, unless marked ``real_clock``."""
+
+LoopFactory = Callable[[], asyncio.AbstractEventLoop]
+LoopScope = Literal["function", "class", "module", "package", "session"]
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_asyncio_loop_factories(
+    config: pytest.Config, item: pytest.Item
+) -> Mapping[str, LoopFactory]:
+    """Choose the event loop of a test."""
+    if not _on_virtual_clock(item):
+        return {"real": asyncio.new_event_loop}
+    marker = item.get_closest_marker("virtual_clock")
+    seed = marker.kwargs.get("seed") if marker is not None else None
+    if seed is None:
+        seed = config.getoption("--esair-seed")
+    return {"virtual": functools.partial(VirtualLoop, seed=seed)}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Have each test that uses the kit checked for leaks."""
+    for item in items:
+        if _uses_kit(item) and isinstance(
+            item, pytest_asyncio.plugin.PytestAsyncioFunction
+        ):
+            item.fixturenames.insert(0, f"esair_no_leaks_{_loop_scope(item)}")
+
+
+def _uses_kit(item: pytest.Item) -> bool:
+    names = getattr(item, "fixturenames", ())
+    return bool(FIXTURES.intersection(names)) or any(
+        item.get_closest_marker(marker) for marker in ("virtual_clock", "real_clock")
+    )
+
+
+def _on_virtual_clock(item: pytest.Item) -> bool:
+    return _uses_kit(item) and item.get_closest_marker("real_clock") is None
+
+
+def _loop_scope(item: pytest.Item) -> str:
+    marker = item.get_closest_marker("asyncio")
+    own = marker.kwargs.get("loop_scope") if marker is not None else None
+    return str(own or item.config.getini("asyncio_default_test_loop_scope"))
+
+
+def _no_leaks(loop_scope: LoopScope) -> Callable[[], AsyncIterator[None]]:
+    """Make the leak check for the tests that share an event loop in a scope."""
+
+    @pytest_asyncio.fixture(loop_scope=loop_scope, name=f"esair_no_leaks_{loop_scope}")
+    async def check() -> AsyncIterator[None]:
+        """Fail a test that leaves a task, thread or descriptor behind."""
+        leaks = Leaks()
+        yield
+        found = await leaks.check()
+        if found:
+            pytest.fail(
+                "left behind:\n" + "\n".join(f"  {each}" for each in found),
+                pytrace=False,
+            )
+
+    return check
+
+
+esair_no_leaks_function = _no_leaks("function")
+esair_no_leaks_class = _no_leaks("class")
+esair_no_leaks_module = _no_leaks("module")
+esair_no_leaks_package = _no_leaks("package")
+esair_no_leaks_session = _no_leaks("session")
