@@ -89,9 +89,9 @@ def fake_lines(*, haste: float = 1.0) -> tuple[SerialBus, SerialBus]:
     Args:
         haste: How much faster than a real rover it is.
     """
+    from esair.drivers.gps.fake import FakeGps
+    from esair.drivers.line.fake import FakeBoard
     from esair.testing import FakeSerial
-    from esair.testing.parts.gps import FakeGps
-    from esair.testing.parts.line import FakeBoard
 
     gps, board = FakeSerial("gps", framing="nmea"), FakeSerial("board")
     motor = FakeBoard(board, commands={"speed": 0.0})

@@ -14,7 +14,7 @@ import esair
 from esair.buses import I2CBus
 from esair.drivers.ads1115 import Ads1115
 from esair.drivers.bme280 import Bme280, Climate
-from esair.drivers.pca9685_servo import PwmServo, ServoPosition
+from esair.drivers.pca9685.servo import PwmServo, ServoPosition
 
 HUMID = 0.6
 WARM = 26.0  # °C

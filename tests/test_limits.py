@@ -15,9 +15,9 @@ import pytest
 
 import esair
 from esair.drivers.line import LineActuator, LineSensor
+from esair.drivers.line.fake import FakeBoard
 from esair.loop import Executor
 from esair.testing import FakeSerial
-from esair.testing.parts.line import FakeBoard
 
 READY, LOST = esair.ResourceState.READY, esair.ResourceState.LOST
 

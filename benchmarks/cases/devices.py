@@ -31,7 +31,7 @@ from benchmarks.cases.peers import (
 )
 from benchmarks.harness import Row, ms, neighbors, percentile, us
 from esair.buses import CanBus, I2CBus, SerialBus
-from esair.wires import ChipBus
+from esair.buses.i2c import ChipBus
 
 COUNT = 300
 LINE = b"x" * 63

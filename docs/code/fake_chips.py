@@ -1,9 +1,9 @@
 """The bus of the ventilation without its parts: the same registers in memory."""
 
+from esair.drivers.ads1115.fake import FakeAds1115
 from esair.drivers.bme280 import Climate
+from esair.drivers.bme280.fake import FakeBme280
 from esair.testing import FakeI2c
-from esair.testing.parts.ads1115 import FakeAds1115
-from esair.testing.parts.bme280 import FakeBme280
 
 
 class FakeChips(FakeI2c):

@@ -80,7 +80,7 @@ async def test_what_opens_too_late_is_closed(
     slow: Slow, make: Callable[[Slow], Bus], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nobody waits for it any more; the next opening gets another."""
-    monkeypatch.setattr("esair.buses._i2c.OPEN_TIMEOUT", 0.05)
+    monkeypatch.setattr("esair.buses.i2c._bus.OPEN_TIMEOUT", 0.05)
     monkeypatch.setattr("esair.drivers.servo.OPEN_TIMEOUT", 0.05)
     bus = make(slow)
 

@@ -7,9 +7,12 @@ import tomllib
 
 import pytest
 
+from esair.buses.can import _interfaces
+from esair.buses.finding import _permission
+from esair.buses.finding._permission import who_may
 from esair.config import check
-from esair.discovery import _can, _gpio, _permission, devices, toml
-from esair.discovery._permission import who_may
+from esair.discovery import devices, toml
+from esair.drivers.gpio import _find
 
 pytestmark = pytest.mark.promise("BUS-2")
 
@@ -187,8 +190,8 @@ def test_gpio_chips_are_listed_without_libgpiod_2(monkeypatch, module) -> None:
     """With the bindings of version 1, as distributions have them, or with none."""
     monkeypatch.setitem(sys.modules, "gpiod", module)
 
-    assert _gpio._gpiod() is None
-    assert all(each.kind == "gpio" for each in _gpio.gpio_chips())
+    assert _find._gpiod() is None
+    assert all(each.kind == "gpio" for each in _find.devices())
 
 
 @pytest.mark.parametrize(
@@ -213,7 +216,7 @@ def test_iproute2_is_asked_for_the_bit_rate_if_it_is_there(
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
 
-    assert _can._settings() == settings
+    assert _interfaces._settings() == settings
 
 
 def _says(answer: str) -> str:

@@ -9,9 +9,8 @@ import hypothesis
 import hypothesis.strategies as st
 import pytest
 
-from esair import discovery
+from esair.buses.serial import devices as serial_ports
 from esair.discovery import find_port, serial_identity
-from esair.discovery._serial import serial_ports
 from esair.exceptions import ConfigError
 
 pytestmark = pytest.mark.promise("BUS-2")
@@ -194,7 +193,7 @@ def test_elsewhere_than_on_linux_pyserial_knows_the_ports(monkeypatch) -> None:
     monkeypatch.setattr(list_ports, "comports", lambda: found)
 
     assert find_port("usb:2341:0043:7") == "/dev/cu.usb2"
-    assert [each.identity for each in discovery._serial.serial_ports()] == [
+    assert [each.identity for each in serial_ports()] == [
         None,
         "usb:2341:0043:7",
     ]

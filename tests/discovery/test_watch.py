@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 import pytest
 
-from esair.discovery import Wakes, _watch, watch
+from esair.buses.finding import _watch
+from esair.discovery import Wakes, watch
 from esair.testing import Leaks
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("BUS-2")]

@@ -9,7 +9,7 @@ from sensors import CpuTemperature, RangeFinder, Thermometer
 
 import esair
 from esair.buses import I2CBus, SerialBus
-from esair.wires import MemoryLine
+from esair.buses.serial import MemoryLine
 
 READ = esair.Access.READ
 

@@ -10,8 +10,8 @@ from sensors import RangeFinder, Thermometer
 import esair
 from esair.buses import CanState
 from esair.drivers.mpu6050 import Motion, Mpu6050
+from esair.drivers.mpu6050.fake import AT_REST, FakeMpu6050
 from esair.testing import ActuatorContract, FakeCan
-from esair.testing.parts.mpu6050 import AT_REST, FakeMpu6050
 
 READ = esair.Access.READ
 FORCE = 0x181

@@ -16,8 +16,11 @@ from adafruit_bus_device.i2c_device import I2CDevice  # type: ignore[import-unty
 
 import esair
 from esair.drivers.adafruit import AdafruitActuator, AdafruitBus, AdafruitSensor
+from esair.drivers.ads1115.fake import FakeAds1115
 from esair.drivers.bme280 import Bme280, Climate
+from esair.drivers.bme280.fake import FakeBme280
 from esair.drivers.mpu6050 import GRAVITY, Motion
+from esair.drivers.mpu6050.fake import FakeMpu6050
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -25,9 +28,6 @@ from esair.exceptions import (
     DriverStuckError,
 )
 from esair.testing import ActuatorContract, FakeI2c, SensorContract
-from esair.testing.parts.ads1115 import FakeAds1115
-from esair.testing.parts.bme280 import FakeBme280
-from esair.testing.parts.mpu6050 import FakeMpu6050
 
 BME280 = "adafruit_bme280.basic:Adafruit_BME280_I2C"
 MPU6050 = "adafruit_mpu6050:MPU6050"

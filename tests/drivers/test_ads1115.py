@@ -17,9 +17,9 @@ from esair.drivers.ads1115 import (
     config_for,
     decode_volts,
 )
+from esair.drivers.ads1115.fake import FakeAds1115
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.testing import FakeI2c, SensorContract
-from esair.testing.parts.ads1115 import FakeAds1115
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,9 @@ from esair.drivers.bme280 import (
     measuring_time,
     pressure_of,
 )
+from esair.drivers.bme280.fake import CALIBRATION, FakeBme280
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.testing import FakeI2c, SensorContract
-from esair.testing.parts.bme280 import CALIBRATION, FakeBme280
 
 NONE = Calibration((0, 0, 0), (0,) * 9, (0,) * 6)
 

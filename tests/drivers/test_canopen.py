@@ -23,6 +23,7 @@ from esair.drivers.canopen import (
     CanopenSensor,
     Mapped,
 )
+from esair.drivers.canopen.fake import FakeCanopenNode
 from esair.exceptions import (
     BusyError,
     ConfigError,
@@ -31,7 +32,6 @@ from esair.exceptions import (
     DriverStuckError,
 )
 from esair.testing import ActuatorContract, SensorContract
-from esair.testing.parts.canopen import FakeCanopenNode
 
 MOTOR = Path(__file__).parent / "motor.eds"
 PATIENCE = 10.0  # s; the node answers at once, on a machine that may be busy

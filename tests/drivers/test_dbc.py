@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 import esair
 from esair.buses import CanBus, SerialBus
 from esair.drivers.dbc import DbcActuator, DbcSensor, MessageCodec, find_message
+from esair.drivers.dbc.fake import FakeDbcNode
 from esair.exceptions import (
     BadValueError,
     ConfigError,
@@ -22,7 +23,6 @@ from esair.exceptions import (
     DeviceLostError,
 )
 from esair.testing import ActuatorContract, SensorContract
-from esair.testing.parts.dbc import FakeDbcNode
 
 ROVER = Path(__file__).parent / "rover.dbc"
 

@@ -11,9 +11,9 @@ import pytest
 
 import esair
 from esair.drivers.gpio import DigitalInput, DigitalOutput
+from esair.drivers.gpio.fake import FakeGpioChip
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.testing import ActuatorContract, SensorContract
-from esair.testing.parts.gpio import FakeGpioChip
 
 pytestmark = pytest.mark.virtual_clock
 

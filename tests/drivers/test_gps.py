@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 import esair
 from esair.buses import SerialBus
 from esair.drivers.gps import Fix, FixBuilder, Gps
+from esair.drivers.gps.fake import FakeGps, encode_fix
 from esair.exceptions import ConfigError, DeviceFaultError, StaleReadingError
 from esair.framing import Sentences
 from esair.testing import FakeSerial, SensorContract
-from esair.testing.parts.gps import FakeGps, encode_fix
 
 GGA = b"GPGGA,123519.50,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"
 RMC = b"GPRMC,123519.50,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W"

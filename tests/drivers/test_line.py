@@ -18,9 +18,9 @@ from esair.drivers.line import (
     decode_value,
     encode_value,
 )
+from esair.drivers.line.fake import FakeBoard
 from esair.exceptions import ConfigError, DeviceFaultError, DriverStuckError
 from esair.testing import ActuatorContract, FakeSerial, SensorContract
-from esair.testing.parts.line import FakeBoard
 
 
 @pytest.fixture

@@ -16,9 +16,9 @@ from esair.drivers.mpu6050 import (
     decode_motion,
     encode_motion,
 )
+from esair.drivers.mpu6050.fake import AT_REST, FakeMpu6050
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.testing import FakeI2c, SensorContract
-from esair.testing.parts.mpu6050 import AT_REST, FakeMpu6050
 
 
 def test_registers_are_big_endian_counts_of_the_data_sheet() -> None:

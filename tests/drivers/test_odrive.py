@@ -35,9 +35,9 @@ from esair.drivers.odrive import (
     encode_state,
     frame_id,
 )
+from esair.drivers.odrive.fake import FakeOdrive
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.testing import ActuatorContract, SensorContract
-from esair.testing.parts.odrive import FakeOdrive
 
 pytestmark = pytest.mark.virtual_clock
 

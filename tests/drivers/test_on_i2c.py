@@ -11,7 +11,7 @@ from esair.drivers.ads1115 import Ads1115
 from esair.drivers.bme280 import Bme280
 from esair.drivers.mpu6050 import Mpu6050
 from esair.drivers.pca9685 import PwmChannel
-from esair.drivers.pca9685_servo import PwmServo
+from esair.drivers.pca9685.servo import PwmServo
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.testing import FakeI2c
 
@@ -106,7 +106,7 @@ def test_parts_are_described_in_a_file(tmp_path) -> None:
         channel = 3
 
         [actuator.arm]
-        driver = "esair.drivers.pca9685_servo:PwmServo"
+        driver = "esair.drivers.pca9685.servo:PwmServo"
         bus = "chips"
         channel = 4
         max_angle = 1.5
@@ -143,7 +143,7 @@ def test_parts_are_described_in_a_file(tmp_path) -> None:
         '[sensor.part]\ndriver = "bme280"\n',
         '[sensor.part]\ndriver = "ads1115"\n',
         '[actuator.part]\ndriver = "pca9685"\nchannel = 0\n',
-        '[actuator.part]\ndriver = "esair.drivers.pca9685_servo:PwmServo"\nchannel = 0\n',
+        '[actuator.part]\ndriver = "esair.drivers.pca9685.servo:PwmServo"\nchannel = 0\n',
         '[sensor.part]\ndriver = "adafruit"\nlibrary = "io:BytesIO"\nvalue = "x"\n',
         '[actuator.part]\ndriver = "adafruit"\nlibrary = "io:BytesIO"\nattribute = "x"\n'
         "safe = 0\n",

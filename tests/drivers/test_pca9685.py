@@ -11,12 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
-from esair.drivers._pca9685 import decode_steps, encode_steps, frequency_of, prescale
 from esair.drivers.pca9685 import PwmChannel
-from esair.drivers.pca9685_servo import PwmServo, ServoPosition
+from esair.drivers.pca9685._chip import (
+    decode_steps,
+    encode_steps,
+    frequency_of,
+    prescale,
+)
+from esair.drivers.pca9685.fake import FakePca9685
+from esair.drivers.pca9685.servo import PwmServo, ServoPosition
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.testing import ActuatorContract, FakeI2c
-from esair.testing.parts.pca9685 import FakePca9685
 
 
 def bus_with(chip: FakePca9685 | None = None) -> FakeI2c:

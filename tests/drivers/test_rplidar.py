@@ -30,9 +30,9 @@ from esair.drivers.rplidar import (
     encode_scan,
     request,
 )
+from esair.drivers.rplidar.fake import FakeRpLidar
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.testing import FakeSerial, SensorContract
-from esair.testing.parts.rplidar import FakeRpLidar
 
 scans = st.lists(
     st.tuples(

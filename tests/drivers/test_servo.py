@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.buses import _serial_port
+from esair.buses.serial import _port as _serial_port
 from esair.drivers.servo import (
     CENTER,
     GOAL_POSITION,
@@ -31,6 +31,7 @@ from esair.drivers.servo import (
     to_angle,
     to_steps,
 )
+from esair.drivers.servo.fake import PING, WRITE, FakeServo, FakeServos, packet
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -38,7 +39,6 @@ from esair.exceptions import (
     DriverStuckError,
 )
 from esair.testing import ActuatorContract, BusContract, SensorContract
-from esair.testing.parts.servo import PING, WRITE, FakeServo, FakeServos, packet
 
 RELEASE = Goal(mode=Mode.RELEASE)
 HOLD = Goal(mode=Mode.HOLD)

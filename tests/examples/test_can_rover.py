@@ -6,7 +6,7 @@ import can_rover
 import pytest
 
 import esair
-from esair.testing.parts.dbc import FakeDbcNode
+from esair.drivers.dbc.fake import FakeDbcNode
 
 pytestmark = pytest.mark.virtual_clock
 

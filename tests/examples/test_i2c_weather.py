@@ -7,10 +7,10 @@ import i2c_weather
 import pytest
 
 import esair
+from esair.drivers.ads1115.fake import FakeAds1115
 from esair.drivers.bme280 import Climate
-from esair.testing.parts.ads1115 import FakeAds1115
-from esair.testing.parts.bme280 import FakeBme280
-from esair.testing.parts.pca9685 import FakePca9685
+from esair.drivers.bme280.fake import FakeBme280
+from esair.drivers.pca9685.fake import FakePca9685
 
 FINE = Climate(temperature=20.0, humidity=0.4, pressure=101_000.0)
 HUMID = Climate(temperature=20.0, humidity=0.8, pressure=101_000.0)

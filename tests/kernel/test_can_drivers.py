@@ -14,12 +14,12 @@ import pytest_asyncio
 
 from esair.buses import CanBus
 from esair.drivers.canopen import CanopenActuator, CanopenSensor
+from esair.drivers.canopen.fake import FakeCanopenNode
 from esair.drivers.dbc import DbcActuator, DbcSensor
+from esair.drivers.dbc.fake import FakeDbcNode
 from esair.drivers.odrive import Message, OdriveAxis, OdriveState, frame_id
+from esair.drivers.odrive.fake import FakeOdrive
 from esair.testing import ActuatorContract, SensorContract
-from esair.testing.parts.canopen import FakeCanopenNode
-from esair.testing.parts.dbc import FakeDbcNode
-from esair.testing.parts.odrive import FakeOdrive
 
 pytestmark = pytest.mark.real_clock
 

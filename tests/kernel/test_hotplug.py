@@ -20,7 +20,8 @@ import pytest
 
 import esair
 from esair.buses import SerialBus
-from esair.discovery import _watch, devices, find_port, serial_identity, watch
+from esair.buses.finding import _watch
+from esair.discovery import devices, find_port, serial_identity, watch
 from esair.messages import ResourceState
 from esair.supervisors import _resource_life
 from esair.testing import Leaks

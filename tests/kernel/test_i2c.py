@@ -15,9 +15,10 @@ import pytest
 
 import esair
 from esair.buses import I2CBus, RegisterLink
-from esair.buses import _i2c_kernel as kernel
+from esair.buses.i2c import _kernel as kernel
 from esair.drivers.adafruit import AdafruitSensor
 from esair.drivers.mpu6050 import GRAVITY, IDENTITY, WHO_AM_I, Motion, Mpu6050
+from esair.drivers.mpu6050.fake import FakeMpu6050
 from esair.exceptions import (
     DeviceFaultError,
     DeviceLostError,
@@ -25,7 +26,6 @@ from esair.exceptions import (
     EsairError,
 )
 from esair.testing import BusContract
-from esair.testing.parts.mpu6050 import FakeMpu6050
 
 pytestmark = pytest.mark.real_clock
 with_usb = pytest.mark.kernel("built")

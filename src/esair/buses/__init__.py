@@ -1,27 +1,34 @@
-"""Bytes, frames, registers: one file for each medium.
+"""Bytes, frames, registers: what all buses promise, and a folder for each medium.
 
-Nothing here imports pyserial, python-can or smbus2 until a bus is opened.
+Nothing here imports pyserial, python-can or smbus2 until a bus is opened. The names of
+a medium are in its package, such as `esair.buses.can`, and the usual ones here too.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from esair.buses._bus import Bus
+from esair.buses._bus import Bus, wanted
+from esair.buses._late import late
+from esair.buses._media import MEDIA, Medium
 from esair.buses._stats import BusStats
 
 if TYPE_CHECKING:
-    from esair.buses._can import CanBus
-    from esair.buses._can_errors import CanState
-    from esair.buses._can_frame import Frame, FrameKind, FrameLink
-    from esair.buses._i2c import I2CBus
-    from esair.buses._i2c_link import MessageLink, RegisterLink
     from esair.buses._inbox import Inbox
-    from esair.buses._python_can import python_can
-    from esair.buses._serial import SerialBus
-    from esair.buses._serial_line import SerialLink
+    from esair.buses._opening import open_on, shut_on
+    from esair.buses.can import (
+        CanBus,
+        CanState,
+        Frame,
+        FrameKind,
+        FrameLink,
+        python_can,
+    )
+    from esair.buses.i2c import I2CBus, MessageLink, RegisterLink
+    from esair.buses.serial import SerialBus, SerialLink
 
 __all__ = [
+    "MEDIA",
     "Bus",
     "BusStats",
     "CanBus",
@@ -31,37 +38,43 @@ __all__ = [
     "FrameLink",
     "I2CBus",
     "Inbox",
+    "Medium",
     "MessageLink",
     "RegisterLink",
     "SerialBus",
     "SerialLink",
+    "open_on",
     "python_can",
+    "shut_on",
+    "wanted",
 ]
 
-_HOME = {
-    "CanBus": "_can",
-    "CanState": "_can_errors",
-    "Frame": "_can_frame",
-    "FrameKind": "_can_frame",
-    "FrameLink": "_can_frame",
-    "I2CBus": "_i2c",
-    "Inbox": "_inbox",
-    "MessageLink": "_i2c_link",
-    "RegisterLink": "_i2c_link",
-    "SerialBus": "_serial",
-    "SerialLink": "_serial_line",
-    "python_can": "_python_can",
-}
+_late, _ = late(
+    __name__,
+    {
+        "CanBus": "can",
+        "CanState": "can",
+        "Frame": "can",
+        "FrameKind": "can",
+        "FrameLink": "can",
+        "I2CBus": "i2c",
+        "Inbox": "_inbox",
+        "MessageLink": "i2c",
+        "RegisterLink": "i2c",
+        "SerialBus": "serial",
+        "SerialLink": "serial",
+        "open_on": "_opening",
+        "python_can": "can",
+        "shut_on": "_opening",
+    },
+)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    import importlib
-
-    found = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = found
-    return found
+    for medium in MEDIA.values():  # the class of a medium, also of one that is new
+        if medium.bus == name:
+            return medium.get(name)
+    return _late(name)
 
 
 def __dir__() -> list[str]:

@@ -125,7 +125,7 @@ class Bus(abc.ABC):
             if end is not None:
                 end()
         elif self._end_of_watch is None:
-            from esair.discovery import watch  # only when something is missing
+            from esair.buses.finding import watch  # only when something is missing
 
             # Without a thread or a descriptor left the devices still try by themselves.
             with contextlib.suppress(OSError, RuntimeError):

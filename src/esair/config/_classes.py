@@ -19,13 +19,12 @@ from types import ModuleType
 from typing import Final
 
 from esair import abc
+from esair.buses import MEDIA
 from esair.config._mistakes import Mistakes
 from esair.exceptions import describe, did_you_mean
 
 BUSES: Final[Mapping[str, str]] = {
-    "serial": "esair.buses:SerialBus",
-    "can": "esair.buses:CanBus",
-    "i2c": "esair.buses:I2CBus",
+    kind: f"{medium.package}:{medium.bus}" for kind, medium in MEDIA.items()
 }
 """The kinds of bus that need no module name."""
 

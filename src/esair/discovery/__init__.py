@@ -3,17 +3,13 @@
 Nothing here opens a device or imports pyserial, pyudev or gpiod before it needs it.
 """
 
-from esair.discovery._device import Device, Kind
-from esair.discovery._devices import devices
+from esair.buses.finding import Device, Wakes, watch
+from esair.buses.serial import find_port, serial_identity
+from esair.discovery._devices import devices, toml
 from esair.discovery._plugs import Plugs
-from esair.discovery._serial import find_port, serial_identity
-from esair.discovery._toml import toml
-from esair.discovery._wakes import Wakes
-from esair.discovery._watch import watch
 
 __all__ = [
     "Device",
-    "Kind",
     "Plugs",
     "Wakes",
     "devices",

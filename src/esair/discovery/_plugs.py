@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from esair.discovery._device import Device
-from esair.discovery._devices import ROOT, devices
+from esair.buses.finding import ROOT, Device
+from esair.discovery._devices import devices
 
 
 class Plugs:

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterator
 
 from esair.buses import I2CBus
-from esair.buses._i2c_errors import SILENT
+from esair.buses.i2c import SILENT
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Resource
 

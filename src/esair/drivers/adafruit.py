@@ -31,8 +31,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from esair.buses import I2CBus
-from esair.buses._i2c_errors import SILENT
-from esair.buses._i2c_link import probe, transfer
+from esair.buses.i2c import SILENT, probe, transfer
 from esair.drivers._on_i2c import i2c_bus
 from esair.exceptions import (
     ConfigError,

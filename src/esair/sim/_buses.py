@@ -13,8 +13,10 @@ from esair.buses import (
     SerialBus,
     SerialLink,
 )
+from esair.buses.can import MemoryCan
+from esair.buses.i2c import ChipBus
+from esair.buses.serial import MemoryLine
 from esair.sim._simulation import Simulation
-from esair.wires import ChipBus, MemoryCan, MemoryLine
 
 
 class SimSerialBus(SerialBus):

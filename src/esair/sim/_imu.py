@@ -5,8 +5,8 @@ from __future__ import annotations
 import random
 
 from esair.drivers.mpu6050 import GRAVITY, Motion
+from esair.drivers.mpu6050.fake import FakeMpu6050
 from esair.sim._world import World
-from esair.testing.parts.mpu6050 import FakeMpu6050
 
 
 class SimMpu6050(FakeMpu6050):

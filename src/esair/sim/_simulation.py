@@ -15,6 +15,9 @@ from pathlib import Path
 from types import TracebackType
 
 from esair.buses import Frame
+from esair.buses.can import MemoryCan, VirtualCan
+from esair.buses.i2c import ChipBus
+from esair.buses.serial import MemoryLine, PtyLine
 from esair.exceptions import ConfigError, did_you_mean
 from esair.loop import Job, Scheduler
 from esair.sim._arena import Arena
@@ -22,7 +25,6 @@ from esair.sim._imu import SimMpu6050
 from esair.sim._motor import SimMotor
 from esair.sim._serial_parts import SimBumper, SimRangeFinder
 from esair.sim._world import World
-from esair.wires import ChipBus, MemoryCan, MemoryLine, PtyLine, VirtualCan
 
 STEP = 0.01
 """How much time one step of the physics is, in seconds."""

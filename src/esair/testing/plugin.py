@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
+from esair.buses import MEDIA, Medium
 from esair.testing._fakes import FakeActuator, FakeSensor
-
-if TYPE_CHECKING:
-    from esair.testing import FakeCan, FakeI2c, FakeSerial
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -53,25 +51,17 @@ def fake_actuator() -> Callable[..., FakeActuator[Any]]:
     return FakeActuator
 
 
-@pytest.fixture
-def fake_serial() -> Callable[..., FakeSerial]:
-    """Hand out the class `FakeSerial`, to be called like a function."""
-    from esair.testing import FakeSerial
+def _fake_bus(kind: str, medium: Medium) -> Callable[..., Any]:
+    """Make the fixture of the fake of a medium."""
 
-    return FakeSerial
+    @pytest.fixture(name=f"fake_{kind}")
+    def hand_out() -> Callable[..., Any]:
+        """Hand out the class of fake buses, to be called like a function."""
+        found: Callable[..., Any] = medium.get(medium.fake)
+        return found
 
-
-@pytest.fixture
-def fake_can() -> Callable[..., FakeCan]:
-    """Hand out the class `FakeCan`, to be called like a function."""
-    from esair.testing import FakeCan
-
-    return FakeCan
+    return hand_out
 
 
-@pytest.fixture
-def fake_i2c() -> Callable[..., FakeI2c]:
-    """Hand out the class `FakeI2c`, to be called like a function."""
-    from esair.testing import FakeI2c
-
-    return FakeI2c
+for _kind, _medium in MEDIA.items():
+    globals()[f"fake_{_kind}"] = _fake_bus(_kind, _medium)

@@ -1,0 +1,54 @@
+"""CAN buses: the bus, its frames and errors, the interfaces, the far end, the fake.
+
+Only ``_python_can.py`` knows python-can, and imports it when an interface is opened.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from esair.buses._late import late
+
+if TYPE_CHECKING:
+    from esair.buses.can._bus import CanBus
+    from esair.buses.can._errors import CanState
+    from esair.buses.can._fake import FakeCan
+    from esair.buses.can._far_end import CanWire, MemoryCan, VirtualCan
+    from esair.buses.can._frame import FD_SIZES, Frame, FrameKind, FrameLink
+    from esair.buses.can._interfaces import devices, toml
+    from esair.buses.can._python_can import python_can
+
+__all__ = [
+    "FD_SIZES",
+    "CanBus",
+    "CanState",
+    "CanWire",
+    "FakeCan",
+    "Frame",
+    "FrameKind",
+    "FrameLink",
+    "MemoryCan",
+    "VirtualCan",
+    "devices",
+    "python_can",
+    "toml",
+]
+
+__getattr__, __dir__ = late(
+    __name__,
+    {
+        "FD_SIZES": "_frame",
+        "CanBus": "_bus",
+        "CanState": "_errors",
+        "CanWire": "_far_end",
+        "FakeCan": "_fake",
+        "Frame": "_frame",
+        "FrameKind": "_frame",
+        "FrameLink": "_frame",
+        "MemoryCan": "_far_end",
+        "VirtualCan": "_far_end",
+        "devices": "_interfaces",
+        "python_can": "_python_can",
+        "toml": "_interfaces",
+    },
+)

@@ -1,0 +1,481 @@
+"""CAN buses, whatever package or wire is behind them."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import Callable, Hashable
+from typing import Any, Final, Literal
+
+from esair.buses._bus import Bus
+from esair.buses._inbox import Inbox
+from esair.buses.can._errors import CanState, ErrorFrame, decode_error
+from esair.buses.can._frame import (
+    EXTENDED,
+    Frame,
+    FrameKind,
+    FrameLink,
+    FrameOpener,
+    check_data,
+    key_of,
+)
+from esair.buses.can._inbox import FrameInbox, NewestInbox
+from esair.exceptions import (
+    BadValueError,
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    describe,
+)
+from esair.loop import spawn
+
+RETRY_PERIOD = 0.001
+"""The first pause before a frame is offered again to a full queue, in seconds."""
+
+LONGEST_RETRY_PERIOD = 0.02
+"""The longest pause before a frame is offered again, in seconds."""
+
+WAITING_LIMIT = 256
+"""How many frames, each with another id, may wait for room."""
+
+_LOST_WHEN: Final = {
+    "warning": CanState.WARNING,
+    "passive": CanState.PASSIVE,
+    "bus_off": CanState.BUS_OFF,
+}
+_DATA = FrameKind.DATA
+
+
+class CanBus(Bus):
+    """A CAN bus, and who listens to which frames on it.
+
+    Reading never misses that the bus is gone: whatever ends it reaches everybody
+    on the bus as one loss. Sending never blocks the event loop: a frame that the
+    controller's queue has no room for is offered again until its deadline, or until
+    a newer frame with the same id makes it obsolete.
+
+    Only frames that somebody listens to reach this process, where the interface can
+    choose (SocketCAN); the others cost nothing and are not counted.
+
+    A controller that goes bus-off is a loss, and one that has been restarted is too,
+    whoever did that (``restart-ms``): what is on the bus must be opened again, and gets
+    no command but a fresh one. There is no way to have the kernel or python-can repeat
+    a frame by itself: it would keep the last motion alive while this process hangs.
+
+    Args:
+        name: The name of the bus.
+        interface: What python-can calls it, such as ``socketcan`` or ``virtual``.
+        channel: Which of them, such as ``can0``.
+        send_timeout: How long a frame may wait for room unless it says otherwise,
+            in seconds.
+        fd: Whether frames may have up to 64 bytes, which the interface must be set
+            up for.
+        bitrate_switch: Whether the data of frames with more than 8 bytes are sent at the
+            data bit rate that the interface is set up with; needs ``fd``.
+        lost_when: At which state of the controller the bus counts as lost. Short of
+            bus-off it works on; `on_state` tells.
+        opener: Opens something else than an interface, such as a wire in memory.
+        **options: Further options of ``can.Bus``, such as ``bitrate=500_000``.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        interface: str = "socketcan",
+        channel: str = "",
+        send_timeout: float = 0.1,
+        fd: bool = False,
+        bitrate_switch: bool = False,
+        lost_when: Literal["warning", "passive", "bus_off"] = "bus_off",
+        opener: FrameOpener | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(name=name)
+        if not channel and opener is None:
+            raise ConfigError(
+                name, "channel", "expected the name of a channel, such as 'can0'"
+            )
+        if lost_when not in _LOST_WHEN:
+            raise ConfigError(
+                name,
+                "lost_when",
+                f"expected 'warning', 'passive' or 'bus_off', not {lost_when!r:.80}",
+            )
+        if bitrate_switch and not fd:
+            raise ConfigError(name, "bitrate_switch", "only CAN FD has it: fd=True")
+        self.interface = interface
+        self.channel = channel
+        self.send_timeout = send_timeout
+        self.fd = fd
+        self.bitrate_switch = bitrate_switch
+        self._lost_when = _LOST_WHEN[lost_when]
+        self._state = CanState.ACTIVE
+        self._on_state: list[Callable[[CanState], None]] = []
+        self._opener = opener or functools.partial(self._open_interface, options)
+        self._of_kernel = opener is None and interface == "socketcan"
+        if self._of_kernel:
+            self._presence = self._look
+        self._link: FrameLink | None = None
+        self._leaving: asyncio.Task[None] | None = None
+        self._epoch = 0
+        self._lost_in_opening: Exception | None = None
+        self._by_key: dict[int, tuple[FrameInbox, ...]] = {}
+        self._waiting: dict[int, _Waiting] = {}
+        self._unacknowledged = False
+
+    @property
+    def state(self) -> CanState:
+        """The state of the controller, as it was told last."""
+        return self._state
+
+    @property
+    def waiting(self) -> int:
+        """How many frames, each with another id, are on their way to the controller."""
+        return len(self._waiting)
+
+    def on_state(self, listener: Callable[[CanState], None]) -> Callable[[], None]:
+        """Call a function when the controller enters another state.
+
+        Returns how to stop that.
+        """
+        self._on_state.append(listener)
+
+        def forget() -> None:
+            if listener in self._on_state:
+                self._on_state.remove(listener)
+
+        return forget
+
+    def frames(
+        self,
+        *ids: int,
+        extended: bool = False,
+        length: int | None = None,
+        limit: int = 16,
+        newest: bool = False,
+    ) -> Inbox[Frame]:
+        """Listen to the data frames with some ids.
+
+        Args:
+            *ids: Arbitration ids.
+            extended: Whether these are ids of 29 bits; a standard id with the same
+                number is another one.
+            length: How many bytes they must have; others are counted as bad frames.
+            limit: How many are kept until they are taken; then the newest win.
+            newest: Whether to keep only the newest frame of each id, instead.
+
+        Raises:
+            DeviceLostError: The bus is not open.
+            BadValueError: There is no id, or one that is none.
+        """
+        self._connected()
+        keys = [key_of(self.name, each, extended=extended) for each in ids]
+        keys = list(dict.fromkeys(keys))
+        if not keys:
+            raise BadValueError(
+                self.name, "ids", "expected at least one id to listen to"
+            )
+        inbox = (
+            NewestInbox(len(keys), self._forget, stats=self.stats, length=length)
+            if newest
+            else FrameInbox(limit, self._forget, stats=self.stats, length=length)
+        )
+        for key in keys:
+            self._by_key[key] = (*self._by_key.get(key, ()), inbox)
+        self._choose()
+        return inbox
+
+    async def send(
+        self,
+        id: int,  # noqa: A002 - what everybody calls it
+        data: bytes,
+        *,
+        extended: bool = False,
+        timeout: float | None = None,
+    ) -> None:
+        """Send a frame: hand it to the controller, which sends it when the bus is free.
+
+        Args:
+            id: The arbitration id.
+            data: Its 0 to 8 bytes; up to 64 with CAN FD.
+            extended: Whether the id has 29 bits.
+            timeout: How long to wait for room, in seconds; ``send_timeout`` if None.
+
+        Raises:
+            BadValueError: The id or the data are not those of a frame.
+            DeviceLostError: The bus is gone.
+            BusyError: A newer frame with this id was given, or too many frames wait;
+                this one was not sent.
+            DeviceFaultError: There was no room in time, and no other node acknowledges;
+                it was not sent. Or the interface does not take such a frame.
+            DriverStuckError: There was no room in time; it was not sent.
+        """
+        link = self._connected()
+        key = key_of(self.name, id, extended=extended)
+        if type(data) is not bytes or len(data) > 8:
+            check_data(self.name, data, fd=self.fd)
+            data = bytes(data)
+        frame = Frame(id, data, extended)
+        seconds = self.send_timeout if timeout is None else timeout
+        if (older := self._waiting.get(key)) is not None:
+            older.obsolete = True
+        mine = self._waiting[key] = _Waiting()
+        try:
+            if not await link.send(frame, seconds):
+                await self._send_again(link, mine, frame, seconds)
+        except EsairError as error:
+            self._count(error)
+            raise
+        except OSError as error:
+            loss = DeviceLostError(self.name, describe(error))
+            loss.__cause__ = error
+            if self._link is link:
+                self._gone(self._epoch, loss)
+            raise loss from error
+        finally:
+            if self._waiting.get(key) is mine:
+                del self._waiting[key]
+        self.stats.sent += 1
+
+    async def _send_again(
+        self, link: FrameLink, mine: _Waiting, frame: Frame, seconds: float
+    ) -> None:
+        if len(self._waiting) > WAITING_LIMIT:
+            raise BusyError(
+                f"bus {self.name}", "number of waiting frames", WAITING_LIMIT
+            )
+        heard = self.stats.received
+        loop = asyncio.get_running_loop()
+        give_up = loop.time() + seconds
+        pause = RETRY_PERIOD
+        while (left := give_up - loop.time()) > 0:
+            await asyncio.sleep(min(pause, left))
+            pause = min(2 * pause, LONGEST_RETRY_PERIOD)
+            if mine.obsolete:
+                raise BusyError(
+                    f"bus {self.name}", f"frames waiting with id {frame.id:#x}", 1
+                )
+            if self._link is not link:
+                raise DeviceLostError(
+                    self.name, "the bus was lost while a frame waited"
+                )
+            left = give_up - loop.time()
+            if left <= 0:
+                break
+            self.stats.retries += 1
+            if await link.send(frame, max(RETRY_PERIOD, left)):
+                return
+        self.stats.discarded += 1
+        if self._unacknowledged:
+            raise DeviceFaultError(
+                self.name,
+                f"no other node acknowledges, for {seconds:g} s: is one on the bus, "
+                "switched on, with the same bit rate?",
+            )
+        if self.stats.received == heard:
+            raise DeviceFaultError(
+                self.name,
+                f"no frame was sent for {seconds:g} s, and none came: no other node "
+                "acknowledges; is one on the bus, switched on, with the same bit rate?",
+            )
+        raise DriverStuckError(self.name, "send", seconds)
+
+    def _count(self, error: EsairError) -> None:
+        if isinstance(error, BusyError):
+            self.stats.refused += 1
+        elif isinstance(error, DeviceFaultError | DriverStuckError):
+            self.stats.errors += 1
+            self.stats.last_error = describe(error)
+
+    def _connected(self) -> FrameLink:
+        if not self.is_open or self._link is None:
+            raise DeviceLostError(self.name, "the bus is not open")
+        return self._link
+
+    def _forget(self, inbox: Inbox[Frame]) -> None:
+        for key, inboxes in tuple(self._by_key.items()):
+            rest = tuple(other for other in inboxes if other is not inbox)
+            if rest:
+                self._by_key[key] = rest
+            else:
+                del self._by_key[key]
+        self._choose()
+
+    def _choose(self) -> None:
+        if self._link is None:
+            return
+        try:
+            self._link.listen(self._by_key.keys())
+        except OSError as error:
+            self._gone(self._epoch, error)
+
+    async def _open(self) -> None:
+        await self._close()  # what a loss has left behind
+        self._epoch += 1
+        epoch = self._epoch
+        self._lost_in_opening = None
+        self._unacknowledged = False
+        try:
+            link = await self._opener(
+                self._received, lambda error: self._gone(epoch, error)
+            )
+        except EsairError:
+            raise
+        except OSError as error:
+            where = f"{self.interface} {self.channel}".strip()
+            detail = f"{where} cannot be opened: {describe(error)}"
+            raise DeviceLostError(self.name, detail) from error
+        lost = self._lost_in_opening
+        if lost is None and link.state >= self._lost_when:
+            lost = self._in_bad_state(link.state)
+        if lost is not None:
+            self._epoch += 1
+            await link.close()
+            raise lost
+        self._link = link
+        self._enter(link.state)
+
+    async def _open_interface(
+        self,
+        options: dict[str, Any],
+        received: Callable[[Frame], None],
+        gone: Callable[[Exception], None],
+    ) -> FrameLink:
+        from esair.buses.can._python_can import python_can
+
+        opener = python_can(
+            self.interface,
+            self.channel,
+            executor=self.executor,
+            stats=self.stats,
+            fd=self.fd,
+            bitrate_switch=self.bitrate_switch,
+            **options,
+        )
+        return await opener(received, gone)
+
+    async def _close(self) -> None:
+        self._epoch += 1
+        link, self._link = self._link, None
+        self._fail_listeners(DeviceLostError(self.name, "the bus was closed"))
+        if self._leaving is not None:
+            await asyncio.wait({self._leaving})
+        if link is not None:
+            await link.close()
+
+    def _received(self, frame: Frame) -> None:
+        inboxes = self._by_key.get(frame.id | EXTENDED if frame.extended else frame.id)
+        if frame.kind is not _DATA or inboxes is None:
+            self._unusual(frame, heard=inboxes is not None)
+            return
+        self.stats.received += 1
+        self._unacknowledged = False
+        for inbox in inboxes:
+            inbox.offer(frame)
+
+    def _unusual(self, frame: Frame, *, heard: bool) -> None:
+        if frame.kind is FrameKind.ERROR:
+            self._heed(decode_error(frame.id, frame.data))
+            return
+        self.stats.received += 1
+        self._unacknowledged = False
+        if heard:  # a remote frame where data are expected
+            self.stats.bad_frames += 1
+        else:
+            self.stats.unheard += 1
+
+    def _heed(self, error: ErrorFrame) -> None:
+        stats = self.stats
+        stats.errors += 1
+        stats.last_error = error.text
+        if error.overflow:
+            stats.dropped += 1
+        if error.unacknowledged:
+            self._unacknowledged = True
+        if error.state is None:
+            return
+        self._enter(error.state)
+        if error.restarted:
+            self._gone(self._epoch, DeviceLostError(self.name, error.text))
+        elif error.state >= self._lost_when:
+            self._gone(self._epoch, self._in_bad_state(error.state))
+
+    def _enter(self, state: CanState) -> None:
+        if state is self._state:
+            return
+        self._state = state
+        for listener in tuple(self._on_state):
+            try:
+                listener(state)
+            except Exception as error:  # it must not take the bus down
+                asyncio.get_running_loop().call_exception_handler(
+                    {
+                        "message": f"a listener of bus {self.name} failed",
+                        "exception": error,
+                    }
+                )
+
+    def _in_bad_state(self, state: CanState) -> DeviceLostError:
+        if state is CanState.BUS_OFF:
+            set_up = f"ip link set {self.channel} down; ip link set {self.channel} up"
+            how = f" ({set_up})" if self._of_kernel else ""
+            return DeviceLostError(
+                self.name, f"the controller is bus-off: it must be started again{how}"
+            )
+        word = state.name.lower()
+        return DeviceLostError(
+            self.name, f"the controller is error-{word}, as lost_when says"
+        )
+
+    def _gone(self, epoch: int, error: Exception) -> None:
+        if epoch != self._epoch:
+            return
+        loss = error
+        if not isinstance(error, DeviceLostError):
+            loss = DeviceLostError(self.name, describe(error))
+            loss.__cause__ = error
+        if not self.is_open:
+            self._lost_in_opening = self._lost_in_opening or loss
+            return
+        self._epoch += 1
+        link, self._link = self._link, None
+        if link is not None:  # hear nothing more, hold nothing any longer
+            self._leaving = spawn(  # nobody's: it does not end with who met the loss
+                asyncio.get_running_loop(),
+                self._leave(link),
+                name=f"leave bus {self.name}",
+            )
+        self._fail_listeners(loss)
+        self.lost(loss)
+
+    async def _leave(self, link: FrameLink) -> None:
+        try:
+            await link.close()
+        except Exception as error:  # it is gone anyway
+            self.stats.last_error = describe(error)
+        finally:
+            self._leaving = None
+
+    def _fail_listeners(self, error: Exception) -> None:
+        by_key, self._by_key = self._by_key, {}
+        for inboxes in by_key.values():
+            for inbox in inboxes:
+                inbox.fail(error)
+
+    def _look(self) -> Hashable | None:
+        from esair.buses.can._interface import is_there
+
+        return is_there(self.channel)
+
+
+class _Waiting:
+    """A frame on its way, until it is sent or a newer one makes it obsolete."""
+
+    __slots__ = ("obsolete",)
+
+    def __init__(self) -> None:
+        self.obsolete = False

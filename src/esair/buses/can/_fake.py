@@ -1,0 +1,230 @@
+"""A CAN bus in memory, whose other nodes a test plays."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+from collections.abc import Callable, Iterable
+from typing import Any, TypeAlias
+
+from esair.buses import CanBus, CanState, Frame, FrameKind, FrameLink
+from esair.buses._inbox import within
+from esair.buses.can import MemoryCan
+from esair.buses.can._errors import BUS_OFF, CONTROLLER, CONTROLLER_BITS
+from esair.buses.can._frame import check_data, key_of
+
+SENT_LIMIT = 100_000
+"""How many frames of the robot are remembered; then the newest win."""
+
+Reply: TypeAlias = "Frame | Iterable[Frame] | None"
+
+
+class FakeCan(CanBus):
+    """A CAN bus whose other nodes say what a test tells them to say.
+
+    ::
+
+        async def test_wheels_turn(fake_can):
+            can = fake_can("drive")
+            can.answer(0x101, Frame(0x181, b"ok"))
+            async with esair.Robot(resources=[Wheels(bus=can)], behaviors=[Go()]):
+                frame = await can.until(0x101)
+            assert frame.data == b"go"
+
+    It is in memory, so it works on the virtual clock and on the real one, and its
+    frames come in the order in which they were sent.
+
+    Args:
+        name: The name of the bus.
+        **options: ``send_timeout``, ``fd`` and ``lost_when`` of `CanBus`.
+
+    Attributes:
+        sent: The frames that the robot has sent and that reached the bus, in order. They
+            are there a moment after ``send`` has returned: `until` waits for that.
+    """
+
+    def __init__(self, name: str = "can", **options: Any) -> None:
+        super().__init__(name=name, interface="fake", opener=self._reach, **options)
+        self.sent: collections.deque[Frame] = collections.deque(maxlen=SENT_LIMIT)
+        self._wire = MemoryCan(self._heard)
+        self._wire.on_plug(self.arrived)
+        self._newest: dict[int, Frame] = {}
+        self._on_send: list[Callable[[Frame], Reply]] = []
+        self._until: list[tuple[Callable[[Frame], bool], asyncio.Future[Frame]]] = []
+
+    def feed(
+        self,
+        id: int,  # noqa: A002 - what everybody calls it
+        data: bytes = b"",
+        *,
+        extended: bool = False,
+        remote: bool = False,
+    ) -> None:
+        """Send a frame to the robot; it is lost if the bus is closed or unplugged."""
+        key_of(self.name, id, extended=extended)
+        check_data(self.name, data, fd=self.fd)
+        kind = FrameKind.REMOTE if remote else FrameKind.DATA
+        self._wire.send(Frame(id, bytes(data), extended, kind=kind))
+
+    def on_send(self, listener: Callable[[Frame], Reply]) -> Callable[[], None]:
+        """Call a function with each frame of the robot; what it returns is sent back.
+
+        Args:
+            listener: Returns a frame, several, or None.
+
+        Returns:
+            How to stop that.
+        """
+        self._on_send.append(listener)
+
+        def forget() -> None:
+            if listener in self._on_send:
+                self._on_send.remove(listener)
+
+        return forget
+
+    def answer(
+        self,
+        id: int,  # noqa: A002 - what everybody calls it
+        reply: Reply | Callable[[Frame], Reply],
+        *,
+        extended: bool = False,
+    ) -> Callable[[], None]:
+        """Answer each frame with an id.
+
+        Args:
+            id: The id of the frames that are answered.
+            reply: A frame, several, or a function that makes them of the question.
+            extended: Whether the id has 29 bits.
+
+        Returns:
+            How to stop that.
+        """
+        key_of(self.name, id, extended=extended)
+
+        def listener(frame: Frame) -> Reply:
+            if (frame.id, frame.extended) != (id, extended):
+                return None
+            return reply(frame) if callable(reply) else reply
+
+        return self.on_send(listener)
+
+    async def until(
+        self, wanted: int | Callable[[Frame], bool], *, timeout: float = 1.0
+    ) -> Frame:
+        """Wait until the robot has sent a frame, and return it.
+
+        Of each id the newest frame counts, also one that was sent before the call.
+
+        Args:
+            wanted: An id, or a condition on a frame.
+            timeout: How long to wait, in seconds.
+
+        Raises:
+            TimeoutError: It did not come; the last frames are in the message.
+        """
+        matches: Callable[[Frame], bool]
+        if callable(wanted):
+            matches, words = wanted, repr(wanted)
+        else:
+            matches, words = (lambda frame: frame.id == wanted), f"a frame {wanted:#x}"
+        for frame in reversed(self._newest.values()):
+            if matches(frame):
+                return frame
+        future: asyncio.Future[Frame] = asyncio.get_running_loop().create_future()
+        waiter = (matches, future)
+        self._until.append(waiter)
+        try:
+            return await within(future, timeout)
+        except TimeoutError:
+            raise TimeoutError(
+                f"{self.name}: {words} did not come in {timeout:g} s; "
+                f"the last frames are {list(self.sent)[-5:]!r}"
+            ) from None
+        finally:
+            self._until.remove(waiter)
+
+    def error_frame(self, error: int | CanState, data: bytes = b"") -> None:
+        """Have the robot's controller report an error.
+
+        Args:
+            error: A state that it enters; or the classes of an error frame, as in
+                ``linux/can/error.h``.
+            data: The bytes of the error frame.
+        """
+        if error is CanState.BUS_OFF:
+            self._wire.error_frame(BUS_OFF, data)
+        elif isinstance(error, CanState):
+            said = bytes((0, CONTROLLER_BITS[error])) + data[2:]
+            self._wire.error_frame(CONTROLLER, said)
+        else:
+            self._wire.error_frame(error, data)
+
+    def bus_off(self) -> None:
+        """Take the robot's controller off the bus; it cannot be opened until `restart`."""
+        self._wire.bus_off()
+
+    def restart(self) -> None:
+        """Start the controller again, and say that the bus can be opened."""
+        self._wire.restart()
+        self.arrived()
+
+    def acknowledge(self, yes: bool = True) -> None:
+        """Say whether another node acknowledges what the robot sends.
+
+        If none does, the controller reports it and keeps 10 frames; then there is no
+        room. What it has kept goes out once somebody acknowledges.
+        """
+        self._wire.acknowledge(yes)
+
+    def full(self, times: int = 1) -> None:
+        """Have no room for the next frames: so many times, retries included."""
+        self._wire.full(times)
+
+    def stall(self) -> None:
+        """Take and give no frames until `resume`."""
+        self._wire.stall()
+
+    def resume(self) -> None:
+        """Go on, with the frames that were fed meanwhile, the newest 1024."""
+        self._wire.resume()
+
+    def unplug(self) -> None:
+        """Be gone, from this moment on."""
+        self._wire.unplug()
+
+    def plug(self) -> None:
+        """Be there again, with a controller that was started anew."""
+        self._wire.restart()
+        self._wire.plug()
+
+    def fail(self, error: Exception, *, after: int = 0, times: int | None = 1) -> None:
+        """Raise an error from a send of the robot.
+
+        Args:
+            error: What to raise; an `OSError` is the loss of the bus.
+            after: How many sends go well before.
+            times: How many sends fail; None for all from then on.
+        """
+        self._wire.fail(error, after=after, times=times)
+
+    async def _reach(
+        self, received: Callable[[Frame], None], gone: Callable[[Exception], None]
+    ) -> FrameLink:
+        return await self._wire.node(received, gone)
+
+    def _heard(self, frame: Frame) -> None:
+        key = key_of(self.name, frame.id, extended=frame.extended)
+        self._newest.pop(key, None)
+        self._newest[key] = frame
+        self.sent.append(frame)
+        for matches, future in self._until:
+            if not future.done() and matches(frame):
+                future.set_result(frame)
+        for listener in tuple(self._on_send):
+            reply = listener(frame)
+            if isinstance(reply, Frame):
+                self._wire.send(reply)
+            elif reply is not None:
+                for each in reply:
+                    self._wire.send(each)

@@ -1,0 +1,116 @@
+"""CAN interfaces as the kernel knows them: there, up, and in which state.
+
+A CAN socket does not tell the state of its controller, and a send on an interface that
+is bus-off succeeds and reaches nobody. So the kernel is asked, by the protocol of
+``ip -details link show``: rtnetlink(7), ``linux/can/netlink.h``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import struct
+import sys
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from esair.buses.can._errors import CanState
+
+_HEADER: Final = struct.Struct("=IHHII")  # length, type, flags, sequence, port
+_LINK: Final = struct.Struct("=BxHiII")  # family, type, index, flags, change
+_ATTRIBUTE: Final = struct.Struct("=HH")  # length, type
+
+_ERROR, _NEW_LINK, _GET_LINK, _REQUEST = 2, 16, 18, 1
+_NAME, _MTU, _LINK_INFO, _INFO_KIND, _INFO_DATA, _CAN_STATE = 3, 4, 18, 1, 2, 4
+_UP = 0x1
+_TYPE_MASK = 0x3FFF  # the upper bits of an attribute's type say how it is made
+
+
+class Interface(NamedTuple):
+    """A network interface.
+
+    Attributes:
+        number: What the kernel counts it by; one that is made again gets another.
+        is_up: Whether it was set up.
+        mtu: How many bytes a frame of its socket has at most: 16, or 72 with CAN FD.
+        state: The state of its controller; active where there is none, as with vcan.
+    """
+
+    number: int
+    is_up: bool
+    mtu: int
+    state: CanState
+
+
+def look_up(name: str) -> Interface:
+    """Ask the kernel for an interface. Blocks for some microseconds.
+
+    Raises:
+        OSError: There is none of that name.
+    """
+    wanted = os.fsencode(name) + b"\0"
+    attribute = _ATTRIBUTE.pack(_ATTRIBUTE.size + len(wanted), _NAME) + wanted
+    body = _LINK.pack(0, 0, 0, 0, 0) + attribute.ljust(
+        -(-len(attribute) // 4) * 4, b"\0"
+    )
+    request = _HEADER.pack(_HEADER.size + len(body), _GET_LINK, _REQUEST, 1, 0) + body
+    with socket.socket(
+        socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.NETLINK_ROUTE
+    ) as kernel:
+        kernel.settimeout(1.0)
+        kernel.send(request)
+        return decode_link(kernel.recv(65_536))
+
+
+def is_there(name: str) -> tuple[int, bool] | None:
+    """Return what tells one arrival of an interface from the next; None if it is not.
+
+    An interface that is down, or whose controller is bus-off, is not there.
+    """
+    try:
+        found = look_up(name)
+    except OSError:
+        return None
+    if not found.is_up or found.state is CanState.BUS_OFF:
+        return None
+    return found.number, True
+
+
+def decode_link(answer: bytes) -> Interface:
+    """Decode the kernel's answer.
+
+    Raises:
+        OSError: It says that there is no such interface, or is no answer at all.
+    """
+    try:
+        _, kind, _, _, _ = _HEADER.unpack_from(answer)
+        if kind == _ERROR:
+            (number,) = struct.unpack_from("=i", answer, _HEADER.size)
+            raise OSError(-number, os.strerror(-number))
+        if kind != _NEW_LINK:
+            raise OSError(errno.EPROTO, f"the kernel answered with message {kind}")
+        _, _, index, flags, _ = _LINK.unpack_from(answer, _HEADER.size)
+    except struct.error as error:
+        raise OSError(errno.EPROTO, "the kernel's answer is too short") from error
+    attributes = dict(_attributes(answer[_HEADER.size + _LINK.size :]))
+    info = dict(_attributes(attributes.get(_LINK_INFO, b"")))
+    state = CanState.ACTIVE
+    if info.get(_INFO_KIND, b"").rstrip(b"\0") == b"can":
+        said = dict(_attributes(info.get(_INFO_DATA, b""))).get(_CAN_STATE, b"")
+        # Above bus-off there are "stopped" and "sleeping": the interface is down.
+        with contextlib.suppress(ValueError):
+            state = CanState(int.from_bytes(said, sys.byteorder))
+    mtu = int.from_bytes(attributes.get(_MTU, b""), sys.byteorder)
+    return Interface(index, bool(flags & _UP), mtu, state)
+
+
+def _attributes(data: bytes) -> Iterator[tuple[int, bytes]]:
+    place = 0
+    while place + _ATTRIBUTE.size <= len(data):
+        length, kind = _ATTRIBUTE.unpack_from(data, place)
+        if length < _ATTRIBUTE.size:
+            return
+        yield kind & _TYPE_MASK, data[place + _ATTRIBUTE.size : place + length]
+        place += -(-length // 4) * 4

@@ -1,0 +1,560 @@
+"""I²C buses: registers and transfers of the chips on one pair of wires."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import random
+from collections.abc import Callable, Hashable, Iterable
+from pathlib import Path
+from typing import NamedTuple, TypeVar, cast
+
+from esair.buses._bus import Bus, wanted
+from esair.buses._opening import open_on, shut_on
+from esair.buses.i2c import _kernel as kernel
+from esair.buses.i2c import _link as wire
+from esair.buses.i2c._errors import OCCUPIED, SILENT, explained, stuck_with
+from esair.buses.i2c._link import RegisterLink
+from esair.exceptions import (
+    BadValueError,
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    describe,
+)
+from esair.loop import spawn
+
+T = TypeVar("T")
+
+RETRIES = 3
+"""How often a transfer is tried again that may be."""
+
+RETRY_PERIOD = 0.001
+"""The first pause before that, in seconds; it doubles, and varies by half."""
+
+OPEN_TIMEOUT = 2.0
+"""How long opening a bus may take, in seconds."""
+
+SCANNED = range(0x08, 0x78)
+"""The addresses that a chip may have; the others mean something else on every bus."""
+
+
+class I2CBus(Bus):
+    """An I²C bus and the chips on it.
+
+    Every transfer is made on the bus's one thread, so the address and the transfer,
+    which are two calls of the kernel, are never torn apart by another chip's
+    transfer; a `transaction` keeps several transfers together.
+
+    What is tried again: a transfer that another master kept from the bus, because
+    nothing of it was done; and one that no chip acknowledged, only if it is declared
+    ``idempotent``. Reading registers is, unless the caller says otherwise (reading
+    some registers clears them); everything else is not, unless the caller says so.
+
+    A transfer that does not return holds up the whole bus: everybody who asks gets
+    `DriverStuckError` at once until it returns, and what waited is not made late.
+
+    Args:
+        name: The name of the bus.
+        bus: The number in ``/dev/i2c-N``, a path, or ``name:`` and the beginning of
+            the adapter's name, for one whose number changes (``i2cdetect -l`` shows
+            the names).
+        timeout: How long a transfer may take unless it says otherwise, in seconds,
+            waiting and repeating included.
+        pec: Have the adapter add and check a checksum (SMBus packet error code); the
+            chips must know it too.
+        opener: Opens something else than a bus of the kernel, such as a fake.
+        inline: Call the link in the event loop itself. Only for a link that never
+            blocks, where a thread would make the order of things depend on chance:
+            a simulation on a virtual clock.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        bus: int | str = 1,
+        timeout: float = 0.2,
+        pec: bool = False,
+        opener: Callable[[], RegisterLink] | None = None,
+        inline: bool = False,
+    ) -> None:
+        super().__init__(name=name)
+        self.place = kernel.check_place(name, bus)
+        if not 0 < timeout < float("inf"):
+            raise ConfigError(
+                name, "timeout", f"expected a number of seconds > 0, not {timeout!r}"
+            )
+        self.timeout = timeout
+        self.pec = pec
+        self.path = ""
+        """The path of the kernel's bus while it is open."""
+        if opener is None:
+            self._presence = self._look
+        self._opener = opener or self._open_kernel_bus
+        self._inline = inline
+        self._link: RegisterLink | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._opened_as: Hashable | None = None
+        self._jitter = random.Random(name)
+        self._letting_go: asyncio.Task[None] | None = None
+
+    async def read(
+        self,
+        address: int,
+        register: int,
+        length: int = 1,
+        *,
+        idempotent: bool = True,
+        timeout: float | None = None,
+    ) -> bytes:
+        """Read registers that follow one another, in one transfer.
+
+        Args:
+            address: The 7-bit address of the chip.
+            register: The first register, 0 to 255. For longer numbers write them with
+                `transfer`.
+            length: How many, 1 to 32; more with `transfer`.
+            idempotent: Whether it may be tried again. Say no if reading changes
+                something in the chip.
+            timeout: How long to wait, in seconds; the bus's ``timeout`` if None.
+
+        Raises:
+            BadValueError: Not an address, a register or a length.
+            BusyError: Too many transfers wait.
+            DeviceFaultError: The chip does not answer, or the transfer failed; its
+                ``errno`` tells how.
+            DeviceLostError: The bus itself is gone.
+            DriverStuckError: It took too long, or the bus is stuck.
+        """
+        self._check(address, register, length)
+
+        def transfer(link: RegisterLink) -> bytes:
+            data = bytes(link.read_i2c_block_data(address, register, length))
+            self.stats.received += 1
+            return data
+
+        data = await self._turn(transfer, address, idempotent, timeout)
+        if len(data) != length:
+            raise self._failed(
+                DeviceFaultError(
+                    self.name,
+                    f"chip {address:#04x} sent {len(data)} bytes instead of {length}",
+                )
+            )
+        return data
+
+    async def write(
+        self,
+        address: int,
+        register: int,
+        data: bytes,
+        *,
+        idempotent: bool = False,
+        timeout: float | None = None,
+    ) -> None:
+        """Write registers that follow one another, in one transfer.
+
+        Args and errors are those of `read`, for up to 32 bytes of data.
+        """
+        self._check(address, register, len(data))
+
+        def transfer(link: RegisterLink) -> None:
+            if len(data) == 1:
+                link.write_byte_data(address, register, data[0])
+            else:
+                link.write_i2c_block_data(address, register, list(data))
+            self.stats.sent += 1
+
+        await self._turn(transfer, address, idempotent, timeout)
+
+    async def transfer(
+        self,
+        address: int,
+        write: bytes = b"",
+        read: int = 0,
+        *,
+        idempotent: bool = False,
+        timeout: float | None = None,
+    ) -> bytes:
+        """Write bytes, then read bytes after a repeated start, as a chip wants them.
+
+        An adapter that has only SMBus gets the call that means the same, for up to 33
+        bytes written, or one byte written and up to 32 read; else it is a fault.
+
+        Args:
+            address: The 7-bit address of the chip.
+            write: What to write first, up to 8192 bytes.
+            read: How many bytes to read then, up to 8192.
+            idempotent: Whether it may be tried again.
+            timeout: How long to wait, in seconds; the bus's ``timeout`` if None.
+
+        Returns:
+            The bytes that were read.
+
+        Raises:
+            BadValueError: Not an address or a length.
+            BusyError: Too many transfers wait.
+            DeviceFaultError: The chip does not answer, the transfer failed, or the
+                adapter cannot make it.
+            DeviceLostError: The bus itself is gone.
+            DriverStuckError: It took too long, or the bus is stuck.
+        """
+        self._check_address(address)
+        for field, count in (("write", len(write)), ("read", read)):
+            if not 0 <= count <= wire.LIMIT:
+                raise BadValueError(
+                    self.name, field, f"expected 0 to {wire.LIMIT} bytes, not {count!r}"
+                )
+
+        def make(link: RegisterLink) -> bytes:
+            data = wire.transfer(link, address, write, read)
+            self._count(write, read)
+            return data
+
+        return await self._turn(make, address, idempotent, timeout)
+
+    async def transaction(
+        self,
+        transfer: Callable[[RegisterLink], T],
+        *,
+        address: int | None = None,
+        idempotent: bool = False,
+        timeout: float | None = None,
+    ) -> T:
+        """Make several transfers with nothing of anybody else in between.
+
+        Args:
+            transfer: Gets the link (``smbus2.SMBus``) and may block. What it returns
+                is the result. It is called on the bus's thread.
+            address: The chip, for error messages.
+            idempotent: Whether all of it may be done again from the start, if a
+                transfer in it was not acknowledged or lost to another master.
+            timeout: How long to wait, in seconds; the bus's ``timeout`` if None.
+
+        Raises:
+            BusyError: Too many transfers wait.
+            DeviceFaultError: The chip does not answer, or a transfer failed.
+            DeviceLostError: The bus itself is gone.
+            DriverStuckError: It took too long, or the bus is stuck.
+        """
+
+        def make(link: RegisterLink) -> T:
+            result = transfer(link)
+            self.stats.sent += 1
+            return result
+
+        return await self._turn(make, address, idempotent, timeout, whole=True)
+
+    def direct(
+        self, transfer: Callable[[RegisterLink], T], *, address: int | None = None
+    ) -> T:
+        """Make transfers from a plain method of a driver, which may block.
+
+        Such methods run on the bus's thread already, so nobody else's transfers come
+        between those of one call. Nothing is tried again.
+
+        Args:
+            transfer: Gets the link, as in `transaction`.
+            address: The chip, for error messages.
+
+        Raises:
+            RuntimeError: It is called from another thread.
+            DeviceFaultError: The chip does not answer, or a transfer failed.
+            DeviceLostError: The bus itself is gone.
+            DriverStuckError: The adapter gave up on the bus.
+        """
+        if not self.executor.is_current:
+            raise RuntimeError(
+                f"{self.name}: direct() is for plain (not async) methods of drivers, "
+                "which run on the thread of the bus"
+            )
+        link = self._connected()
+        try:
+            result = transfer(link)
+        except EsairError:
+            raise
+        except OSError as error:
+            owner = self._owner(error, address)
+            reason = self._explained(error, address, self.timeout, owner)
+            if isinstance(reason, DeviceLostError) and self._loop is not None:
+                self._loop.call_soon_threadsafe(self.lost, reason)
+                raise reason from error
+            raise self._failed(reason) from error
+        self.stats.sent += 1
+        return result
+
+    async def scan(self, addresses: Iterable[int] = SCANNED) -> dict[int, str]:
+        """Look which chips are there, as carefully as ``i2cdetect`` does.
+
+        Addresses of memories, which a quick write could lock or destroy, are read;
+        the others are only addressed. Others use the bus in between.
+
+        Args:
+            addresses: Where to look, 0x08 to 0x77.
+
+        Returns:
+            ``"answers"``, or ``"busy"`` for a chip of a driver of the kernel, by
+            address.
+
+        Raises:
+            BadValueError: An address is none of a chip.
+            DeviceFaultError: The adapter cannot look.
+            DeviceLostError: The bus itself is gone.
+            DriverStuckError: The bus is stuck.
+        """
+        found = {}
+        for address in addresses:
+            if address not in SCANNED:
+                raise BadValueError(
+                    self.name,
+                    "addresses",
+                    f"expected 0x08 to 0x77, not {address!r:.80}",
+                )
+            state = await self._call(
+                self._probe, address, timeout=self.timeout, address=address
+            )
+            if isinstance(state, EsairError):
+                raise self._told(state)
+            if state:
+                found[address] = state
+        return found
+
+    @property
+    def stuck_since(self) -> float | None:
+        """When a transfer overran its time that has not returned; None if none has."""
+        return self.executor.stuck_since
+
+    # The way of one transfer.
+
+    async def _turn(
+        self,
+        transfer: Callable[[RegisterLink], T],
+        address: int | None,
+        idempotent: bool,
+        timeout: float | None,
+        *,
+        whole: bool = False,
+    ) -> T:
+        left = self.timeout if timeout is None else timeout
+        loop = asyncio.get_running_loop()
+        until = loop.time() + left
+        attempt = 0
+        while True:
+            outcome = await self._call(
+                self._make, transfer, address, left, timeout=left, address=address
+            )
+            if not isinstance(outcome, _Failure):
+                return cast("T", outcome)
+            if outcome.code in SILENT:
+                again = idempotent
+            else:
+                again = outcome.code in OCCUPIED and (idempotent or not whole)
+            pause = RETRY_PERIOD * 2**attempt * self._jitter.uniform(0.5, 1.5)
+            left = until - loop.time() - pause
+            if not again or attempt == RETRIES or left <= 0:
+                raise self._told(outcome.error) from outcome.cause
+            attempt += 1
+            self.stats.retries += 1
+            await asyncio.sleep(pause)
+
+    async def _call(
+        self,
+        function: Callable[..., T],
+        *args: object,
+        timeout: float,
+        address: int | None = None,
+    ) -> T:
+        """Call a function with the link first, in the thread; not late."""
+        link = self._connected()
+        self._check_stuck()
+        if self._inline:
+            return function(link, *args)
+        try:
+            return await self.executor.call(
+                function, link, *args, timeout=timeout, guard=wanted
+            )
+        except DriverStuckError:
+            raise self._failed(stuck_with(self.name, address, timeout)) from None
+        except BusyError:
+            self.stats.refused += 1
+            raise
+
+    def _check_stuck(self) -> None:
+        stuck = self.executor.stuck_since
+        if stuck is not None:
+            self.stats.refused += 1
+            since = asyncio.get_running_loop().time() - stuck + self.timeout
+            raise self._failed(
+                DriverStuckError(self.name, "an earlier transfer", since)
+            )
+
+    def _make(
+        self,
+        link: RegisterLink,
+        transfer: Callable[[RegisterLink], T],
+        address: int | None,
+        seconds: float,
+    ) -> T | _Failure:
+        """Make a transfer, on the thread, and find out what an error means."""
+        try:
+            return transfer(link)
+        except EsairError:
+            raise
+        except OSError as error:
+            owner = self._owner(error, address)
+            reason = self._explained(error, address, seconds, owner)
+            return _Failure(reason, error, error.errno if owner is None else None)
+
+    def _probe(self, link: RegisterLink, address: int) -> str | EsairError:
+        try:
+            wire.probe(link, address)
+        except OSError as error:
+            if error.errno == errno.EBUSY:
+                return "busy"
+            reason = self._explained(error, address, self.timeout)
+            if error.errno == errno.EOPNOTSUPP or not isinstance(
+                reason, DeviceFaultError
+            ):
+                return reason
+            return ""
+        self.stats.sent += 1
+        return "answers"
+
+    def _explained(
+        self,
+        error: OSError,
+        address: int | None,
+        seconds: float,
+        owner: Path | None = None,
+    ) -> EsairError:
+        """Find out what an error means; looks into the file system."""
+        there = self._same_place() if self.path else None
+        return explained(
+            self.name, error, address, there=there, seconds=seconds, owner=owner
+        )
+
+    def _owner(self, error: OSError, address: int | None) -> Path | None:
+        """Return the kernel's driver that keeps us from a chip, if one does."""
+        if error.errno != errno.EBUSY or address is None or not self.path:
+            return None
+        return kernel.owner(self.path, address)
+
+    def _told(self, error: EsairError) -> EsairError:
+        if not isinstance(error, DeviceLostError):
+            return self._failed(error)
+        self.lost(error)
+        return error
+
+    def _failed(self, error: EsairError) -> EsairError:
+        self.stats.errors += 1
+        self.stats.last_error = describe(error)
+        return error
+
+    def _count(self, write: object, read: object) -> None:
+        self.stats.sent += bool(write) or not read
+        self.stats.received += bool(read)
+
+    def _connected(self) -> RegisterLink:
+        if not self.is_open or self._link is None:
+            raise DeviceLostError(self.name, "the bus is not open")
+        return self._link
+
+    def _check_address(self, address: int) -> None:
+        if not 0x03 <= address <= 0x77:
+            raise BadValueError(
+                self.name, "address", f"expected 0x03 to 0x77, not {address!r:.80}"
+            )
+
+    def _check(self, address: int, register: int, length: int) -> None:
+        self._check_address(address)
+        if not 0 <= register <= 0xFF:
+            raise BadValueError(
+                self.name, "register", f"expected 0 to 255, not {register!r:.80}"
+            )
+        if not 1 <= length <= wire.SMBUS_LIMIT:
+            raise BadValueError(
+                self.name,
+                "length",
+                f"expected 1 to {wire.SMBUS_LIMIT} bytes, not {length!r:.80}",
+            )
+
+    # Its life.
+
+    def lost(self, error: BaseException) -> None:
+        """Tell everybody on the bus, once, that it is gone, and let it go.
+
+        An open file keeps the kernel from giving the adapter its number again.
+        """
+        if not self.is_open:
+            return
+        super().lost(error)
+        self._letting_go = spawn(
+            asyncio.get_running_loop(), self._close(), name=f"let go {self.name}"
+        )
+
+    async def _open(self) -> None:
+        await self._close()  # what a loss has left behind
+        self._loop = asyncio.get_running_loop()
+        try:
+            if self._inline:
+                self._link = self._opener()
+            else:
+                self._link = await open_on(
+                    self.executor, self._opener, _shut, timeout=OPEN_TIMEOUT
+                )
+        except OSError as error:
+            detail = f"cannot be opened: {describe(error)}"
+            raise DeviceLostError(self.name, detail) from error
+
+    async def _close(self) -> None:
+        link, self._link = self._link, None
+        self.path = ""
+        if link is None:
+            return
+        if self._inline:
+            link.close()
+            return
+        try:
+            await shut_on(self.executor, link.close, timeout=0.2)
+        except OSError as error:
+            self.stats.last_error = describe(error)
+
+    def _look(self) -> Hashable | None:
+        return kernel.presence(self.place)
+
+    def _same_place(self) -> bool:
+        seen = kernel.presence(self.path)
+        # A changed time may be a changed permission; device and file are the adapter.
+        return seen is not None and seen[:2] == self._opened_as
+
+    def _open_kernel_bus(self) -> RegisterLink:
+        path = kernel.find(self.place)
+        link = kernel.open_bus(path, pec=self.pec)
+        seen = kernel.presence(path)
+        self._opened_as = None if seen is None else seen[:2]
+        self.path = path
+        return link
+
+
+class _Failure(NamedTuple):
+    """A transfer that failed, and may be tried again.
+
+    Attributes:
+        error: What its caller gets.
+        cause: What the link raised.
+        code: The error number; None if trying again cannot help.
+    """
+
+    error: EsairError
+    cause: OSError
+    code: int | None
+
+
+def _shut(link: RegisterLink) -> None:
+    with contextlib.suppress(OSError):
+        link.close()

@@ -1,0 +1,161 @@
+"""The far end of an I²C bus: chips in memory behind the methods of smbus2."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from esair.buses._plug import Plug
+
+FUNCS = 0x0EFF0001
+"""What `ChipBus` can do: plain I²C, and SMBus by it; as the kernel's bits."""
+
+
+class Chip(Protocol):
+    """A chip on an I²C bus: registers.
+
+    A chip whose pointer stays where it is when it is read has ``keeps_pointer = True``.
+    """
+
+    def read(self, register: int, length: int) -> bytes:
+        """Return registers."""
+
+    def write(self, register: int, data: bytes) -> None:
+        """Set registers."""
+
+
+class Registers:
+    """A chip that is nothing but 256 registers of a byte; they wrap around.
+
+    Args:
+        content: The registers from 0 on; or values, or bytes, by register.
+    """
+
+    def __init__(self, content: bytes | Mapping[int, int | bytes] = b"") -> None:
+        self.content = bytearray(256)
+        if isinstance(content, Mapping):
+            for register, value in content.items():
+                self.write(
+                    register, bytes([value]) if isinstance(value, int) else value
+                )
+        else:
+            self.write(0, content)
+
+    def read(self, register: int, length: int) -> bytes:
+        """Return registers that follow one another."""
+        content = bytes(self.content)  # one moment, whoever writes meanwhile
+        return bytes(content[(register + index) % 256] for index in range(length))
+
+    def write(self, register: int, data: bytes) -> None:
+        """Set registers that follow one another."""
+        for index, value in enumerate(data):
+            self.content[(register + index) % 256] = value
+
+
+class ChipBus(Plug):
+    """An I²C bus with simulated chips, behind the methods of ``smbus2.SMBus``.
+
+    Args:
+        chips: The chips by their addresses. An address without one does not answer.
+    """
+
+    def __init__(self, chips: dict[int, Chip]) -> None:
+        super().__init__()
+        self.chips = chips
+        self.plugged = True
+        self.closed = False
+        self.funcs = FUNCS
+        self._pointers: dict[int, int] = {}
+
+    def unplug(self) -> None:
+        """Take the adapter away; who used it notices at the next transfer."""
+        self.plugged = False
+
+    def plug(self) -> None:
+        """Bring it back; nothing happens if it is there."""
+        if not self.plugged:
+            self.plugged = True
+            self._tell_plugged()
+
+    def read_byte_data(self, i2c_addr: int, register: int) -> int:
+        """Read one register."""
+        return self._exchange(i2c_addr, bytes([register]), 1)[0]
+
+    def write_byte_data(self, i2c_addr: int, register: int, value: int) -> None:
+        """Write one register."""
+        self._exchange(i2c_addr, bytes([register, value]), 0)
+
+    def read_i2c_block_data(
+        self, i2c_addr: int, register: int, length: int
+    ) -> list[int]:
+        """Read up to 32 registers in one transfer."""
+        return list(self._exchange(i2c_addr, bytes([register]), min(length, 32)))
+
+    def write_i2c_block_data(
+        self, i2c_addr: int, register: int, data: Sequence[int]
+    ) -> None:
+        """Write up to 32 registers in one transfer."""
+        self._exchange(i2c_addr, bytes([register, *data[:32]]), 0)
+
+    def read_byte(self, i2c_addr: int) -> int:
+        """Read a byte from where the chip's pointer is."""
+        return self._exchange(i2c_addr, b"", 1)[0]
+
+    def write_byte(self, i2c_addr: int, value: int) -> None:
+        """Set the chip's pointer."""
+        self._exchange(i2c_addr, bytes([value]), 0)
+
+    def write_quick(self, i2c_addr: int) -> None:
+        """Find out whether a chip answers."""
+        self._exchange(i2c_addr, b"", 0)
+
+    def i2c_rdwr(self, *messages: Any) -> None:
+        """Make ``smbus2.i2c_msg`` transfers, a write and the read after it as one."""
+        waiting: Any = None
+        for message in messages:
+            if not message.flags & 1:
+                if waiting is not None:
+                    self._exchange(waiting.addr, bytes(waiting), 0)
+                waiting = message
+                continue
+            before = b""
+            if waiting is not None and waiting.addr == message.addr:
+                before, waiting = bytes(waiting), None
+            elif waiting is not None:
+                self._exchange(waiting.addr, bytes(waiting), 0)
+                waiting = None
+            data = self._exchange(message.addr, before, message.len)
+            for index, value in enumerate(data):
+                message.buf[index] = value
+        if waiting is not None:
+            self._exchange(waiting.addr, bytes(waiting), 0)
+
+    def close(self) -> None:
+        """Let the bus go."""
+        self.closed = True
+
+    def _exchange(self, address: int, write: bytes, read: int) -> bytes:
+        """Make a transfer: write some bytes, then read some; every one comes here."""
+        chip = self._chip(address)
+        if write:
+            self._pointers[address] = write[0]
+        if len(write) > 1:
+            chip.write(write[0], write[1:])
+            if not getattr(chip, "keeps_pointer", False):
+                self._pointers[address] = (write[0] + len(write) - 1) % 256
+        if not read:
+            return b""
+        pointer = self._pointers.get(address, 0)
+        data = chip.read(pointer, read)
+        if not getattr(chip, "keeps_pointer", False):
+            self._pointers[address] = (pointer + read) % 256
+        return data
+
+    def _chip(self, address: int) -> Chip:
+        if not self.plugged:
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+        if address not in self.chips:
+            raise OSError(errno.ENXIO, os.strerror(errno.ENXIO))
+        return self.chips[address]

@@ -1,0 +1,118 @@
+"""I²C buses of the Linux kernel: found, opened, watched. Only here is smbus2 opened."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, cast
+
+from esair.buses.i2c._link import RegisterLink
+from esair.exceptions import ConfigError
+
+NAMED = "name:"
+"""How the name of an adapter begins where a bus is given."""
+
+_CLASS = Path("/sys/class/i2c-dev")
+_DEVICES = Path("/sys/bus/i2c/devices")
+
+
+def check_place(component: str, place: object) -> int | str:
+    """Return where a bus is: a number, a path, or an adapter's name.
+
+    Raises:
+        ConfigError: It is nothing of these.
+    """
+    if type(place) is int and place >= 0:
+        return place
+    if isinstance(place, str) and (
+        place.startswith("/") or (place.startswith(NAMED) and place != NAMED)
+    ):
+        return place
+    raise ConfigError(
+        component,
+        "bus",
+        "expected a whole number (the N of /dev/i2c-N), a path, or 'name:' and the "
+        f"beginning of the adapter's name, not {place!r:.80}",
+    )
+
+
+def adapters(directory: Path = _CLASS) -> dict[int, str]:
+    """Return the names of the adapters that are there, by their numbers."""
+    found = {}
+    try:
+        places = list(directory.iterdir())
+    except OSError:
+        return {}  # no I²C at all
+    for place in places:
+        try:
+            found[int(place.name.removeprefix("i2c-"))] = (
+                (place / "name").read_text().strip()
+            )
+        except (OSError, ValueError):
+            continue  # it is just being unplugged
+    return dict(sorted(found.items()))
+
+
+def find(place: int | str, directory: Path = _CLASS) -> str:
+    """Return the path of a bus.
+
+    Raises:
+        OSError: No adapter has the name, or several have.
+    """
+    if isinstance(place, int):
+        return f"/dev/i2c-{place}"
+    if not place.startswith(NAMED):
+        return place
+    wanted = place.removeprefix(NAMED)
+    there = adapters(directory)
+    fitting = [number for number, name in there.items() if name.startswith(wanted)]
+    if len(fitting) == 1:
+        return f"/dev/i2c-{fitting[0]}"
+    known = ", ".join(f"{name!r} (i2c-{number})" for number, name in there.items())
+    if not fitting:
+        raise FileNotFoundError(
+            f"no adapter's name begins with {wanted!r}; there is {known or 'none'}"
+        )
+    raise FileNotFoundError(
+        f"several adapters' names begin with {wanted!r}, say more of it: {known}"
+    )
+
+
+def presence(place: int | str) -> tuple[int, int, int] | None:
+    """Look whether a bus is there; another value is another arrival of it."""
+    try:
+        seen = os.stat(find(place))
+    except OSError:
+        return None
+    return seen.st_rdev, seen.st_ino, seen.st_ctime_ns
+
+
+def owner(path: str, address: int, directory: Path = _DEVICES) -> Path | None:
+    """Return the driver of the kernel that has a chip, as its place in ``/sys``."""
+    number = os.path.realpath(path).rpartition("-")[2]
+    driver = directory / f"{number}-{address:04x}" / "driver"
+    return driver if driver.exists() else None
+
+
+def open_bus(path: str, *, pec: bool) -> RegisterLink:
+    """Open a bus of the kernel, never with ``force``."""
+    import smbus2
+
+    class KernelLink(smbus2.SMBus):
+        """A bus that does not reach behind the back of the kernel's own drivers."""
+
+        def i2c_rdwr(self, *messages: Any) -> None:
+            # The kernel itself asks who owns a chip only when one is selected.
+            for address in {message.addr for message in messages}:
+                self._set_address(address)  # type: ignore[attr-defined]
+            super().i2c_rdwr(*messages)
+
+    link = KernelLink()
+    try:
+        link.open(path)
+        if pec:
+            link.enable_pec(True)
+    except OSError:
+        link.close()  # smbus2 leaves the descriptor open
+        raise
+    return cast("RegisterLink", link)

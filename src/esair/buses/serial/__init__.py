@@ -1,0 +1,58 @@
+"""Serial lines: the bus, the ports it opens, the far end, the fake.
+
+Only ``_port.py`` knows pyserial, and imports it when a port is opened.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from esair.buses._late import late
+
+if TYPE_CHECKING:
+    from esair.buses.serial._bus import SerialBus
+    from esair.buses.serial._fake import FakeSerial
+    from esair.buses.serial._far_end import MemoryLine, PtyLine
+    from esair.buses.serial._line import SerialLink, SerialOpener
+    from esair.buses.serial._place import SerialPlace
+    from esair.buses.serial._port import OPEN_TIMEOUT, Port, close_port, reach_port
+    from esair.buses.serial._ports import devices, find_port, serial_identity, toml
+
+__all__ = [
+    "OPEN_TIMEOUT",
+    "FakeSerial",
+    "MemoryLine",
+    "Port",
+    "PtyLine",
+    "SerialBus",
+    "SerialLink",
+    "SerialOpener",
+    "SerialPlace",
+    "close_port",
+    "devices",
+    "find_port",
+    "reach_port",
+    "serial_identity",
+    "toml",
+]
+
+__getattr__, __dir__ = late(
+    __name__,
+    {
+        "OPEN_TIMEOUT": "_port",
+        "FakeSerial": "_fake",
+        "MemoryLine": "_far_end",
+        "Port": "_port",
+        "PtyLine": "_far_end",
+        "SerialBus": "_bus",
+        "SerialLink": "_line",
+        "SerialOpener": "_line",
+        "SerialPlace": "_place",
+        "close_port": "_port",
+        "devices": "_ports",
+        "find_port": "_ports",
+        "reach_port": "_port",
+        "serial_identity": "_ports",
+        "toml": "_ports",
+    },
+)

@@ -1,0 +1,363 @@
+"""Serial lines: framed messages that several devices share."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from esair.buses._bus import Bus
+from esair.buses._inbox import Inbox, within
+from esair.buses._turns import Turns
+from esair.buses.serial._framing import make_framing, resync_bytes
+from esair.buses.serial._line import Line, SerialLink, SerialOpener
+from esair.buses.serial._place import SerialPlace
+from esair.buses.serial._port import Port, close_port, link_of, reach_port
+from esair.exceptions import (
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    describe,
+)
+from esair.framing import Framing
+from esair.loop import spawn
+
+ASK_LIMIT = 32
+"""How many exchanges may wait for their turn on one line."""
+
+_log = logging.getLogger("esair")
+
+
+class SerialBus(Bus):
+    """A serial line, and the messages on it.
+
+    Several devices may share it: each listens with a prefix of its own and writes
+    whole messages, which are never mixed. Nothing here ever blocks the event loop:
+    the port is opened and closed on the bus's thread, exclusively, and a device that
+    stops taking bytes costs the writer its deadline and nobody else anything. After a
+    message that was cut, because time was up or the line was lost, the next one begins
+    with a delimiter if the framing has one, so that it is not taken for the rest.
+
+    In ``bus.stats`` what is sent and received is counted in bytes, ``bad_frames``,
+    ``dropped`` and ``unheard`` in messages, ``refused`` in writes, ``discarded`` in
+    bytes. How many bytes were noise between messages is ``bus.framing.discarded``.
+
+    Args:
+        name: The name of the bus.
+        port: ``usb:VID:PID[:SERIAL]`` for the port of a USB device, wherever it is
+            plugged in; the path of a device file, such as one of those in
+            ``/dev/serial/by-id`` (``/dev/ttyUSB0`` may be another device tomorrow); or
+            a URL of pyserial, such as ``socket://host:2217`` or ``loop://``.
+        baudrate: Bits per second.
+        framing: What a message is in the stream of bytes: a `Framing`, its name
+            (``"lines"``, ``"nmea"``, ``"cobs"``, ``"length-crc"``, ``"raw"``), or a
+            table with its ``type`` and its parameters.
+        out_limit: How many bytes may wait to be sent; more is refused.
+        write_timeout: How long a write may take unless it says otherwise, in s.
+        bad_limit: After how many damaged messages in a row everybody who listens is
+            told that the device is at fault.
+        opener: Opens something else than a port, such as a wire in memory.
+        dtr: Whether DTR is raised while the port is open, as usual. Lowering it keeps
+            some boards from starting anew, and starts the motor of some others.
+        rts: The same for RTS.
+        **options: Further settings of ``serial.Serial``, such as ``parity="E"``.
+
+    Attributes:
+        framing: What the bytes are cut into messages with.
+        path: What was opened last: the device file, or the URL.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        port: str = "",
+        baudrate: int = 115200,
+        framing: Framing | str | Mapping[str, Any] = "lines",
+        out_limit: int = 4096,
+        write_timeout: float = 0.5,
+        bad_limit: int = 100,
+        dtr: bool = True,
+        rts: bool = True,
+        opener: SerialOpener | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(name=name)
+        if type(baudrate) is not int or baudrate < 1:
+            raise ConfigError(
+                name, "baudrate", f"expected bits per second, not {baudrate!r:.80}"
+            )
+        for field, limit in (("out_limit", out_limit), ("bad_limit", bad_limit)):
+            if type(limit) is not int or limit < 1:
+                raise ConfigError(name, field, f"expected 1 or more, not {limit!r:.80}")
+        for field, level in (("dtr", dtr), ("rts", rts)):
+            if not isinstance(level, bool):
+                raise ConfigError(
+                    name, field, f"expected true or false, not {level!r:.80}"
+                )
+        if not 0 < write_timeout < math.inf:
+            raise ConfigError(
+                name,
+                "write_timeout",
+                f"expected seconds > 0, not {write_timeout!r:.80}",
+            )
+        self.port = port
+        self.baudrate = baudrate
+        self.framing = make_framing(name, framing)
+        self.out_limit = out_limit
+        self.write_timeout = write_timeout
+        self.bad_limit = bad_limit
+        self.path = ""
+        self._options = options
+        self._levels = {"dtr": dtr, "rts": rts}
+        if opener is None:
+            place = SerialPlace(name, port)
+            self._presence = None if place.is_url else place.look
+        self._opener = opener or self._open_port
+        self._open_device: Port | None = None
+        self._letting_go: asyncio.Task[None] | None = None
+        self._line: Line | None = None
+        self._inboxes: list[tuple[bytes, Inbox[bytes]]] = []
+        self._bad_in_row = 0
+        self._is_cut = False
+        """Whether only the beginning of the message before was sent."""
+        self._turns = Turns()
+
+    @property
+    def waiting(self) -> int:
+        """How many bytes wait to be sent."""
+        return 0 if self._line is None else self._line.link.get_write_buffer_size()
+
+    def frames(self, prefix: bytes = b"", *, limit: int = 64) -> Inbox[bytes]:
+        """Listen to the messages that begin with a prefix.
+
+        Args:
+            prefix: What they begin with; every message if empty.
+            limit: How many are kept until they are taken; then the newest win.
+
+        Raises:
+            DeviceLostError: The bus is not open.
+        """
+        self._connected()
+        inbox: Inbox[bytes] = Inbox(limit, self._forget)
+        self._inboxes = [*self._inboxes, (prefix, inbox)]
+        return inbox
+
+    async def write(self, data: bytes, *, timeout: float | None = None) -> None:
+        """Send bytes in one piece and wait until the kernel has taken them.
+
+        Args:
+            data: One or several whole messages, as they go over the wire.
+            timeout: How long to wait, in seconds; ``write_timeout`` if None.
+
+        Raises:
+            DeviceLostError: The line is gone. Nobody knows how much was sent.
+            BusyError: Too many bytes wait already; nothing was sent.
+            DriverStuckError: The device took no bytes in time. All bytes that
+                waited are thrown away, so that none of them comes late. The same
+                happens if the writer is cancelled and nobody else waits.
+        """
+        line = self._connected()
+        link = line.link
+        if self._is_cut:
+            data = resync_bytes(self.framing) + data
+        if link.get_write_buffer_size() + len(data) > self.out_limit:
+            self.stats.refused += 1
+            raise BusyError(
+                f"bus {self.name}", "number of bytes to send", self.out_limit
+            )
+        self._is_cut = False
+        if not line.write(data):
+            await self._sent(line, self.write_timeout if timeout is None else timeout)
+        self.stats.sent += len(data)
+
+    async def send(self, payload: bytes, *, timeout: float | None = None) -> None:
+        """Send a message, framed. Args and errors are those of `write`."""
+        await self.write(self.framing.encode(payload), timeout=timeout)
+
+    async def ask(
+        self,
+        payload: bytes,
+        *,
+        prefix: bytes = b"",
+        timeout: float | None = None,
+        answers: Callable[[bytes], bool] | None = None,
+    ) -> bytes:
+        """Send a message and return the next one that answers it.
+
+        Exchanges of several devices on the line never overlap: each waits for its
+        turn. What came before the request was sent is no answer to it. An answer
+        that comes after its time-out is thrown away if nobody asks by then; it could
+        be mistaken for the answer to the next request, unless the prefix or *answers*
+        (a sequence number, an echo of the request) tells the two apart.
+
+        Args:
+            payload: The request, not framed yet.
+            prefix: What the answer begins with.
+            timeout: How long to wait, for the turn, the sending and the answer
+                together, in seconds; ``write_timeout`` if None.
+            answers: Tells whether a message with the prefix is the answer.
+
+        Raises:
+            DeviceLostError: The line is gone.
+            DeviceFaultError: Only damaged messages come.
+            BusyError: Too many wait for their turn; nothing was sent.
+            DriverStuckError: No answer in time, or the device took no bytes.
+        """
+        self._connected()
+        if self._turns.waiting > ASK_LIMIT:
+            self.stats.refused += 1
+            raise BusyError(f"bus {self.name}", "number of requests", ASK_LIMIT)
+        seconds = self.write_timeout if timeout is None else timeout
+        now = asyncio.get_running_loop().time
+        deadline = now() + seconds
+        try:
+            await self._turns.take(seconds)
+            try:
+                inbox = self.frames(prefix)
+                try:
+                    await self.send(payload, timeout=deadline - now())
+                    while True:
+                        message = await inbox.take(timeout=deadline - now())
+                        if answers is None or answers(message):
+                            return message
+                finally:
+                    inbox.close()
+            finally:
+                self._turns.give()
+        except DriverStuckError:
+            raise
+        except TimeoutError:
+            raise self._stuck(f"answer to {payload!r:.40}", seconds) from None
+
+    async def _sent(self, line: Line, seconds: float) -> None:
+        writer = line.wait()
+        try:
+            await within(writer, seconds)
+        except DriverStuckError:  # another writer's time was up: all is thrown away
+            raise
+        except TimeoutError:
+            stuck = self._stuck("write", seconds)
+            self._discard(line, stuck)
+            raise stuck from None
+        except asyncio.CancelledError as cancelled:
+            if line.waiting == 1:  # nobody's bytes wait behind these
+                self._discard(line, cancelled)
+            raise
+        finally:
+            line.forget(writer)
+
+    def _discard(self, line: Line, error: BaseException) -> None:
+        self.stats.discarded += line.link.get_write_buffer_size()
+        self._is_cut = self._is_cut or line.ends_in_a_message()
+        line.settle(error)  # first: the link tells who waits then that all is sent
+        line.link.flush()
+
+    def _stuck(self, call: str, seconds: float) -> DriverStuckError:
+        error = DriverStuckError(self.name, call, seconds)
+        self._count(error)
+        return error
+
+    def _count(self, error: BaseException) -> None:
+        self.stats.errors += 1
+        self.stats.last_error = describe(error)
+
+    def _connected(self) -> Line:
+        if not self.is_open or self._line is None:
+            raise DeviceLostError(self.name, "the line is not open")
+        return self._line
+
+    def _forget(self, inbox: Inbox[bytes]) -> None:
+        self._inboxes = [entry for entry in self._inboxes if entry[1] is not inbox]
+
+    async def _open(self) -> None:
+        await self._close()  # what a loss has left behind
+        self.framing.reset()
+        self._bad_in_row = 0
+        line = Line(self._received, self._gone)
+        line.link = await self._opener(line)
+        line.link.set_write_buffer_limits(high=0)
+        self._line = line
+
+    async def _close(self) -> None:
+        line, self._line = self._line, None
+        gone = DeviceLostError(self.name, "the line was closed")
+        self._fail_all(gone)
+        if line is not None:
+            self._discard(line, gone)
+            line.end()  # first, so that nobody watches the descriptor
+        letting_go, self._letting_go = self._letting_go, None
+        if letting_go is not None:
+            await asyncio.wait({letting_go})
+        port, self._open_device = self._open_device, None
+        if port is not None:
+            await close_port(port, self.executor)
+
+    async def _open_port(self, protocol: asyncio.Protocol) -> SerialLink:
+        place = SerialPlace(self.name, self.port)
+        port = await reach_port(
+            self.executor, place, self.baudrate, self._options, self._levels
+        )
+        self._open_device = port
+        self.path = port.path
+        if port.advice and self.stats.opened == 0:
+            _log.warning("%s: %s", self.name, port.advice)
+        return link_of(port, protocol, self.name)
+
+    def _received(self, data: bytes) -> None:
+        framing = self.framing
+        self.stats.received += len(data)
+        bad_before = framing.bad_frames
+        messages = framing.feed(data)
+        for message in messages:
+            self._deliver(message)
+        bad = framing.bad_frames - bad_before
+        self.stats.bad_frames += bad
+        self._bad_in_row = 0 if messages else self._bad_in_row + bad
+        if self._bad_in_row >= self.bad_limit:
+            fault = DeviceFaultError(
+                self.name,
+                f"{self._bad_in_row} damaged messages in a row: "
+                "check the baud rate, the parity and the framing",
+            )
+            self._bad_in_row = 0
+            self._count(fault)
+            self._fail_all(fault)
+
+    def _deliver(self, message: bytes) -> None:
+        heard = False
+        for prefix, inbox in self._inboxes:
+            if message.startswith(prefix):
+                dropped = inbox.dropped
+                inbox.offer(message)
+                self.stats.dropped += inbox.dropped - dropped
+                heard = True
+        if not heard:
+            self.stats.unheard += 1
+
+    def _fail_all(self, error: BaseException) -> None:
+        inboxes, self._inboxes = self._inboxes, []
+        for _, inbox in inboxes:
+            inbox.fail(error)
+
+    def _gone(self, line: Line, error: Exception | None) -> None:
+        if line is not self._line:
+            return
+        detail = describe(error) if error is not None else "the other end hung up"
+        loss = DeviceLostError(self.name, detail)
+        loss.__cause__ = error
+        self._discard(line, loss)
+        line.end()
+        self._fail_all(loss)
+        port, self._open_device = self._open_device, None
+        if port is not None:  # held, it keeps its number: it would return as another
+            self._letting_go = spawn(
+                asyncio.get_running_loop(),
+                close_port(port, self.executor),
+                name=f"let go {self.name}",
+            )
+        self.lost(loss)

@@ -1,0 +1,257 @@
+"""The ports of serial lines. The only module that knows pyserial and pyserial-asyncio."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fcntl
+import functools
+import os
+import select
+import stat
+import termios
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from esair.buses._opening import open_on, shut_on
+from esair.buses.serial._line import SerialLink
+from esair.buses.serial._owner import explain
+from esair.buses.serial._place import SerialPlace
+from esair.buses.serial._threads import READ_PERIOD, ThreadLink
+from esair.exceptions import (
+    ConfigError,
+    DeviceLostError,
+    DriverStuckError,
+    describe,
+)
+from esair.loop import Executor
+
+OPEN_TIMEOUT = 2.0
+"""How long opening a port may take, in seconds."""
+
+DRAIN_TIMEOUT = 0.2
+"""How long a close waits for bytes that the kernel still holds, in seconds."""
+
+
+class Port:
+    """An open port as the transport sees it: pyserial's, but nothing in it waits.
+
+    pyserial's own ``read`` uses select(), which fails from descriptor 1024 on; its
+    ``write`` repeats EAGAIN without end, which stops the event loop (pyserial#280);
+    its ``flush``, which the transport calls at its end, waits for a device that may
+    never take another byte.
+
+    Args:
+        device: The open ``serial.Serial``.
+        path: What was opened.
+
+    Attributes:
+        advice: How to name it better; empty if its name is as good as any.
+    """
+
+    advice = ""
+    timeout: float | None = 0
+    write_timeout: float | None = 0
+
+    def __init__(self, device: Any, path: str) -> None:
+        self.device = device
+        self.path = path
+        self.failed: Callable[[Exception | None], None] = lambda _error: None
+        self._fd = _descriptor(device)
+        self._is_terminal = self._fd >= 0 and os.isatty(self._fd)
+        self._open = True
+        if self._is_terminal:  # beside the lock, for programs that look for none
+            with contextlib.suppress(OSError):
+                fcntl.ioctl(self._fd, termios.TIOCEXCL)
+
+    @property
+    def has_descriptor(self) -> bool:
+        """Whether the event loop can wait for it."""
+        return self._fd >= 0
+
+    def fileno(self) -> int:
+        """Return the descriptor."""
+        return self._fd
+
+    def read(self, size: int = 1) -> bytes:
+        """Return what is there, at most *size* bytes."""
+        try:
+            data = os.read(self._fd, size)
+        except (BlockingIOError, InterruptedError):
+            return b""
+        except OSError as error:
+            self._fail(error)
+            return b""
+        if not data and self._hung_up():
+            self._fail(None)
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Return how many bytes the kernel took; never waits."""
+        try:
+            return os.write(self._fd, data)
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError as error:
+            self._fail(error)
+            return 0
+
+    def flush(self) -> None:
+        """Do not wait: `shut` does it, in a thread and for a limited time."""
+
+    def close(self) -> None:
+        """Leave the closing, which can block, to `shut`."""
+
+    def shut(self) -> None:
+        """Give the kernel a moment for what it holds, throw away the rest, close."""
+        if not self._open:
+            return
+        self._open = False
+        give_up = time.monotonic() + DRAIN_TIMEOUT
+        with contextlib.suppress(Exception):  # termios.error of a device that is gone
+            while self.device.out_waiting and self._is_terminal:
+                if time.monotonic() > give_up:
+                    self.device.reset_output_buffer()
+                    break
+                time.sleep(0.005)
+        if self._is_terminal:
+            with contextlib.suppress(OSError):
+                fcntl.ioctl(self._fd, termios.TIOCNXCL)
+        with contextlib.suppress(OSError):
+            self.device.close()
+
+    def _fail(self, error: Exception | None) -> None:
+        # Later: in the middle of its own work the transport cannot be aborted.
+        asyncio.get_running_loop().call_soon(self.failed, error)
+
+    def _hung_up(self) -> bool:
+        """Tell the end of the line from nothing to read, which are alike for a tty."""
+        if stat.S_ISSOCK(os.fstat(self._fd).st_mode):
+            return True
+        poll = select.poll()
+        poll.register(self._fd, 0)  # hang-up and error are told unasked
+        return bool(poll.poll(0))
+
+
+def open_port(
+    place: SerialPlace,
+    baudrate: int,
+    options: Mapping[str, Any],
+    levels: Mapping[str, bool],
+) -> Port:
+    """Open a port, exclusively. Blocks.
+
+    Args:
+        place: Where the port is.
+        baudrate: Bits per second.
+        options: Further settings of ``serial.Serial``.
+        levels: Whether ``dtr`` and ``rts`` are raised as the port is opened.
+
+    Raises:
+        DeviceLostError: It is not there, or belongs to somebody else.
+        ConfigError: Its driver does not know the settings.
+    """
+    path = place.port
+    try:
+        path = place.find()
+        port = Port(_open_device(place, path, baudrate, options, levels), path)
+        try:
+            if port.has_descriptor:
+                place.check(path, port.fileno())
+                port.advice = place.advice(path)
+        except BaseException:
+            port.shut()
+            raise
+    except ConfigError:
+        raise
+    except (OSError, termios.error) as error:
+        raise DeviceLostError(place.owner, explain(path, error)) from error
+    except (ValueError, TypeError, LookupError) as error:  # its own word for no
+        raise ConfigError(place.owner, "port", f"{path}: {error}") from error
+    return port
+
+
+def _open_device(
+    place: SerialPlace,
+    path: str,
+    baudrate: int,
+    options: Mapping[str, Any],
+    levels: Mapping[str, bool],
+) -> Any:
+    import serial
+
+    own: dict[str, Any] = {"timeout": READ_PERIOD}
+    if not place.is_url:
+        own = {"timeout": 0, "write_timeout": 0, "exclusive": True}
+    device = serial.serial_for_url(path, baudrate, do_not_open=True, **own, **options)
+    for name, level in levels.items():
+        setattr(device, name, level)
+    device.open()
+    return device
+
+
+async def reach_port(
+    executor: Executor,
+    place: SerialPlace,
+    baudrate: int,
+    options: Mapping[str, Any],
+    levels: Mapping[str, bool],
+) -> Port:
+    """Open a port on the thread of a bus; what is opened late is closed at once.
+
+    Errors are those of `open_port`; one that takes too long is a `DeviceLostError`.
+    """
+    try:
+        return await open_on(
+            executor,
+            functools.partial(open_port, place, baudrate, options, levels),
+            Port.shut,
+            timeout=OPEN_TIMEOUT,
+        )
+    except DriverStuckError as error:
+        raise DeviceLostError(executor.name, describe(error)) from error
+
+
+def link_of(port: Port, protocol: asyncio.Protocol, name: str) -> SerialLink:
+    """Hand an open port to the event loop.
+
+    Args:
+        port: The port.
+        protocol: Is told what comes.
+        name: Names the threads of a port that the loop cannot wait for.
+    """
+    port.failed = protocol.connection_lost
+    loop = asyncio.get_running_loop()
+    if port.has_descriptor:
+        link: SerialLink = _transport_class()(loop, protocol, port)
+        return link
+    return ThreadLink(loop, protocol, port.device, name=name)
+
+
+async def close_port(port: Port, executor: Executor) -> None:
+    """Close a port in a thread; one that is stuck there is left to it."""
+    await shut_on(executor, port.shut, timeout=DRAIN_TIMEOUT + 0.5)
+
+
+@functools.cache
+def _transport_class() -> Any:
+    import serial_asyncio
+
+    class DirectTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
+        """Sends in the caller's own step what the kernel takes at once."""
+
+        def write(self, data: bytes) -> None:
+            if not self._closing and not self._write_buffer:
+                data = data[self._serial.write(data) :]
+            if data:
+                super().write(data)
+
+    return DirectTransport
+
+
+def _descriptor(device: Any) -> int:
+    try:
+        return int(device.fileno())
+    except (OSError, AttributeError):  # loop://, rfc2217://
+        return -1

@@ -1,0 +1,452 @@
+"""Digital inputs and outputs on the lines of a GPIO chip, through libgpiod 2.
+
+::
+
+    [sensor.bumper]
+    driver = "gpio"
+    chip = "pinctrl-bcm2711"        # a label, a name, or a path
+    line = 17                       # or a name, such as "GPIO17"
+    bias = "pull_up"
+    active_low = true
+
+    [actuator.lamp]
+    driver = "gpio"
+    chip = "/dev/gpiochip0"
+    line = "GPIO27"
+
+Values are logical: with ``active_low`` a low voltage is True.
+
+Source: the kernel's GPIO character device, version 2 (linux/gpio.h), by libgpiod.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import os
+import select
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol, get_args
+
+import attrs
+
+from esair.buses import Inbox
+from esair.drivers.gpio._find import devices, toml
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    did_you_mean,
+)
+from esair.resources import Actuator, Sensor, setting
+
+__all__ = ["DigitalInput", "DigitalOutput", "devices", "toml"]
+
+CHECK_PERIOD = 0.5
+"""How often an input that does not change is looked after, in seconds."""
+
+Bias = Literal["as_is", "disabled", "pull_up", "pull_down"]
+Drive = Literal["push_pull", "open_drain", "open_source"]
+
+
+@attrs.frozen
+class LineRequest:
+    """Which line is wanted, and how it is to be set.
+
+    Attributes:
+        device: The name of the device, for errors.
+        chip: The path, the name or the label of the chip.
+        line: The number or the name of the line.
+        output: What an output is at first; None for an input.
+        bias: The resistor of an input.
+        drive: What an output drives.
+        active_low: Whether a low voltage is True.
+        debounce: How long an input must be steady to count, in seconds.
+    """
+
+    device: str
+    chip: str
+    line: int | str
+    output: bool | None = None
+    bias: Bias = "as_is"
+    drive: Drive = "push_pull"
+    active_low: bool = False
+    debounce: float = 0.0
+
+
+class Edge(NamedTuple):
+    """A change of an input.
+
+    Attributes:
+        value: What it is now.
+        number: Counts the changes of the line, those that were dropped too.
+    """
+
+    value: bool
+    number: int
+
+
+class Line(Protocol):
+    """One line that was requested. Its methods may block, but `edges` does not."""
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when there are edges."""
+
+    def get(self) -> bool:
+        """Return what the line is."""
+
+    def set(self, value: bool) -> None:
+        """Set an output."""
+
+    def edges(self) -> list[Edge]:
+        """Return the changes since the last call, when the descriptor is readable."""
+
+    def debounce(self, seconds: float) -> None:
+        """Change how long an input must be steady to count."""
+
+    def close(self) -> None:
+        """Let the line go."""
+
+
+LineOpener = Callable[[LineRequest], Line]
+"""Requests a line; may block. Raises what the drivers raise."""
+
+
+class _OnLine:
+    """What inputs and outputs have in common: a line that is open, or not."""
+
+    name: str
+    claim: str | None
+
+    def _describe(self, request: LineRequest, opener: LineOpener | None) -> None:
+        for field, kind in (("bias", Bias), ("drive", Drive)):
+            value = getattr(request, field)
+            if value not in get_args(kind):
+                known = ", ".join(repr(each) for each in get_args(kind))
+                raise ConfigError(
+                    self.name, field, f"expected one of {known}, not {value!r:.80}"
+                )
+        if not request.chip:
+            raise ConfigError(
+                self.name, "chip", "expected a path, a name or a label of a GPIO chip"
+            )
+        if isinstance(request.line, bool) or (
+            isinstance(request.line, int) and request.line < 0
+        ):
+            raise ConfigError(
+                self.name, "line", f"expected 0 or more, not {request.line!r}"
+            )
+        self.claim = f"line {request.line} of {request.chip}"
+        self._request = request
+        self._opener = opener or gpiod_line
+        self._line: Line | None = None
+
+    def _open_line(self, request: LineRequest) -> Line:
+        self._close_line()
+        self._line = self._opener(request)
+        return self._line
+
+    def _close_line(self) -> None:
+        line, self._line = self._line, None
+        if line is not None:
+            line.close()
+
+    @property
+    def _open(self) -> Line:
+        if self._line is None:
+            raise DeviceLostError(self.name, "the line is not open")
+        return self._line
+
+
+class DigitalInput(_OnLine, Sensor[bool]):
+    """A line that is read: a value when it is asked, and one at each change.
+
+    Args:
+        chip: The path, the name or the label of the chip.
+        line: The number or the name of the line.
+        bias: The resistor: ``"pull_up"``, ``"pull_down"``, ``"disabled"``, ``"as_is"``.
+        active_low: Whether a low voltage is True.
+        opener: Requests something else than a line of the kernel, such as a fake.
+
+    Attributes:
+        missed: How many changes nobody saw, because they came too fast.
+    """
+
+    debounce = setting(
+        0.0,
+        unit="s",
+        min=0.0,
+        max=10.0,
+        doc="how long a new value must be steady before it counts",
+    )
+
+    def __init__(
+        self,
+        *,
+        chip: str,
+        line: int | str,
+        bias: Bias = "as_is",
+        active_low: bool = False,
+        opener: LineOpener | None = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self._describe(
+            LineRequest(self.name, chip, line, bias=bias, active_low=active_low), opener
+        )
+        self.missed = 0
+        self._seen = False
+        """What it is as far as the stream has told, or was at the opening."""
+
+    def open(self) -> None:
+        """Request the line."""
+        line = self._open_line(attrs.evolve(self._request, debounce=self.debounce))
+        self._seen = line.get()
+
+    def close(self) -> None:
+        """Let the line go."""
+        self._close_line()
+
+    def apply(self, *, debounce: float | None = None, **_: object) -> None:
+        """Change the time for which it must be steady."""
+        if debounce is not None:
+            self._open.debounce(debounce)
+
+    def read(self) -> bool:
+        """Ask what the line is."""
+        return self._open.get()
+
+    async def stream(self) -> AsyncIterator[bool]:
+        """Yield what it is, and each change."""
+        loop = asyncio.get_running_loop()
+        line = self._open
+        # A descriptor of its own: the line is closed on another thread.
+        descriptor = os.dup(line.fileno())
+        changes: Inbox[Edge] = Inbox(64)
+
+        def readable() -> None:
+            try:
+                for edge in line.edges():
+                    changes.offer(edge)
+            except Exception as error:
+                loop.remove_reader(descriptor)
+                changes.fail(error)
+
+        loop.add_reader(descriptor, readable)
+        number: int | None = None
+        try:
+            yield self._seen
+            while True:
+                try:
+                    edge = await changes.take(timeout=CHECK_PERIOD)
+                except TimeoutError:
+                    _check_hang_up(descriptor)
+                    continue
+                if number is not None:
+                    self.missed += edge.number - number - 1
+                number, self._seen = edge.number, edge.value
+                yield edge.value
+        finally:
+            loop.remove_reader(descriptor)
+            os.close(descriptor)
+            changes.close()
+
+
+class DigitalOutput(_OnLine, Actuator[bool]):
+    """A line that is set.
+
+    It is requested with its safe value, so there is no other one in between. What a
+    line is after it was let go, or after this process has died, is up to the chip:
+    where that matters a resistor decides it.
+
+    Args:
+        chip: The path, the name or the label of the chip.
+        line: The number or the name of the line.
+        safe: The safe command.
+        drive: What it drives: ``"push_pull"``, ``"open_drain"``, ``"open_source"``.
+        active_low: Whether True is a low voltage.
+        opener: Requests something else than a line of the kernel, such as a fake.
+    """
+
+    def __init__(
+        self,
+        *,
+        chip: str,
+        line: int | str,
+        safe: bool = False,
+        drive: Drive = "push_pull",
+        active_low: bool = False,
+        opener: LineOpener | None = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        if type(safe) is not bool:
+            raise ConfigError(self.name, "safe", f"expected a bool, not {safe!r:.80}")
+        self.safe = safe
+        self._describe(
+            LineRequest(
+                self.name, chip, line, output=safe, drive=drive, active_low=active_low
+            ),
+            opener,
+        )
+
+    def open(self) -> None:
+        """Request the line, with its safe value."""
+        self._open_line(self._request)
+
+    def close(self) -> None:
+        """Let the line go."""
+        self._close_line()
+
+    def write(self, command: bool) -> None:
+        """Set the line."""
+        self._open.set(command)
+
+
+def _check_hang_up(descriptor: int) -> None:
+    """Look whether the chip is gone; older kernels do not wake who waits.
+
+    Raises:
+        OSError: It is.
+    """
+    poll = select.poll()
+    poll.register(descriptor, 0)  # errors and hang-ups are told in any case
+    if poll.poll(0):
+        raise OSError(errno.ENODEV, "the chip is gone")
+
+
+def gpiod_line(request: LineRequest) -> Line:
+    """Request a line of the kernel.
+
+    Raises:
+        DeviceLostError: The chip is not there.
+        DeviceFaultError: It has no such line, or somebody else has it.
+    """
+    import gpiod
+
+    try:
+        with gpiod.Chip(_path_of(request)) as chip:
+            return _GpiodLine(chip, _offset_of(chip, request), request)
+    except FileNotFoundError as error:
+        raise DeviceLostError(
+            request.device, f"there is no chip {request.chip!r}"
+        ) from error
+
+
+class _GpiodLine:
+    def __init__(self, chip: Any, offset: int, request: LineRequest) -> None:
+        self._offset = offset
+        self._wanted = request
+        try:
+            self._lines = chip.request_lines(
+                {offset: _settings(request)},
+                consumer=f"esair {request.device}"[:31],
+                event_buffer_size=64,
+            )
+        except OSError as error:
+            if error.errno != errno.EBUSY:
+                raise
+            consumer = chip.get_line_info(offset).consumer or "the kernel"
+            raise DeviceFaultError(
+                request.device,
+                f"line {request.line} of {request.chip} is in use by {consumer!r}",
+            ) from error
+
+    def fileno(self) -> int:
+        return int(self._lines.fd)
+
+    def get(self) -> bool:
+        return bool(self._lines.get_value(self._offset).value)
+
+    def set(self, value: bool) -> None:
+        from gpiod.line import Value
+
+        self._lines.set_value(self._offset, Value.ACTIVE if value else Value.INACTIVE)
+
+    def edges(self) -> list[Edge]:
+        return [
+            Edge(event.event_type is event.Type.RISING_EDGE, event.line_seqno)
+            for event in self._lines.read_edge_events()
+        ]
+
+    def debounce(self, seconds: float) -> None:
+        settings = _settings(attrs.evolve(self._wanted, debounce=seconds))
+        self._lines.reconfigure_lines({self._offset: settings})
+
+    def close(self) -> None:
+        self._lines.release()
+
+
+def _settings(request: LineRequest) -> Any:
+    import datetime
+
+    import gpiod
+    from gpiod import line
+
+    if request.output is not None:
+        return gpiod.LineSettings(
+            direction=line.Direction.OUTPUT,
+            drive=line.Drive[request.drive.upper()],
+            active_low=request.active_low,
+            output_value=line.Value.ACTIVE if request.output else line.Value.INACTIVE,
+        )
+    return gpiod.LineSettings(
+        direction=line.Direction.INPUT,
+        edge_detection=line.Edge.BOTH,
+        bias=line.Bias[request.bias.upper()],
+        active_low=request.active_low,
+        debounce_period=datetime.timedelta(seconds=request.debounce),
+    )
+
+
+def _path_of(request: LineRequest) -> str:
+    """Return the path of a chip that is named by its path, its name or its label."""
+    if "/" in request.chip:
+        return request.chip
+    chips = list(_chips())
+    fitting = [path for path, names in chips if request.chip in names]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        raise DeviceFaultError(
+            request.device,
+            f"several chips are named {request.chip!r}: {', '.join(fitting)}",
+        )
+    known = [name for _, names in chips for name in names]
+    hint = did_you_mean(request.chip, known)
+    hint = hint or (f"; there are {', '.join(known)}" if known else "; there is none")
+    raise DeviceLostError(request.device, f"there is no chip {request.chip!r}{hint}")
+
+
+def _chips() -> Iterator[tuple[str, tuple[str, str]]]:
+    """All chips: the path, and the name and the label of each."""
+    import gpiod
+
+    for path in sorted(Path("/dev").glob("gpiochip*")):
+        with contextlib.suppress(OSError):  # another one may be ours to open
+            with gpiod.Chip(str(path)) as chip:
+                info = chip.get_info()
+            yield str(path), (info.name, info.label)
+
+
+def _offset_of(chip: Any, request: LineRequest) -> int:
+    """Return the number of a line that is named by its number or its name."""
+    count = int(chip.get_info().num_lines)
+    if isinstance(request.line, int):
+        if request.line < count:
+            return request.line
+        raise DeviceFaultError(
+            request.device, f"{request.chip} has the lines 0 to {count - 1}"
+        )
+    names = [chip.get_line_info(offset).name for offset in range(count)]
+    if request.line in names:
+        return names.index(request.line)
+    known = [name for name in names if name]
+    hint = did_you_mean(request.line, known) or (
+        f"; there are {', '.join(known[:12])}" if known else "; its lines have no names"
+    )
+    raise DeviceFaultError(
+        request.device, f"{request.chip} has no line {request.line!r}{hint}"
+    )

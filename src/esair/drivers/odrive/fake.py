@@ -1,0 +1,170 @@
+"""An ODrive axis that turns as it is told, without a motor."""
+
+from __future__ import annotations
+
+import asyncio
+
+from esair.buses import Frame
+from esair.buses.can import FakeCan
+from esair.drivers.odrive import (
+    AxisError,
+    AxisState,
+    ControlMode,
+    FrameError,
+    Heartbeat,
+    Message,
+    decode_input,
+    decode_mode,
+    decode_state,
+    encode_estimates,
+    encode_heartbeat,
+    frame_id,
+)
+
+
+class FakeOdrive:
+    """One axis. It begins to tell how it is when it is made, until `stop`.
+
+    Args:
+        can: The bus that it is on.
+        node: Its node id.
+        watchdog: After how many seconds without an input it stops by itself.
+        heartbeat_period: Between two heartbeats, in seconds.
+        estimate_period: Between two estimates of its encoder, in seconds.
+
+    Attributes:
+        state: What it does.
+        errors: Why it was disarmed.
+        permanent: Errors that no ``Clear_Errors`` clears.
+        refuses_to_arm: Whether it ignores the request for closed loop control.
+        inputs: The inputs that it got: positions in rad, velocities in rad/s or
+            torques in Nm.
+        requests: The states that it was asked to enter.
+        position: In rad.
+        velocity: In rad/s.
+        cleared: How often its errors were cleared.
+        bad_frames: How many frames were too short.
+    """
+
+    def __init__(
+        self,
+        can: FakeCan,
+        *,
+        node: int = 0,
+        watchdog: float | None = None,
+        heartbeat_period: float = 0.1,
+        estimate_period: float = 0.01,
+    ) -> None:
+        self.node = node
+        self.watchdog = watchdog
+        self.heartbeat_period = heartbeat_period
+        self.estimate_period = estimate_period
+        self.state = AxisState.IDLE
+        self.mode = ControlMode.POSITION
+        self.errors = AxisError(0)
+        self.permanent = AxisError(0)
+        self.refuses_to_arm = False
+        self.inputs: list[float] = []
+        self.requests: list[AxisState] = []
+        self.position = 0.0
+        self.velocity = 0.0
+        self.cleared = 0
+        self.bad_frames = 0
+        self._can = can
+        can.on_send(self.receive)
+        self._loop = asyncio.get_running_loop()
+        self._fed = self._loop.time()
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+        self.start()
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether its motor has power."""
+        return self.state is AxisState.CLOSED_LOOP_CONTROL
+
+    def start(self) -> None:
+        """Tell how it is from now on, as after power-up."""
+        self.stop()
+        self._timers["heartbeat"] = self._loop.call_later(
+            self.heartbeat_period / 2, self._beat
+        )
+        self._timers["estimate"] = self._loop.call_later(
+            self.estimate_period, self._estimate
+        )
+
+    def stop(self, what: str | None = None) -> None:
+        """Fall silent: wholly, or only with its ``"heartbeat"`` or ``"estimate"``."""
+        for name, timer in self._timers.items():
+            if what in {None, name}:
+                timer.cancel()
+
+    def fail(self, errors: AxisError, *, permanent: bool = False) -> None:
+        """Let it disarm itself because of errors."""
+        self.errors |= errors
+        if permanent:
+            self.permanent |= errors
+        self.state = AxisState.IDLE
+        self.velocity = 0.0
+
+    def receive(self, frame: Frame) -> None:
+        """Take a frame from the bus; frames for others are left alone."""
+        if frame.extended or frame.id >> 5 != self.node:
+            return
+        try:
+            self._obey(Message(frame.id & 0x1F), frame.data)
+        except FrameError:
+            self.bad_frames += 1
+        except ValueError:
+            return  # a message that it does not know
+
+    def _obey(self, message: Message, data: bytes) -> None:
+        if message is Message.SET_AXIS_STATE:
+            state = decode_state(data)
+            self.requests.append(state)
+            if state is AxisState.CLOSED_LOOP_CONTROL and (
+                self.errors or self.refuses_to_arm
+            ):
+                return
+            self.state = state
+            self._fed = self._loop.time()
+            self.velocity = 0.0
+        elif message is Message.SET_CONTROLLER_MODE:
+            self.mode = ControlMode(decode_mode(data)[0])
+        elif message is Message.CLEAR_ERRORS:
+            self.cleared += 1
+            self.errors = self.permanent
+        elif message is Message.ESTOP:
+            self.fail(AxisError.ESTOP_REQUESTED)
+        else:
+            self.inputs.append(decode_input(message, data))
+            self._fed = self._loop.time()
+            if not self.is_armed:
+                return
+            if message is Message.SET_INPUT_POS:
+                self.position = self.inputs[-1]
+            elif message is Message.SET_INPUT_VEL:
+                self.velocity = self.inputs[-1]
+
+    def _beat(self) -> None:
+        self._timers["heartbeat"] = self._loop.call_later(
+            self.heartbeat_period, self._beat
+        )
+        self._tell(
+            Message.HEARTBEAT, encode_heartbeat(Heartbeat(self.errors, self.state))
+        )
+
+    def _estimate(self) -> None:
+        self._timers["estimate"] = self._loop.call_later(
+            self.estimate_period, self._estimate
+        )
+        self.position += self.velocity * self.estimate_period
+        silence = self._loop.time() - self._fed
+        if self.is_armed and self.watchdog is not None and silence > self.watchdog:
+            self.fail(AxisError.WATCHDOG_TIMER_EXPIRED)
+        self._tell(
+            Message.GET_ENCODER_ESTIMATES,
+            encode_estimates(self.position, self.velocity),
+        )
+
+    def _tell(self, message: Message, data: bytes) -> None:
+        self._can.feed(frame_id(self.node, message), data)

@@ -1,0 +1,113 @@
+"""Hobby servos on an NXP PCA9685, over I²C.
+
+Source: PCA9685, 16-channel, 12-bit PWM Fm+ I2C-bus LED controller, NXP, revision 4;
+the pulses of a servo are those of its own data sheet.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import attrs
+
+from esair.buses import I2CBus
+from esair.drivers.pca9685._chip import STEPS, Channel, frequency_of, prescale
+from esair.exceptions import ConfigError
+from esair.resources import Actuator
+
+__all__ = ["PwmServo", "ServoPosition"]
+
+WIDEST = 20 * math.pi
+"""How far a servo may turn, in rad; whatever says more is in degrees."""
+
+
+@attrs.frozen
+class ServoPosition:
+    """Where a servo is to be.
+
+    Attributes:
+        angle: In radians, counter-clockwise positive.
+        on: Whether it gets pulses. Without them most servos let go.
+    """
+
+    angle: float
+    on: bool = True
+
+
+class PwmServo(Actuator[ServoPosition]):
+    """A hobby servo on one channel of a PCA9685.
+
+    Its safe command is no pulses: it lets go, where it is. The servo goes on holding
+    the last position when this computer dies.
+
+    Args:
+        channel: 0 to 15.
+        address: 0x40 to 0x77, by the chip's pins.
+        frequency: How many pulses a second, of all channels of the chip; 50 Hz for
+            analog servos.
+        min_angle: The angle of the shortest pulse, in radians.
+        max_angle: The angle of the longest pulse, in radians; may be the smaller one
+            for a servo that is mounted the other way.
+        min_pulse: The shortest pulse, in seconds.
+        max_pulse: The longest pulse, in seconds.
+    """
+
+    bus: I2CBus
+
+    def __init__(
+        self,
+        *,
+        channel: int,
+        address: int = 0x40,
+        frequency: float = 50.0,
+        min_angle: float = -math.pi / 4,
+        max_angle: float = math.pi / 4,
+        min_pulse: float = 0.001,
+        max_pulse: float = 0.002,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self.channel = Channel(self, address, channel, frequency)
+        self.claim = self.channel.place
+        if not 0.0 < min_pulse < max_pulse < 1.0 / frequency:
+            raise ConfigError(
+                self.name,
+                "max_pulse",
+                f"expected pulses of 0 s < min_pulse < max_pulse < {1 / frequency:g} s, "
+                f"not {min_pulse!r:.80} and {max_pulse!r:.80}",
+            )
+        if not 0.0 < abs(max_angle - min_angle) <= WIDEST:
+            raise ConfigError(
+                self.name,
+                "max_angle",
+                f"expected two different angles in rad, {WIDEST:.3g} apart at most, "
+                f"not {min_angle!r:.80} and {max_angle!r:.80}",
+            )
+        self.min_angle = min_angle
+        self.max_angle = max_angle
+        self.min_pulse = min_pulse
+        self.max_pulse = max_pulse
+        self.safe = ServoPosition((min_angle + max_angle) / 2, on=False)
+        self.limits = {"angle": (min(min_angle, max_angle), max(min_angle, max_angle))}
+
+    def pulse(self, angle: float) -> float:
+        """Return the length of the pulse for an angle, in seconds."""
+        part = (angle - self.min_angle) / (self.max_angle - self.min_angle)
+        return self.min_pulse + part * (self.max_pulse - self.min_pulse)
+
+    async def open(self) -> None:
+        """Set the chip up unless it is, and send no pulses."""
+        await self.channel.open()
+
+    async def close(self) -> None:
+        """Leave the channel to others, as it is."""
+        self.channel.close()
+
+    async def write(self, command: ServoPosition) -> None:
+        """Send pulses for an angle, or none."""
+        if not command.on:
+            await self.channel.write(0)
+            return
+        period = 1.0 / frequency_of(prescale(self.channel.frequency))
+        await self.channel.write(round(self.pulse(command.angle) / period * STEPS))

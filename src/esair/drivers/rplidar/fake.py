@@ -1,0 +1,97 @@
+"""An RPLIDAR A1 on a fake serial line: the same packets, any surroundings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from esair.buses.serial import FakeSerial
+from esair.drivers.rplidar import (
+    GET_HEALTH,
+    GET_INFO,
+    HEALTH_DESCRIPTOR,
+    INFO_DESCRIPTOR,
+    SCAN,
+    SCAN_DESCRIPTOR,
+    START,
+    STOP,
+    Health,
+    Info,
+    Scan,
+    encode_health,
+    encode_info,
+    encode_scan,
+)
+
+BEAMS = 90
+"""How many directions a turn has."""
+
+
+class FakeRpLidar:
+    """Answers requests, and scans when it is told to.
+
+    Args:
+        line: The line, with ``framing="raw"``.
+        distance: The distance in m to what is in a direction in rad, counter-clockwise
+            from straight ahead.
+        period: How long a turn takes, in seconds.
+
+    Attributes:
+        info: Who it says it is.
+        health: How it says it is.
+        scanning: Whether it scans now.
+        requests: The requests that came, oldest first.
+    """
+
+    def __init__(
+        self,
+        line: FakeSerial,
+        distance: Callable[[float], float] = lambda _angle: 1.0,
+        *,
+        period: float = 0.1,
+    ) -> None:
+        self.distance = distance
+        self.info = Info(0x18, (1, 29), 7, "0123456789ABCDEF0123456789ABCDEF")
+        self.health = Health("good", 0)
+        self.scanning = False
+        self.requests: list[int] = []
+        self._rest = b""
+        line.on_write = self.heard
+        line.repeat(self.turn, period)
+
+    def heard(self, data: bytes) -> bytes:
+        """Obey requests; return the answers."""
+        data = self._rest + data
+        answers = b""
+        while (begin := data.find(START)) >= 0 and len(data) >= begin + 2:
+            answers += self._obey(data[begin + 1])
+            data = data[begin + 2 :]
+        self._rest = data[-1:] if data.endswith(bytes([START])) else b""
+        return answers
+
+    def turn(self) -> bytes:
+        """Return the measurements of the next turn; none unless it scans."""
+        if not self.scanning:
+            return b""
+        angles = [-math.tau * beam / BEAMS for beam in range(BEAMS)]
+        angles = [angle if angle > -math.pi else angle + math.tau for angle in angles]
+        return encode_scan(
+            Scan(
+                tuple(angles),
+                tuple(self.distance(angle) for angle in angles),
+                (47,) * BEAMS,
+            )
+        )
+
+    def _obey(self, command: int) -> bytes:
+        self.requests.append(command)
+        if command == STOP:
+            self.scanning = False
+        elif command == SCAN:
+            self.scanning = True
+            return SCAN_DESCRIPTOR
+        elif command == GET_INFO:
+            return INFO_DESCRIPTOR + encode_info(self.info)
+        elif command == GET_HEALTH:
+            return HEALTH_DESCRIPTOR + encode_health(self.health)
+        return b""

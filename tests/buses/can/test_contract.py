@@ -1,0 +1,88 @@
+"""The contract of buses, on a CAN bus in memory and on python-can's virtual one."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+from typing import Any
+
+import pytest
+
+from esair.buses import CanBus, Frame
+from esair.buses.can import VirtualCan
+from esair.exceptions import DeviceLostError
+from esair.testing import BusContract, FakeCan
+
+
+async def ask(bus: CanBus) -> None:
+    """Send a frame and take the answer of the other node."""
+    with contextlib.closing(bus.frames(0x181)) as inbox:
+        await bus.send(0x101, b"ping")
+        try:
+            frame = await inbox.take(timeout=1.0)
+        except TimeoutError:
+            raise DeviceLostError(bus.name, "nobody answered") from None
+    assert frame.data == b"pong"
+
+
+class TestFakeCan(BusContract):
+    """On the virtual clock."""
+
+    def make(self) -> FakeCan:
+        bus = FakeCan("drive")
+        bus.answer(0x101, Frame(0x181, b"pong"))
+        return bus
+
+    async def use(self, bus: Any) -> None:
+        await ask(bus)
+
+
+class OnVirtualCan(CanBus):
+    """A bus on python-can's ``virtual`` interface, with the wire's other end."""
+
+    numbers = itertools.count()
+
+    def __init__(self) -> None:
+        channel = f"contract-{os.getpid()}-{next(self.numbers)}"
+        super().__init__(name="drive", opener=self._reach)
+        self.wire = VirtualCan(channel, self._heard)
+        self.silent = False
+
+    async def _reach(self, received: Any, gone: Any) -> Any:
+        if self.wire._link is None:
+            await self.wire.open()
+        return await self.wire.node(
+            received, gone, executor=self.executor, stats=self.stats
+        )
+
+    async def close(self) -> None:
+        await super().close()
+        await self.wire.close()
+
+    def _heard(self, frame: Frame) -> None:
+        if frame.id == 0x101 and not self.silent:
+            self.wire.send(Frame(0x181, b"pong"))
+
+    def unplug(self) -> None:
+        self.wire.unplug()
+
+    def plug(self) -> None:
+        self.wire.plug()
+
+    def stall(self) -> None:
+        self.silent = True
+
+    def resume(self) -> None:
+        self.silent = False
+
+
+@pytest.mark.real_clock
+class TestPythonCan(BusContract):
+    """With a thread that reads and an executor that sends, in real time."""
+
+    def make(self) -> OnVirtualCan:
+        return OnVirtualCan()
+
+    async def use(self, bus: Any) -> None:
+        await ask(bus)
