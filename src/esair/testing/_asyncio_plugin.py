@@ -13,11 +13,12 @@ from typing import Literal
 import pytest
 import pytest_asyncio
 
+from esair.buses import MEDIA
 from esair.testing._clock import VirtualLoop
 from esair.testing._leaks import Leaks
 
 FIXTURES = frozenset(
-    {"fake_sensor", "fake_actuator", "fake_serial", "fake_can", "fake_i2c"}
+    {"fake_sensor", "fake_actuator", *(f"fake_{kind}" for kind in MEDIA)}
 )
 """Who uses one of these runs on the virtual clock, unless marked ``real_clock``."""
 
