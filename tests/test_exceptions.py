@@ -29,6 +29,10 @@ FAMILY: dict[str, tuple[type[Exception], tuple[Any, ...]]] = {
     "CircularRequestError": (esair.EsairError, (["a", "b", "a"],)),
     "BusyError": (esair.EsairError, ("mapper", "inbox_size", 16)),
     "StoppingError": (esair.EsairError, ("behaviors", "stopped")),
+    "HaltedError": (PermissionError, ("arm", "somebody is in the cell")),
+    "RefusedError": (esair.EsairError, ("docking", "the battery is full")),
+    "RecordingError": (OSError, ("day.mcap", "the disk is full")),
+    "RecordingBrokenError": (ValueError, ("day.mcap", "it is no recording")),
 }
 
 

@@ -20,7 +20,11 @@ it broadly (``except TimeoutError``) or exactly (``except esair.StaleReadingErro
     ├── BehaviorFailedError                       the other behavior crashed
     ├── CircularRequestError                      a get that waits for itself
     ├── BusyError                                 a bound is reached
-    └── StoppingError                             the robot starts or stops
+    ├── StoppingError                             the robot starts or stops
+    ├── HaltedError              PermissionError  the robot is halted
+    ├── RefusedError                              the behavior asked said no
+    ├── RecordingError           OSError          a recording cannot be written
+    └── RecordingBrokenError     ValueError       a recording cannot be read
 """
 
 from __future__ import annotations
@@ -276,6 +280,61 @@ class StoppingError(EsairError):
         super().__init__(f"{component} takes no requests: it is {phase}")
         self.component = component
         self.phase = phase
+
+
+class HaltedError(EsairError, PermissionError):
+    """The robot is halted: nothing moves until the user's `Robot.resume`.
+
+    Attributes:
+        resource: What was to be used.
+        reason: Why the robot is halted.
+    """
+
+    def __init__(self, resource: str, reason: str) -> None:
+        super().__init__(
+            f"{resource!r} must not move: the robot is halted: {reason} "
+            "(robot.resume() ends the halt)"
+        )
+        self.resource = resource
+        self.reason = reason
+
+
+class RefusedError(EsairError):
+    """The behavior that was asked has refused the request.
+
+    Attributes:
+        behavior: Who was asked.
+        reason: Why it refused, in its own words.
+    """
+
+    def __init__(self, behavior: str, reason: str) -> None:
+        super().__init__(f"{behavior!r} refused: {reason}")
+        self.behavior = behavior
+        self.reason = reason
+
+
+class RecordingError(EsairError, OSError):
+    """A recording cannot be written; the robot goes on without it.
+
+    Attributes:
+        path: The file of the recording.
+    """
+
+    def __init__(self, path: str, detail: str) -> None:
+        super().__init__(f"recording {path}: {detail}")
+        self.path = path
+
+
+class RecordingBrokenError(EsairError, ValueError):
+    """A file is no recording, or not a whole one.
+
+    Attributes:
+        path: The file.
+    """
+
+    def __init__(self, path: str, detail: str) -> None:
+        super().__init__(f"recording {path}: {detail}")
+        self.path = path
 
 
 def _restored(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
-from collections.abc import Callable, Iterable
+import signal
+from collections.abc import Callable, Coroutine, Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -15,15 +16,17 @@ from esair import minimal
 from esair.actions import Behavior, Reaction, adapt_action
 from esair.connections import (
     ActuatorConnection,
-    LastCommand,
+    Halting,
     Registrations,
     SensorConnection,
+    Stopped,
 )
 from esair.exceptions import (
     ConfigError,
     EsairError,
     NameTakenError,
     StoppingError,
+    describe,
 )
 from esair.journal import Journal, LogLines
 from esair.loop import (
@@ -38,7 +41,7 @@ from esair.loop import (
 )
 from esair.messages import Policy
 from esair.resources import Resource, adapt_resource
-from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
+from esair.supervisors import BehaviorSupervisor, Halts, ResourceSupervisor
 from esair.values import check_name, check_seconds
 
 if TYPE_CHECKING:
@@ -107,11 +110,24 @@ class Robot:
             ),
             grace=self._grace,
         )
-        self.behaviors = BehaviorSupervisor(
-            self.resources, self.sensors, self.actuators, grace=self._grace
+        self._halts = Halts(
+            name,
+            self.actuators,
+            registrations,
+            self.journal,
+            lambda: self.behaviors.forget_waiting(),
         )
-        self.stopped: tuple[LastCommand, ...] = ()
-        """After the stop: what each actuator was told last, and whether it answered."""
+        self.behaviors = BehaviorSupervisor(
+            self.resources,
+            self.sensors,
+            self.actuators,
+            grace=self._grace,
+            halt=self._halts.halt,
+            stop=self.stop,
+        )
+        self.stopped = Stopped()
+        """After the stop: what each actuator was told last, whether it answered, and
+        in ``reason`` why the robot stopped."""
         self._buses: list[Bus] = []
         self._entered = False
         self._signal: int | None = None
@@ -121,6 +137,11 @@ class Robot:
         self._owned: OwnedTasks | None = None
         self._glances: Job | None = None
         self._log_lines: LogLines | None = None
+        self._stopping: asyncio.Task[None] | None = None
+        self._reason = ""
+        """Why it stops; empty until somebody says so."""
+        self._is_up = False
+        self._stops = asyncio.Event()
 
     @classmethod
     def from_config(cls, path: str | Path, *, simulated: bool = False) -> Self:
@@ -143,6 +164,10 @@ class Robot:
             raise StoppingError(
                 f"robot {self.name!r}", "used already: make another one"
             )
+        if self._reason:
+            raise StoppingError(
+                f"robot {self.name!r}", f"stopped before its start: {self._reason}"
+            )
         self._refuse_mistakes()
         self._entered = True
         self.resources.wake()
@@ -150,6 +175,7 @@ class Robot:
         loop = asyncio.get_running_loop()
         self._host = asyncio.current_task()
         self.journal.start(loop)
+        self._halts.start(loop)
         self._log_lines = LogLines(self.journal)
         self._log_lines.start()
         self._watch.start(interrupts=self._interrupts)
@@ -162,11 +188,19 @@ class Robot:
             await self._open_buses()
             await self.resources.start(self._list_of_resources)
             await self.behaviors.start(self._list_of_behaviors)
-        except BaseException:
-            await self._stop_for_sure()
+        except BaseException as error:
+            asked = self._reason
+            await self._stop_for_sure(describe(error))
             if self._signal is not None:
                 raise SystemExit(128 + self._signal) from None
+            if asked and isinstance(error, asyncio.CancelledError):
+                assert self._host is not None
+                self._host.uncancel()
+                raise StoppingError(
+                    f"robot {self.name!r}", f"stopped: {asked}"
+                ) from None
             raise
+        self._is_up = True
         freeze_garbage()
         return self
 
@@ -176,8 +210,7 @@ class Robot:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        unfreeze_garbage()
-        cancelled = await self._stop_for_sure()
+        cancelled = await self._stop_for_sure(_reason_of(error))
         if self._signal is not None:
             raise SystemExit(128 + self._signal)
         if cancelled and error is None:
@@ -194,6 +227,69 @@ class Robot:
         await self.behaviors.all_ended()
         for failed in self.behaviors.failures():
             raise failed
+
+    # What ends it, and what keeps it still.
+
+    async def stop(self, reason: str = "its stop was asked for") -> Stopped:
+        """Stop everything in order; every actuator reaches its safe command.
+
+        It returns when all is done. `ended` returns then too, and so does `run`; a
+        block of ``async with`` that waits for something else goes on to its own end.
+        A behavior that stops the robot is itself cancelled by that. Stopped before
+        its start, a robot refuses to start.
+
+        Args:
+            reason: Why, for `stopped` and the log; the first one counts.
+
+        Returns:
+            What each actuator was told last, and whether it answered.
+        """
+        self._reason = self._reason or reason
+        if not self._entered:
+            self.stopped = Stopped((), self._reason)
+            return self.stopped
+        if self._is_up:
+            self._stop_once()
+        elif self._stopping is None:  # it starts: whoever enters it stops it
+            assert self._host is not None
+            self._host.cancel()
+        await self._stops.wait()
+        while not self._stop_once().done():
+            await asyncio.wait({self._stop_once()})
+        return self.stopped
+
+    def halt(self, reason: str) -> Halting:
+        """Make every actuator safe, and keep it so until `resume`.
+
+        A plain call, from any thread, in every state, as often as you like. When it
+        returns no command but the safe one leaves any more; writes are answered with
+        a `Refused` whose ``holder`` is ``"halt"`` and whose ``rule`` is the reason.
+        Before the start: the robot starts halted.
+
+        Args:
+            reason: Why, for the log and for whoever writes meanwhile.
+
+        Returns:
+            What each actuator is told and answers: await it, or, in a thread, call
+            its ``result``.
+        """
+        return self._halts.halt(reason)
+
+    def resume(self) -> None:
+        """End all halts: who writes next moves. For the user alone.
+
+        Nothing from before leaves, nobody holds anything, and each actuator starts
+        from its safe command.
+
+        Raises:
+            AccessDeniedError: A behavior asks.
+        """
+        self._halts.resume()
+
+    @property
+    def halted(self) -> str | None:
+        """Why it is halted; None if it is not."""
+        return self._halts.reason
 
     # Inside.
 
@@ -223,41 +319,57 @@ class Robot:
         async def open_bus(bus: Bus) -> None:
             # One that is not there is tried again by the devices on it.
             try:
-                with anyio.fail_after(BUS_TIMEOUT):
+                async with asyncio.timeout(BUS_TIMEOUT):
                     await bus.open()
             except Exception as error:
                 _log.debug("bus %s: %s", bus.name, error)
 
-        async with anyio.create_task_group() as group:
-            for bus in self._buses:
-                group.start_soon(open_bus, bus)
+        await _all(open_bus(bus) for bus in self._buses)
 
-    async def _stop_for_sure(self) -> bool:
+    def _stop_once(self) -> asyncio.Task[None]:
+        """Begin to stop, once; again only if a stranger has cancelled it."""
+        if self._stopping is None or self._stopping.cancelled():
+            self._stopping = spawn(
+                asyncio.get_running_loop(), self._stop(), name=f"stop {self.name}"
+            )
+            self._stops.set()
+        return self._stopping
+
+    async def _stop_for_sure(self, reason: str) -> bool:
         """Stop, whoever cancels meanwhile; tells whether somebody did."""
-        stopping = spawn(
-            asyncio.get_running_loop(), self._stop(), name=f"stop {self.name}"
-        )
+        self._reason = self._reason or reason
         cancelled = False
-        while not stopping.done():
-            try:
-                await asyncio.shield(stopping)
-            except asyncio.CancelledError:
-                cancelled = True
-                self._hurry()
-            except Exception:
-                _log.exception("robot %s: the stop met an error", self.name)
+        # A cancel scope of anyio would cancel in every turn until the stop is done.
+        with anyio.CancelScope(shield=True):
+            while not (stopping := self._stop_once()).done():
+                try:
+                    await asyncio.shield(stopping)
+                except asyncio.CancelledError:
+                    # The stop itself, if the event loop ends and cancels every task.
+                    cancelled = True
+                    self._hurry()
+                except Exception:
+                    _log.exception("robot %s: the stop met an error", self.name)
         return cancelled
 
     async def _stop(self) -> None:
+        reason = self._reason
+        if self.halted is not None:
+            reason = f"{reason}; halted: {self.halted}"
+        _log.info("robot %s: stops: %s", self.name, reason)
+        if self._is_up:
+            self._is_up = False
+            unfreeze_garbage()
         self.behaviors.halt()
         self.resources.latch()
         try:
             await self.behaviors.stop()
-            self.stopped = tuple(await self.resources.make_safe())
+            self.stopped = Stopped(await self.resources.make_safe(), reason)
             for told in self.stopped:
                 good = told.safe and told.answered
                 _log.log(logging.INFO if good else logging.ERROR, "stop: %s", told)
         finally:
+            await self._halts.close()
             await self.resources.stop()
             await self._close_buses()
             Scheduler.of(asyncio.get_running_loop()).suspends.forget(
@@ -276,18 +388,17 @@ class Robot:
         buses = {*self._buses, *self.resources.buses}
 
         async def close_bus(bus: Bus) -> None:
-            with anyio.move_on_after(BUS_TIMEOUT):
-                try:
+            try:
+                async with asyncio.timeout(BUS_TIMEOUT):
                     await bus.close()
-                except Exception as error:
-                    _log.warning("bus %s: close: %s", bus.name, error)
+            except Exception as error:
+                _log.warning("bus %s: close: %s", bus.name, describe(error))
 
-        async with anyio.create_task_group() as group:
-            for bus in sorted(buses, key=lambda bus: bus.name):
-                group.start_soon(close_bus, bus)
+        await _all(close_bus(bus) for bus in sorted(buses, key=lambda bus: bus.name))
 
     def _end_by_signal(self, number: int) -> None:
         self._signal = number
+        self._reason = self._reason or signal.Signals(number).name
         if self._host is not None:
             self._host.cancel()
 
@@ -333,11 +444,38 @@ def run(
     async def main() -> None:
         robot._interrupts = True  # noqa: SLF001 - run is the robot's own entry
         async with robot:
-            with anyio.move_on_after(duration):
+            with anyio.move_on_after(duration) as scope:
                 await robot.ended()
+            reason = "its behaviors have ended"
+            if scope.cancelled_caught:
+                reason = f"it has run for {duration} s"
+            robot._reason = robot._reason or reason  # noqa: SLF001 - as above
 
     with asyncio.Runner(loop_factory=loop_factory) as runner:
         runner.run(main())
+
+
+async def _all(work: Iterable[Coroutine[Any, Any, None]]) -> None:
+    """Do several things at a time, whatever factory of tasks the loop has."""
+    loop = asyncio.get_running_loop()
+    tasks = [spawn(loop, each, name="esair bus") for each in work]
+    if not tasks:
+        return
+    try:
+        await asyncio.wait(tasks)
+    except asyncio.CancelledError:
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
+        raise
+
+
+def _reason_of(error: BaseException | None) -> str:
+    if error is None:
+        return "its program has left it"
+    if isinstance(error, asyncio.CancelledError):
+        return "it was cancelled"
+    return describe(error)
 
 
 def _repeated(

@@ -11,6 +11,7 @@ from esair.actions._from_minimal import adapt_action
 from esair.actions._needs import ProfiledAction
 from esair.actions._ports import ActuatorPort, SensorPort
 from esair.actions._reaction import Reaction
+from esair.connections import Halting, Stopped
 from esair.exceptions import NotRegisteredError
 from esair.messages import Access, Restart
 
@@ -46,6 +47,8 @@ class Host(Protocol):
         hold: float | None,
         max_age: float | None,
     ) -> SensorPort[Any] | ActuatorPort[Any]: ...
+    def halt_robot(self, reason: str) -> Halting: ...
+    async def stop_robot(self, reason: str) -> Stopped: ...
 
 
 class Behavior(ProfiledAction):
@@ -227,6 +230,35 @@ class Behavior(ProfiledAction):
         if host is None:
             raise self._alone()
         return await host.register(resource, access, priority, hold, max_age)
+
+    def halt_robot(self, reason: str) -> Halting:
+        """Make every actuator safe and keep it so; see `Robot.halt`.
+
+        It has taken effect when this returns. A plain call, also in the thread of a
+        plain ``run``.
+
+        Args:
+            reason: Why, for the log and for whoever writes meanwhile.
+
+        Returns:
+            What each actuator is told and answers: await it, or, in a thread, call
+            its ``result``.
+        """
+        host = self._host
+        if host is None:
+            raise self._alone()
+        return host.halt_robot(reason)
+
+    async def stop_robot(self, reason: str) -> Stopped:
+        """Stop the robot in order, this behavior too; see `Robot.stop`.
+
+        Args:
+            reason: Why, for `Robot.stopped` and the log.
+        """
+        host = self._host
+        if host is None:
+            raise self._alone()
+        return await host.stop_robot(reason)
 
     @property
     def provides(self) -> bool:

@@ -404,6 +404,11 @@ class ReactionRunner:
                 )
         return waits
 
+    def forget_waiting(self) -> None:
+        """Drop the commands that wait until a driver is done: the robot is halted."""
+        for output in self._outputs.values():
+            output.later = None
+
     async def _write_apart(self, output: Output) -> None:
         output.pending = False
         command, output.later = output.later, None

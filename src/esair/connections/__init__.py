@@ -4,22 +4,27 @@ from esair.connections._actuator_channel import ActuatorChannel, LastCommand
 from esair.connections._actuator_connection import ActuatorConnection
 from esair.connections._command_check import CommandCheck, check_declaration
 from esair.connections._driver import Driver, is_drivers, is_loss, translate
+from esair.connections._halt import HALT, Halt, Halting, Stopped
 from esair.connections._registrations import Registration, Registrations
 from esair.connections._sensor_channel import READ_TIMEOUT, Follower, SensorChannel
 from esair.connections._sensor_connection import SensorConnection
 
 __all__ = [
+    "HALT",
     "READ_TIMEOUT",
     "ActuatorChannel",
     "ActuatorConnection",
     "CommandCheck",
     "Driver",
     "Follower",
+    "Halt",
+    "Halting",
     "LastCommand",
     "Registration",
     "Registrations",
     "SensorChannel",
     "SensorConnection",
+    "Stopped",
     "check_declaration",
     "is_drivers",
     "is_loss",

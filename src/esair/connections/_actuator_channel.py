@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from esair.connections._command_check import CommandCheck
 from esair.connections._driver import Driver, Guard, is_drivers, translate
+from esair.connections._halt import HALT, HALT_PRIORITY, Halt
 from esair.connections._registrations import Registration, Registrations
 from esair.exceptions import (
     BusyError,
@@ -96,6 +97,7 @@ class ActuatorChannel:
         "_check",
         "_checked",
         "_dead_man",
+        "_halts",
         "_journal",
         "_last_moment",
         "_last_write",
@@ -163,6 +165,8 @@ class ActuatorChannel:
         self._safe_task: asyncio.Task[bool] | None = None
         self._safe_again = False
         self._take_over_turn: asyncio.Future[None] | None = None
+        self._halts = 0
+        """Grows with each halt: a command from before is never sent after it."""
         self._opening = 0
         """Grows when the device is gone: what it answers after that is no news."""
         self._told: Any = None
@@ -214,7 +218,7 @@ class ActuatorChannel:
         """The device is open and was told its safe command: writes may begin."""
         self.state = ResourceState.READY
         self.error = None
-        self._accepts = not self.latched
+        self._accepts = not self.latched and self.registrations.halt is None
 
     def latch(self) -> None:
         """Let nothing but safe commands leave from now on: the robot stops."""
@@ -224,6 +228,23 @@ class ActuatorChannel:
         self._wake()
         if self.state is ResourceState.READY and not self.is_safe:
             self.make_safe()
+
+    def bar(self) -> None:
+        """Let no command pass any more, from any thread; `halt` follows in the loop."""
+        self._accepts = False
+        self._halts += 1
+
+    def halt(self) -> None:
+        """Send the safe command, and nothing but it until `resume`."""
+        self.bar()
+        self._wake()
+        if self.state is ResourceState.READY:
+            self.make_safe()
+
+    def resume(self) -> None:
+        """Let commands pass again; the device was told its safe command last."""
+        ready = self.state is ResourceState.READY and self.error is None
+        self._accepts = ready and not self.latched
 
     def leaving(self, error: EsairError) -> None:
         """The device is about to go: only its safe command may leave, no write that waits."""
@@ -273,7 +294,7 @@ class ActuatorChannel:
             DeviceFaultError: The device did not take it.
         """
         if not (registration.usable and self._accepts):
-            raise self._refusal(registration)
+            return self._turned_away(registration, command)
         now = self._time()
         journal = self._journal
         if journal.heard:
@@ -343,20 +364,23 @@ class ActuatorChannel:
 
     def _guard(self, registration: Registration) -> Guard:
         """Return the checks that a thread makes when the turn of a command comes."""
-        opening = self._opening
+        opening, halts = self._opening, self._halts
         return lambda: (
-            registration.usable and self._accepts and opening == self._opening
+            registration.usable
+            and self._accepts
+            and opening == self._opening
+            and halts == self._halts
         )
 
     async def _finish(
         self, suspended: Suspended, registration: Registration, command: Any
-    ) -> Written[Any]:
+    ) -> Written[Any] | Refused:
         actuator = self.actuator
-        opening = self._opening
+        opening, halts = self._opening, self._halts
         try:
             applied = await finish(suspended, actuator.deadline)
         except CallRefused:
-            raise self._refusal(registration) from None
+            return self._turned_away(registration, command, halts)
         except TimeoutError as error:
             if isinstance(error, DriverStuckError):
                 stuck = error
@@ -382,6 +406,35 @@ class ActuatorChannel:
             )
         return Written(applied)
 
+    def _turned_away(
+        self, registration: Registration, command: Any, halts: int | None = None
+    ) -> Refused:
+        """Answer a write that may not even be looked at.
+
+        Args:
+            registration: Who writes.
+            command: What.
+            halts: How many halts there were when the write began to wait.
+
+        Raises:
+            EsairError: It is not the halt that keeps it.
+        """
+        halt = self.registrations.halt
+        if halt is None and halts is not None and halts != self._halts:
+            halt = Halt("it was asked for before the robot was halted", self._time())
+        if halt is None or self.latched or not registration.usable:
+            raise self._refusal(registration) from None
+        self.refusals += 1
+        refused = Refused(HALT, HALT_PRIORITY, halt.reason, halt.since, math.inf)
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.COMMAND, self.name, registration.behavior, command
+            )
+            self._journal.publish(
+                Kind.REFUSED, self.name, registration.behavior, refused
+            )
+        return refused
+
     def _refusal(self, registration: Registration) -> EsairError:
         """Make the error for a write that may not even be looked at."""
         if not registration.usable:
@@ -397,12 +450,14 @@ class ActuatorChannel:
     ) -> Written[Any] | Refused:
         if len(self._waiters) >= WAITING_LIMIT:
             raise BusyError(self.name, "number of waiting writes", WAITING_LIMIT)
+        halts = self._halts
         waiting = _Waiting(registration, self._loop.create_future())
         self._waiters.append(waiting)
         try:
             while (
                 self._busy
                 and self._accepts
+                and halts == self._halts
                 and registration.usable
                 and not waiting.withdrawn
             ):
@@ -413,6 +468,8 @@ class ActuatorChannel:
             self._waiters.remove(waiting)
         if waiting.withdrawn and registration.usable:
             return _withdrawn(registration, self._time())
+        if halts != self._halts:
+            return self._turned_away(registration, command, halts)
         outcome = self.begin(registration, command, hold)
         return outcome if isinstance(outcome, Answer) else await outcome
 
@@ -649,6 +706,19 @@ class ActuatorChannel:
     def why(self) -> Why:
         """Tell who holds the actuator, by which rule, and what would free it."""
         holder = self.holder
+        halt = self.registrations.halt
+        if halt is not None:
+            return Why(
+                self.name,
+                self.state,
+                HALT,
+                HALT_PRIORITY,
+                halt.reason,
+                halt.since,
+                math.inf,
+                "robot.resume(), by the user",
+                self._told,
+            )
         if holder is None or self._time() >= self.until:
             rule = (
                 "it was told its safe command"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 
+from esair.connections._halt import Halt
 from esair.exceptions import BusyError, EsairError, NotRegisteredError
 from esair.journal import Journal, Kind
 from esair.messages import Access
@@ -95,6 +96,8 @@ class Registrations:
         self._numbers = itertools.count(1)
         self.live: dict[int, Registration] = {}
         """What is valid now, by number."""
+        self.halt: Halt | None = None
+        """Set while the robot is halted: no command passes, whoever asks."""
 
     def __len__(self) -> int:
         return len(self.live)

@@ -6,7 +6,7 @@ import asyncio
 import inspect
 import itertools
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from esair import abc, minimal
@@ -18,7 +18,12 @@ from esair.actions import (
     mistakes_in_needs,
     mistakes_in_reaction,
 )
-from esair.connections import ActuatorConnection, SensorConnection
+from esair.connections import (
+    ActuatorConnection,
+    Halting,
+    SensorConnection,
+    Stopped,
+)
 from esair.exceptions import (
     AccessDeniedError,
     BehaviorFailedError,
@@ -80,6 +85,8 @@ class BehaviorSupervisor(abc.Supervisor):
         actuators: ActuatorConnection,
         *,
         grace: float = 1.0,
+        halt: Callable[[str, str], Halting] | None = None,
+        stop: Callable[[str], Awaitable[Stopped]] | None = None,
     ) -> None:
         self.resources = resources
         self.sensors = sensors
@@ -88,6 +95,8 @@ class BehaviorSupervisor(abc.Supervisor):
         self.zombies: list[Zombie] = []
         """What would not end, the oldest first."""
         self.zombie_count = 0
+        self._halt = halt
+        self._stop = stop
         self._command_queue = CommandQueue("behaviors", asleep=True)
         self._members: dict[str, Member] = {}
         self._adding: Member | None = None
@@ -334,6 +343,11 @@ class BehaviorSupervisor(abc.Supervisor):
             _warn_of(process, " or ".join(self._members))
         self._command_queue.initialized()
 
+    def forget_waiting(self) -> None:
+        """Drop the commands that reactions keep for later: the robot is halted."""
+        for member in self._members.values():
+            member.forget_waiting()
+
     def halt(self) -> None:
         """Let no reaction take another step: the robot stops."""
         for member in self._members.values():
@@ -387,6 +401,16 @@ class BehaviorSupervisor(abc.Supervisor):
                 if need.resource == resource:
                     access |= need.access
         return access
+
+    def halt_robot(self, reason: str, by: str) -> Halting:
+        """Halt the robot in the name of a member."""
+        assert self._halt is not None
+        return self._halt(reason, by)
+
+    async def stop_robot(self, reason: str) -> Stopped:
+        """Stop the robot."""
+        assert self._stop is not None
+        return await self._stop(reason)
 
     def is_adding(self, member: Member) -> bool:
         """Tell whether somebody waits for the setup of a member."""

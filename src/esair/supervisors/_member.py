@@ -18,7 +18,13 @@ from esair.actions import (
     SensorPort,
     Writes,
 )
-from esair.connections import ActuatorChannel, Registration, SensorChannel
+from esair.connections import (
+    ActuatorChannel,
+    Halting,
+    Registration,
+    SensorChannel,
+    Stopped,
+)
 from esair.exceptions import (
     BadValueError,
     BehaviorRemovedError,
@@ -44,7 +50,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("esair")
 
-_BOUND = ("put", "get", "receive", "offer", "perform", "register")
+_BOUND = ("put", "get", "receive", "offer", "perform", "register", "stop_robot")
 
 
 class Member(Mailbox):
@@ -138,7 +144,21 @@ class Member(Mailbox):
             for registration in perform.own:
                 self._supervisor.resources.revoke(registration)
 
+    def halt_robot(self, reason: str) -> Halting:
+        """Make every actuator safe, and keep it so."""
+        return self._supervisor.halt_robot(reason, self.name)
+
+    async def stop_robot(self, reason: str) -> Stopped:
+        """Stop the robot in order, this behavior too."""
+        return await self._supervisor.stop_robot(f"{self.name}: {reason}")
+
     # Life.
+
+    def forget_waiting(self) -> None:
+        """Drop the commands that its reactions keep until a driver is done."""
+        for runner in (self.runner, *(perform.runner for perform in self.performs)):
+            if runner is not None:
+                runner.forget_waiting()
 
     def halt(self) -> None:
         """Let its reactions take no further step: the robot stops."""

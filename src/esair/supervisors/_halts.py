@@ -1,0 +1,180 @@
+"""Halt and resume: the latch of a whole robot, from any thread and in every state."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+from collections.abc import Callable
+
+from esair.connections import (
+    ActuatorConnection,
+    Halt,
+    Halting,
+    LastCommand,
+    Registrations,
+)
+from esair.exceptions import AccessDeniedError, HaltedError
+from esair.journal import Journal, Kind
+from esair.loop import clock_of, current_owner, portal, spawn
+
+TAKEN_WITHIN = 0.25
+"""How long a thread that halts waits for a loop that is busy, in seconds."""
+
+_log = logging.getLogger("esair")
+
+
+class Halts:
+    """Halts a robot, and lets it go again.
+
+    A halt is two steps. The latch goes down in the thread that asks: from then on no
+    command passes the commit block. The safe commands are sent by the event loop.
+
+    Args:
+        name: The name of the robot.
+        actuators: The way to each actuator.
+        registrations: Where the commit block looks whether it is halted.
+        journal: What is told of it.
+        forget: Drops the commands that components keep for later.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        actuators: ActuatorConnection,
+        registrations: Registrations,
+        journal: Journal,
+        forget: Callable[[], None],
+    ) -> None:
+        self._name = name
+        self._channels = actuators.channels
+        self._registrations = registrations
+        self._journal = journal
+        self._forget = forget
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._home = 0
+        self._answers: set[asyncio.Task[None]] = set()
+        self._last: tuple[LastCommand, ...] = ()
+
+    @property
+    def reason(self) -> str | None:
+        """Why the robot is halted; None if it is not."""
+        halt = self._registrations.halt
+        return None if halt is None else halt.reason
+
+    def start(self, loop: asyncio.AbstractEventLoop) -> None:
+        """The robot starts; it is halted from the first moment if it was before."""
+        self._loop, self._home = loop, threading.get_ident()
+        halt = self._registrations.halt
+        if halt is not None:
+            self._registrations.halt = Halt(halt.reason, clock_of(loop)())
+            _log.warning("robot %s: starts halted: %s", self._name, halt.reason)
+
+    async def close(self) -> None:
+        """The robot has stopped: wait until every halt has its answer; bounded."""
+        if self._answers:
+            await asyncio.wait(self._answers)
+        self._last = tuple(channel.told() for channel in self._channels.values())
+        self._loop = None
+
+    def check(self, resource: str) -> None:
+        """Refuse what must not happen while the robot is halted.
+
+        Raises:
+            HaltedError: It is.
+        """
+        halt = self._registrations.halt
+        if halt is not None:
+            raise HaltedError(resource, halt.reason)
+
+    def halt(self, reason: str, by: str = "the user") -> Halting:
+        """Make every actuator safe and keep it so, until `resume`.
+
+        Args:
+            reason: Why, for people.
+            by: Who halts.
+        """
+        halting = Halting()
+        loop = self._loop
+        halt = Halt(_words(reason), 0.0 if loop is None else clock_of(loop)())
+        if loop is None:
+            self._registrations.halt = halt
+            _log.warning("robot %s: halted by %s: %s", self._name, by, halt.reason)
+            halting.settle(self._last)
+        elif threading.get_ident() == self._home:
+            self._take_effect(halt, by, halting)
+        else:
+            self._registrations.halt = halt
+            for channel in tuple(self._channels.values()):
+                channel.bar()
+            taken = threading.Event()
+
+            def take_effect() -> None:
+                self._take_effect(halt, by, halting)
+                taken.set()
+
+            try:
+                loop.call_soon_threadsafe(take_effect)
+            except RuntimeError:  # the loop is closed: the stop was the last word
+                halting.settle(self._last)
+            else:
+                taken.wait(TAKEN_WITHIN)
+        return halting
+
+    def resume(self) -> None:
+        """End all halts: who writes next moves.
+
+        Raises:
+            AccessDeniedError: A behavior asks; only the user may.
+        """
+        if current_owner() is not None or portal.get(None) is not None:
+            raise AccessDeniedError(
+                "a behavior", "robot", "resume", "only the user ends a halt"
+            )
+        loop = self._loop
+        if loop is None:
+            self._registrations.halt = None
+        elif threading.get_ident() == self._home:
+            self._let_go()
+        else:
+            loop.call_soon_threadsafe(self._let_go)
+
+    def _take_effect(self, halt: Halt, by: str, halting: Halting) -> None:
+        loop = self._loop
+        if loop is None:
+            halting.settle(self._last)
+            return
+        self._registrations.halt = halt
+        for channel in self._channels.values():
+            channel.halt()
+        self._forget()
+        self._journal.publish(Kind.HALTED, by, text=halt.reason)
+        _log.warning("robot %s: halted by %s: %s", self._name, by, halt.reason)
+        answers = spawn(loop, self._answer(halting), name=f"halt {self._name}")
+        self._answers.add(answers)
+        answers.add_done_callback(self._answers.discard)
+
+    async def _answer(self, halting: Halting) -> None:
+        channels = tuple(self._channels.values())
+        try:
+            await asyncio.gather(*(channel.safe_now() for channel in channels))
+        finally:
+            halting.settle(channel.told() for channel in channels)
+
+    def _let_go(self) -> None:
+        if self._registrations.halt is None:
+            return
+        self._registrations.halt = None
+        for channel in self._channels.values():
+            channel.resume()
+        self._journal.publish(Kind.RESUMED, "the user")
+        _log.warning("robot %s: resumed: who writes next moves", self._name)
+
+
+def _words(reason: object) -> str:
+    """Put a reason into one line: a halt is refused for no reason at all."""
+    try:
+        text = " ".join(str(reason).split())
+    except Exception:  # a user's __str__ may raise anything
+        text = ""
+    return text or "no reason was given"

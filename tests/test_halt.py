@@ -1,0 +1,318 @@
+"""Halt, resume and stop: one latch for the whole robot, in every state."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from typing import Any
+
+import pytest
+
+import esair
+from esair import BehaviorState, Refused
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class Drive(esair.Behavior):
+    """Writes all the time, and keeps what it was answered."""
+
+    wheels = esair.writes(float)
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.answers: list[Any] = []
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.02):
+            self.answers.append(await self.wheels.write(1.0))
+
+
+class Turn(esair.Reaction):
+    """Decides for another command at each step."""
+
+    rate = 50.0
+    sonar = esair.reads(float)
+    wheels = esair.writes(float, priority=10)
+
+    def react(self, sonar: float) -> float:
+        return 0.5
+
+
+@pytest.mark.promise("ROB-4")
+async def test_nothing_but_safe_leaves_while_halted(
+    fake_actuator: Any, fake_sensor: Any
+) -> None:
+    """Writes are refused with the reason; nobody crashes, whoever writes."""
+    wheels, sonar = fake_actuator("wheels", safe=0.0), fake_sensor("sonar", 1.0)
+    drive = Drive()
+    async with esair.Robot(
+        resources=[wheels, sonar], behaviors=[drive, Turn()]
+    ) as robot:
+        await wheels.until(0.5)
+        before = len(wheels.commands)
+        told = await robot.halt("somebody is in the cell")
+        assert [(each.safe, each.answered) for each in told] == [(True, True)]
+        drive.answers.clear()
+        await asyncio.sleep(1.0)
+
+        assert set(wheels.commands[before:]) == {0.0}
+        refused = drive.answers[-1]
+        assert isinstance(refused, Refused)
+        assert (refused.holder, refused.rule) == ("halt", "somebody is in the cell")
+        assert not any(drive.answers)
+        assert robot.halted == "somebody is in the cell"
+        assert robot.resources.why("wheels").holder == "halt"
+        for name in ("drive", "turn"):
+            status = robot.behaviors.query(name)
+            assert status.state is BehaviorState.RUNNING
+            assert status.restarts == 0
+    assert "somebody is in the cell" in robot.stopped.reason
+
+
+@pytest.mark.promise("ROB-4")
+async def test_a_halt_has_taken_effect_when_it_returns(fake_actuator: Any) -> None:
+    """A write in the same turn is refused, without a wait in between."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    outcomes = []
+
+    class Once(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            outcomes.append(await self.wheels.write(1.0))
+            self.halt_robot("first")
+            self.halt_robot("second")
+            outcomes.append(await self.wheels.write(2.0))
+
+    async with esair.Robot(resources=[wheels], behaviors=[Once()]) as robot:
+        await asyncio.sleep(0.5)
+        assert outcomes[0]
+        assert (outcomes[1].holder, outcomes[1].rule) == ("halt", "second")
+        assert robot.behaviors.query("once").error is None
+    assert wheels.commands[:2] == [0.0, 1.0]
+    assert set(wheels.commands[2:]) == {0.0}
+
+
+@pytest.mark.promise("ROB-4")
+async def test_resume_lets_nothing_from_before_leave(fake_actuator: Any) -> None:
+    """A write that waited for its turn is refused; holds are gone; slew starts at safe."""
+    wheels = fake_actuator("wheels", safe=0.0, slew=10.0, command_timeout=1.0)
+    outcomes: list[Any] = []
+
+    class Queue(esair.Behavior):
+        wheels = esair.writes(float, priority=5, hold=60.0)
+
+        async def run(self) -> None:
+            await self.wheels.write(1.0)
+            await asyncio.sleep(0.1)
+            wheels.stall()
+            first = asyncio.ensure_future(self.wheels.write(2.0))
+            await asyncio.sleep(0)
+            outcomes.append(await self.wheels.write(3.0))
+            await first
+
+    class Other(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            await asyncio.sleep(1.0)
+            outcomes.append(await self.wheels.write(9.0))
+
+    async with esair.Robot(resources=[wheels], behaviors=[Queue(), Other()]) as robot:
+        await asyncio.sleep(0.15)
+        halting = robot.halt("look")
+        robot.resume()
+        wheels.resume()
+        await halting
+        assert wheels.commands[-1] == 0.0
+        await asyncio.sleep(1.0)
+    assert [bool(each) for each in outcomes] == [False, True]
+    assert outcomes[0].holder == "halt"
+    assert 3.0 not in wheels.commands
+    assert max(wheels.commands[-3:]) <= 0.0 + 10.0 * 1.0
+
+
+@pytest.mark.promise("ROB-4")
+async def test_a_robot_that_was_halted_before_starts_halted(fake_actuator: Any) -> None:
+    """It moves when the user resumes it, and not before; also what is added later."""
+    wheels, arm = fake_actuator("wheels", safe=0.0), fake_actuator("arm", safe=0.0)
+
+    class Reach(Drive):
+        wheels = esair.writes(float, name="arm")
+
+    robot = esair.Robot(resources=[wheels], behaviors=[Drive()])
+    assert await robot.halt("not yet") == ()
+    async with robot:
+        await robot.resources.add(arm)
+        reach = Reach()
+        await robot.behaviors.add(reach)
+        await asyncio.sleep(0.3)
+        assert set(wheels.commands) == set(arm.commands) == {0.0}
+        assert isinstance(reach.answers[-1], Refused)
+        assert reach.answers[-1].rule == "not yet"
+        robot.resume()
+        await wheels.until(1.0)
+        await arm.until(1.0)
+
+
+@pytest.mark.promise("ROB-4")
+async def test_a_thread_halts_before_anything_else_happens(fake_actuator: Any) -> None:
+    """When the call returns in the thread nothing but safe is sent any more."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    seen: list[Any] = []
+
+    class Thread(esair.Behavior):
+        def run(self) -> None:
+            time.sleep(0.01)
+            halting = self.halt_robot("seen by a thread")
+            seen.append(list(wheels.commands))
+            seen.append(halting.result(5.0))
+
+    async with esair.Robot(resources=[wheels], behaviors=[Drive(), Thread()]) as robot:
+        await asyncio.sleep(1.0)
+        assert robot.halted == "seen by a thread"
+    commands, told = seen
+    assert [(each.safe, each.answered) for each in told] == [(True, True)]
+    assert 1.0 in commands
+    assert set(wheels.commands[commands.index(1.0) + 1 :]) == {0.0}
+
+
+@pytest.mark.promise("ROB-4")
+@pytest.mark.real_clock
+async def test_a_thread_halts_although_the_loop_is_stuck(fake_actuator: Any) -> None:
+    """The latch is down at once; the loop sends safe as its next act."""
+    wheels = fake_actuator("wheels", safe=0.0, command_timeout=5.0)
+    drive = Drive()
+    async with esair.Robot(resources=[wheels], behaviors=[drive]) as robot:
+        await wheels.until(1.0)
+        thread = threading.Timer(0.05, robot.halt, ["stuck"])
+        thread.start()
+        time.sleep(0.6)  # noqa: ASYNC251 - the loop is stuck, that is the point
+        before = len(wheels.commands)
+        drive.answers.clear()
+        await asyncio.sleep(0.1)
+        thread.join()
+        assert set(wheels.commands[before:]) == {0.0}
+        assert not any(drive.answers)
+
+
+@pytest.mark.promise("ROB-4")
+async def test_only_the_user_resumes(fake_actuator: Any) -> None:
+    """A behavior that tries gets an error, and the robot stays halted."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    errors: list[Exception] = []
+
+    class Cheat(esair.Behavior):
+        async def run(self) -> None:
+            try:
+                robot.resume()
+            except esair.AccessDeniedError as error:
+                errors.append(error)
+
+    robot = esair.Robot(resources=[wheels], behaviors=[Drive(), Cheat()])
+    robot.halt("wait")
+    async with robot:
+        await asyncio.sleep(0.2)
+        assert robot.halted == "wait"
+    assert len(errors) == 1
+    assert set(wheels.commands) == {0.0}
+
+
+@pytest.mark.promise("ROB-4")
+async def test_halting_what_is_stopped_or_stops_is_only_logged(
+    fake_actuator: Any, caplog: Any
+) -> None:
+    """It raises nothing, and tells what each actuator was told last."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    told = []
+
+    class Last(esair.Behavior):
+        async def teardown(self) -> None:
+            told.append(await self.halt_robot("while stopping"))
+
+    async with esair.Robot(resources=[wheels], behaviors=[Last()]) as robot:
+        pass
+    told.append(await robot.halt("too late"))
+    robot.resume()
+    assert [each[0].safe for each in told] == [True, True]
+    assert "while stopping" in caplog.text
+    assert "too late" in caplog.text
+
+
+@pytest.mark.promise("ROB-4")
+async def test_a_behavior_stops_the_robot(fake_actuator: Any, caplog: Any) -> None:
+    """Everybody ends, safe is last, `ended` returns, the reason is kept."""
+    wheels = fake_actuator("wheels", safe=0.0)
+
+    class Boss(esair.Behavior):
+        async def run(self) -> None:
+            await asyncio.sleep(0.2)
+            await self.stop_robot("the work is done")
+
+    caplog.set_level("INFO", "esair")
+    async with esair.Robot(resources=[wheels], behaviors=[Drive(), Boss()]) as robot:
+        await robot.ended()
+        stopped = await robot.stop("again")
+        assert stopped is robot.stopped
+    assert stopped.reason == "boss: the work is done"
+    assert [(each.resource, each.safe) for each in stopped] == [("wheels", True)]
+    assert 1.0 in wheels.commands
+    assert wheels.commands[-1] == 0.0
+    assert "the work is done" in caplog.text
+
+
+@pytest.mark.promise("ROB-4")
+async def test_the_block_of_a_stopped_robot_goes_on(fake_actuator: Any) -> None:
+    """The user stops it in its own block, looks at it, and leaves."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels], behaviors=[Drive()]) as robot:
+        await wheels.until(1.0)
+        await robot.stop("enough")
+        assert wheels.commands[-1] == 0.0
+        with pytest.raises(esair.StoppingError):
+            await robot.resources.remove("wheels")
+    assert robot.stopped.reason == "enough"
+
+
+@pytest.mark.promise("ROB-4")
+async def test_a_stop_before_or_in_the_start_keeps_it_from_starting(
+    fake_actuator: Any,
+) -> None:
+    """Nothing moves, and the error says who stopped it."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    robot = esair.Robot(resources=[wheels])
+    await robot.stop("never mind")
+    with pytest.raises(esair.StoppingError, match="never mind"):
+        await robot.__aenter__()
+    assert wheels.commands == []
+
+    class Slow(esair.Behavior):
+        async def setup(self) -> None:
+            await asyncio.sleep(3.0)
+
+    robot = esair.Robot(resources=[wheels], behaviors=[Slow()])
+
+    async def stop() -> None:
+        await asyncio.sleep(0.1)
+        await robot.stop("changed my mind")
+
+    stopping = asyncio.ensure_future(stop())
+    with pytest.raises(esair.StoppingError, match="changed my mind"):
+        await robot.__aenter__()
+    await stopping
+    assert set(wheels.commands) == {0.0}
+
+
+async def test_the_reason_of_every_other_way_out(fake_actuator: Any) -> None:
+    """The end of the block, an error in it, a cancellation."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels]) as robot:
+        pass
+    assert robot.stopped.reason == "its program has left it"
+    robot = esair.Robot(resources=[fake_actuator("wheels", safe=0.0)])
+    with pytest.raises(ValueError, match="bug"):
+        async with robot:
+            raise ValueError("bug")
+    assert robot.stopped.reason == "ValueError: bug"
