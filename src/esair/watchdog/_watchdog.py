@@ -1,0 +1,261 @@
+"""The robot's side of its watchdog: it arms devices, and tells that it is alive."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import mmap
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from esair.watchdog._frames import SafeFrames, Wire
+
+LIMIT = 0.25
+"""How long the scheduler may stand still while something moves, in seconds."""
+
+ANSWER_WITHIN = 1.0
+"""How long the watchdog may take to answer, in seconds."""
+
+GONE_WITHIN = 0.1
+"""How long it may take to end after an orderly stop, in seconds."""
+
+_PROGRAM = Path(__file__).with_name("_program.py")
+_PAGE, _NAMES, _NAME, _CULPRITS = 65536, 32, 64, 1023
+
+_log = logging.getLogger("esair")
+
+
+class Watchdog:
+    """Starts the watchdog's process and speaks with it; for one robot.
+
+    Args:
+        limit: How long the scheduler may stand still while something moves, in seconds.
+        policy: What becomes of a process that was stopped: ``"kill"`` ends it,
+            ``"freeze"`` leaves it stopped.
+        on_death: Called when the watchdog's process has died by itself.
+    """
+
+    def __init__(
+        self,
+        *,
+        limit: float = LIMIT,
+        policy: Literal["kill", "freeze"] = "kill",
+        on_death: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.limit = limit
+        self.policy = policy
+        self._on_death = on_death
+        self._moving: set[str] = set()
+        self._places: dict[str, int] = {}
+        self._answers: dict[int, asyncio.Future[str]] = {}
+        self._last = 0
+        self._names: dict[str, int] = {"": 0}
+        self._beats = 0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._channel: socket.socket | None = None
+        self._pidfd = -1
+        self._page = mmap.mmap(-1, _PAGE)
+        self._numbers = memoryview(self._page).cast("Q")
+
+    # Its process.
+
+    async def start(self) -> None:
+        """Start the process.
+
+        Raises:
+            OSError: It cannot be started.
+        """
+        loop = self._loop = asyncio.get_running_loop()
+        mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        mine.setblocking(False)
+        shared = os.memfd_create("esair-watchdog")
+        me = os.pidfd_open(os.getpid())
+        try:
+            os.ftruncate(shared, _PAGE)
+            self._page = mmap.mmap(shared, _PAGE)
+            self._numbers = memoryview(self._page).cast("Q")
+            descriptors = (its.fileno(), me, shared)
+            arguments = [*descriptors, os.getpid(), self.limit, self.policy]
+            self._process = await asyncio.to_thread(
+                subprocess.Popen,
+                [sys.executable, "-I", "-S", str(_PROGRAM), *map(str, arguments)],
+                stdin=subprocess.DEVNULL,
+                pass_fds=descriptors,
+                start_new_session=True,
+            )
+        except BaseException:
+            mine.close()
+            raise
+        finally:
+            its.close()
+            os.close(shared)
+            os.close(me)
+        self._channel = mine
+        self._pidfd = os.pidfd_open(self._process.pid)
+        loop.add_reader(mine, self._hear)
+        loop.add_reader(self._pidfd, self._died)
+
+    @property
+    def runs(self) -> bool:
+        """Whether its process is there."""
+        return self._channel is not None
+
+    async def close(self) -> None:
+        """Say good-bye, after every actuator is safe; nothing is left behind."""
+        process = self._process
+        if process is None:
+            return
+        if self._channel is not None:
+            with contextlib.suppress(OSError):
+                self._channel.send(b'{"op": "bye"}')
+        self._forget()
+        try:
+            await asyncio.to_thread(process.wait, GONE_WITHIN)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            await asyncio.to_thread(process.wait)
+        self._process = None
+
+    def _forget(self) -> None:
+        loop = self._loop
+        assert loop is not None
+        if self._channel is not None:
+            loop.remove_reader(self._channel)
+            self._channel.close()
+            self._channel = None
+        if self._pidfd >= 0:
+            loop.remove_reader(self._pidfd)
+            os.close(self._pidfd)
+            self._pidfd = -1
+        self._places.clear()
+        for answer in self._answers.values():
+            if not answer.done():
+                answer.set_result("the watchdog has ended")
+        self._answers.clear()
+
+    def _died(self) -> None:
+        process = self._process
+        assert process is not None
+        self._forget()
+        process.wait()  # it is over: the descriptor says so
+        self._process = None
+        _log.critical("watchdog: its process died (%s)", process.returncode)
+        self._on_death()
+
+    # Devices.
+
+    async def arm(self, name: str, frames: SafeFrames, wire: Wire) -> str:
+        """Have a device watched; it may be told to move only after the answer.
+
+        Returns:
+            Why it is not watched, in words; empty if it is.
+        """
+        await self.drop(name)
+        self._last += 1
+        place = self._last
+        sent = list(frames.frames) * frames.repeat
+        if sent and frames.resync:
+            sent[0] = frames.resync + sent[0]
+        told = {
+            "op": "arm",
+            "place": place,
+            "name": name,
+            "wire": wire.kind,
+            "frames": [frame.hex() for frame in sent],
+            "target": dict(wire.target) | {"address": frames.address},
+        }
+        self._places[name] = place
+        why = await self._ask(place, told, wire.descriptor)
+        if why:
+            self._places.pop(name, None)
+        return why
+
+    async def drop(self, name: str) -> None:
+        """Have a device watched no more, before its descriptor is closed."""
+        place = self._places.pop(name, None)
+        self.moving(name, False)
+        if place is not None:
+            await self._ask(place, {"op": "drop", "place": place}, None)
+
+    def watches(self, name: str) -> bool:
+        """Tell whether a device is watched now."""
+        return name in self._places
+
+    async def _ask(
+        self, place: int, told: dict[str, object], descriptor: int | None
+    ) -> str:
+        if self._channel is None or self._loop is None:
+            return "there is no watchdog process"
+        answer: asyncio.Future[str] = self._loop.create_future()
+        self._answers[place] = answer
+        data = json.dumps(told).encode()
+        try:
+            if descriptor is None:
+                self._channel.send(data)
+            else:
+                socket.send_fds(self._channel, [data], [descriptor])
+            return await asyncio.wait_for(answer, ANSWER_WITHIN)
+        except TimeoutError:
+            return f"the watchdog has not answered for {ANSWER_WITHIN:g} s"
+        except OSError as error:
+            return f"the watchdog cannot be told: {error}"
+        finally:
+            self._answers.pop(place, None)
+
+    def _hear(self) -> None:
+        assert self._channel is not None
+        try:
+            data = self._channel.recv(65536)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            return  # the pidfd tells
+        what, place, why = json.loads(data)
+        answer = self._answers.get(place)
+        if what == "hung up":
+            self._places = {n: p for n, p in self._places.items() if p != place}
+        elif answer is not None and not answer.done():
+            answer.set_result(str(why) if what == "refused" else "")
+
+    # Signs of life.
+
+    def beat(self, _now: float = 0.0) -> None:
+        """Tell that the scheduler turns."""
+        self._beats += 1
+        self._numbers[0] = self._beats
+
+    def moving(self, name: str, moves: bool) -> None:
+        """Tell whether an actuator was told a motion; before it leaves."""
+        if moves:
+            self._moving.add(name)
+        else:
+            self._moving.discard(name)
+        self._numbers[1] = len(self._moving)
+
+    @property
+    def latched(self) -> bool:
+        """Whether the watchdog has stopped this process: nothing may move any more."""
+        return bool(self._numbers[2])
+
+    def blame(self, component: str) -> None:
+        """Tell whose turn it is, to be named if it never ends."""
+        place = self._names.get(component)
+        if place is None:
+            place = self._names[component] = 1 + (len(self._names) - 1) % (
+                _CULPRITS - 1
+            )
+            begin = _NAMES + place * _NAME
+            self._page[begin : begin + _NAME] = component.encode()[:_NAME].ljust(
+                _NAME, b"\0"
+            )
+        self._numbers[3] = place
