@@ -1,0 +1,194 @@
+"""The watchdog's process, with real processes and a real line.
+
+What counts is the last thing on the wire: looked at from the far end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import statistics
+import subprocess
+import sys
+import time
+import tty
+from pathlib import Path
+
+import pytest
+
+from esair.watchdog import SafeFrames, can_frame
+
+pytestmark = pytest.mark.real_clock
+
+VICTIM = Path(__file__).with_name("victim.py")
+DEAD = ["kill", "segfault", "abort"]
+STUCK = ["stop", "spin", "sleep", "regex"]
+
+
+class Run:
+    """One victim, from the far end of its line."""
+
+    def __init__(self, way: str, policy: str = "kill") -> None:
+        self.far, near = os.openpty()
+        tty.setraw(near)
+        self.received: list[tuple[float, bytes]] = []
+        self.process = subprocess.Popen(
+            [sys.executable, str(VICTIM), os.ttyname(near), way, policy],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.near = near
+
+    def hear(self, until: float, quiet: float = 0.3) -> None:
+        """Listen until the process has ended and the line is quiet."""
+        last = time.monotonic()
+        while time.monotonic() < until:
+            if select.select([self.far], [], [], 0.01)[0]:
+                last = time.monotonic()
+                self.received.append((last, os.read(self.far, 4096)))
+            elif self.process.poll() is not None and time.monotonic() - last > quiet:
+                return
+
+    @property
+    def data(self) -> bytes:
+        return b"".join(data for _, data in self.received)
+
+    def close(self) -> str:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.process.pid, signal.SIGKILL)
+        _, errors = self.process.communicate(timeout=5.0)
+        os.close(self.far)
+        os.close(self.near)
+        return errors
+
+    def took(self) -> float:
+        """From the last motion to the safe command, in ms."""
+        motion = max(when for when, data in self.received if b"GO" in data)
+        safe = max(when for when, data in self.received if b"STOP" in data)
+        return (safe - motion) * 1000
+
+
+def run(way: str, policy: str = "kill") -> tuple[Run, str]:
+    victim = Run(way, policy)
+    try:
+        victim.hear(time.monotonic() + 10.0)
+    finally:
+        errors = victim.close()
+    return victim, errors
+
+
+@pytest.mark.promise("GRD-1")
+@pytest.mark.fault("O04", "O08", "O09", "B07", "B08")
+@pytest.mark.parametrize("way", [*DEAD, *STUCK])
+def test_safe_is_the_last_thing_on_the_wire(way: str) -> None:
+    """However the process dies or hangs, and with a motion that was cut in half."""
+    victim, errors = run(way)
+    assert victim.data.endswith(b"GO\nGO\nSTOP\n")
+    assert "esair watchdog: " in errors
+    assert "wheels safe" in errors
+    if way in STUCK:
+        assert "in wander" in errors
+
+
+@pytest.mark.promise("GRD-3")
+def test_an_orderly_exit_leaves_no_watchdog() -> None:
+    """Nothing is sent by it, nothing is said, and its process is gone."""
+    victim, errors = run("end")
+    assert victim.process.returncode == 0
+    assert victim.data.count(b"STOP") == 1
+    assert errors == ""
+
+
+@pytest.mark.fault("O05")
+def test_a_frozen_process_stays_stopped() -> None:
+    """By policy it is left for somebody to look at, and it does not move again."""
+    victim = Run("sleep", "freeze")
+    try:
+        victim.hear(time.monotonic() + 1.5)
+        assert victim.data.endswith(b"STOP\n")
+        state = Path(f"/proc/{victim.process.pid}/stat").read_text("ascii")
+        assert state.rpartition(")")[2].split()[0] == "T"
+    finally:
+        victim.close()
+
+
+@pytest.mark.fault("O14")
+def test_a_child_that_holds_everything_open_hides_no_death() -> None:
+    """The pidfd tells, not the end of a pipe."""
+    source = VICTIM.read_text("utf-8").replace(
+        "    dog.blame", "    os.fork() or time.sleep(2) or os._exit(0)\n    dog.blame"
+    )
+    changed = VICTIM.with_name("victim_that_forks.py")
+    changed.write_text(source, "utf-8")
+    try:
+        victim = Run.__new__(Run)
+        victim.far, victim.near = os.openpty()
+        tty.setraw(victim.near)
+        victim.received = []
+        victim.process = subprocess.Popen(
+            [sys.executable, str(changed), os.ttyname(victim.near), "kill", "kill"],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        victim.hear(time.monotonic() + 4.0)
+        victim.close()
+    finally:
+        changed.unlink()
+    assert victim.data.endswith(b"STOP\n")
+    assert victim.took() < 500.0
+
+
+def test_it_is_a_small_program() -> None:
+    """Standard library only, at most 150 lines of code; nothing of esair."""
+    import ast
+
+    import esair.watchdog
+
+    path = Path(esair.watchdog.__file__).with_name("_program.py")
+    tree = ast.parse(path.read_text("utf-8"))
+    lines = {
+        node.lineno
+        for node in ast.walk(tree)
+        if isinstance(node, ast.stmt) and not isinstance(node, ast.Expr)
+    }
+    names = {
+        alias.name
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Import)
+        for alias in n.names
+    }
+    assert len(lines) <= 150
+    assert names <= sys.stdlib_module_names
+
+
+def test_frames_of_can_are_those_of_the_kernel() -> None:
+    """Sixteen bytes: identifier with its flag, length, data."""
+    assert can_frame(0x123, b"\1\2") == b"\x23\1\0\0\2\0\0\0\1\2\0\0\0\0\0\0"
+    assert can_frame(0x123, b"", extended=True)[:4] == b"\x23\1\0\x80"
+    assert len(can_frame(1, b"", fd=True)) == 72
+
+
+def test_frames_are_kept_as_a_tuple() -> None:
+    """A list that is changed afterwards changes nothing."""
+    frames = [b"STOP"]
+    safe = SafeFrames(frames)
+    frames.append(b"GO")
+    assert safe.frames == (b"STOP",)
+
+
+@pytest.mark.promise("GRD-3")
+@pytest.mark.parametrize("way", [*DEAD, *STUCK])
+def test_the_time_it_takes(way: str, request: pytest.FixtureRequest) -> None:
+    """Two hundred times: always safe; the times are printed, and bounded loosely."""
+    if not request.config.getoption("--esair-soak"):
+        pytest.skip("two hundred processes each: --esair-soak")
+    times = []
+    for _ in range(200):
+        victim, _ = run(way)
+        assert victim.data.endswith(b"STOP\n")
+        times.append(victim.took())
+    times.sort()
+    sys.stderr.write(f"{way}: p50 {statistics.median(times):.1f} ms, p99 {times[197]:.1f} ms\n")
+    assert times[197] < (1000.0 if way in STUCK else 500.0)
