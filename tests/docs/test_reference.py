@@ -22,9 +22,11 @@ BESIDE = [
     "esair.discovery",
     "esair.firmware",
     "esair.framing",
+    "esair.journal",
     "esair.minimal",
     "esair.sim",
     "esair.testing",
+    "esair.watchdog",
 ]
 """What is public beside `esair` itself and the parts."""
 
@@ -37,6 +39,7 @@ IN_ESAIR = {
     "resources",
     "standard",
     "supervisors",
+    "values",
 }
 """Modules whose names are in `esair`."""
 
