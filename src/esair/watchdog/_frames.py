@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
 import attrs
 
 _EXTENDED = 0x8000_0000
+
+
+def _tuple(frames: Iterable[bytes]) -> tuple[bytes, ...]:
+    return tuple(frames)
 
 
 @attrs.frozen
@@ -25,7 +29,7 @@ class SafeFrames:
         address: The address of the chip on I²C.
     """
 
-    frames: tuple[bytes, ...] = attrs.field(converter=tuple)
+    frames: tuple[bytes, ...] = attrs.field(converter=_tuple)
     resync: bytes = b""
     repeat: int = 1
     address: int = 0
