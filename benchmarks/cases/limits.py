@@ -51,10 +51,10 @@ async def bare_wheel(steps: list[Step], period: float) -> AsyncIterator[None]:
             step(now)
         while due() <= time.monotonic():
             turn += 1
-        timer.set(due())
+        timer.set(round(1e9 * due()))
 
     timer = DescriptorTimer(loop, call)
-    timer.set(begin)
+    timer.set(round(1e9 * begin))
     try:
         yield
     finally:

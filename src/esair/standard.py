@@ -182,6 +182,9 @@ class Robot:
         self._owned = OwnedTasks(loop)
         self._owned.install()
         Scheduler.of(loop).suspends.listen(self.resources.resumed)
+        for components in (self._list_of_resources, self._list_of_behaviors):
+            components.sort(key=_by_name)
+            Scheduler.of(loop).expect(len(components))
         if not getattr(loop, "virtual", False):  # there it would hide a deadlock
             self._glances = Scheduler.of(loop).every(GLANCE, lambda _now: None)
         try:
@@ -491,6 +494,11 @@ def _repeated(
             found.append(NameTakenError(kind, name))
         seen.add(name)
     return found
+
+
+def _by_name(component: Any) -> str:
+    """Order components: nothing depends on the order in which they were given."""
+    return str(component.name)
 
 
 def _name_of(component: Resource | Behavior | Reaction) -> str | None:

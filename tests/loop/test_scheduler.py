@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.loop import Scheduler
+from esair.loop import Order, Scheduler
 from esair.testing import VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
@@ -183,3 +183,87 @@ async def test_a_step_slower_than_its_period_starves_nobody() -> None:
 
     assert all(after > before for before, after in itertools.pairwise(seen[:50]))
     assert job.skipped >= 100
+
+
+@pytest.mark.promise("TURN-3")
+@pytest.mark.parametrize(
+    "rates", [(10.0, 20.0), (30.0, 60.0), (0.1, 100.0), (3.0, 9.0)]
+)
+async def test_harmonic_rates_meet(rates: tuple[float, float]) -> None:
+    """Each step of the slower one is at the nanosecond of one of the quicker one."""
+    slow: list[float] = []
+    quick: list[float] = []
+
+    def noting(calls: list[float]) -> Any:
+        return lambda _now: calls.append(clock())
+
+    jobs = [
+        scheduler().every(1.0 / rate, noting(calls))
+        for rate, calls in zip(rates, (slow, quick), strict=True)
+    ]
+    await asyncio.sleep(12.0 / rates[0])
+    for job in jobs:
+        job.stop()
+    await asyncio.sleep(0)
+
+    assert len(slow) >= 12
+    assert set(slow[:-1]) <= set(quick)
+
+
+@pytest.mark.promise("TURN-2")
+async def test_an_instant_has_one_order() -> None:
+    """Polls, steps by their names, what they decided, then who waited for the moment."""
+    calls: list[str] = []
+
+    class Decision:
+        def function(self, _now: float) -> None:
+            calls.append("decided")
+
+    def steps(name: str) -> Any:
+        def step(_now: float) -> None:
+            calls.append(name)
+            if name == "b":
+                scheduler().decide(Decision())
+
+        return step
+
+    begin = clock()
+    scheduler().at(begin + 0.1, steps("expiry"), order=Order.EXPIRY)
+    scheduler().at(begin + 0.1, steps("wake"))
+    jobs = [scheduler().every(0.1, steps(name), name=name) for name in "cba"]
+    jobs.append(scheduler().every(0.1, steps("poll"), name="z", order=Order.POLL))
+    await asyncio.sleep(0.05)
+    calls.clear()
+    await asyncio.sleep(0.1)
+    for job in jobs:
+        job.stop()
+    await asyncio.sleep(0)
+
+    assert calls == ["poll", "a", "b", "c", "decided", "wake", "expiry"]
+
+
+async def test_a_crowd_is_spread_by_name() -> None:
+    """Its phases are the same in each run, and no two are less than 2.5 ms apart."""
+    scheduler().expect(320)
+    phases = [scheduler().phase(f"r{i}") for i in range(320)]
+
+    assert phases == [scheduler().phase(f"r{i}") for i in range(320)]
+    assert set(phases) == {2_500_000 * k for k in range(10)}
+    assert max(map(phases.count, phases)) < 64
+
+
+async def test_shots_that_were_cancelled_keep_nothing_alive() -> None:
+    """The scheduler stands still when nobody waits any more."""
+    kept = scheduler().at(clock() + 0.1, lambda _now: None)
+    for others in range(1, 6):
+        shots = [
+            scheduler().at(clock() + 5.0, lambda _now: None) for _ in range(others)
+        ]
+        for shot in shots:
+            scheduler().cancel(shot)
+            scheduler().cancel(shot)
+    await asyncio.sleep(0.2)
+    scheduler().cancel(kept)
+
+    names = [task.get_name() for task in asyncio.all_tasks()]
+    assert "esair scheduler" not in names

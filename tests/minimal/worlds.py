@@ -123,8 +123,10 @@ def make_reaction(number, about, actuators):
     kinds = {}
     attributes = {"dies": about["dies"]}
     for key, (sensor, max_age) in zip("abc", about["inputs"]):
-        # In STD a reading becomes too old just after the next ones have arrived.
-        seconds = None if max_age is None else (max_age + 0.00005) / RATE
+        # In STD a reading becomes too old just after the next ones have arrived, or
+        # just before a reaction with a rate would decide on it.
+        late = -0.00005 if about["every"] else 0.00005
+        seconds = None if max_age is None else (max_age + late) / RATE
         attributes[key] = reads(int, name="s%d" % sensor, max_age=seconds)
     for key, (actuator, priority, hold) in zip("xyz", about["outputs"]):
         kinds[key] = actuators[actuator]["kind"]

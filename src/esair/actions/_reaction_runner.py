@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import inspect
 import logging
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from esair.actions._reaction import Reaction
+from esair.actions._reaction_ports import FOR_EVER, Input, Output
 from esair.connections import ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import (
     BadValueError,
@@ -16,86 +18,10 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.loop import Job, Scheduler, Step, clock_of, spawn
-from esair.messages import Reading, Refused, Written
-
-_FOR_EVER = float("inf")
+from esair.loop import Job, OneShot, Order, Scheduler, Step, clock_of
+from esair.messages import Refused, Written
 
 _log = logging.getLogger("esair")
-
-
-class Input:
-    """One sensor of a running reaction."""
-
-    __slots__ = (
-        "channel",
-        "max_age",
-        "name",
-        "ready",
-        "registration",
-        "runner",
-        "stale_at",
-    )
-
-    def __init__(
-        self,
-        runner: ReactionRunner,
-        name: str,
-        channel: SensorChannel,
-        registration: Registration,
-        max_age: float | None,
-    ) -> None:
-        self.runner = runner
-        self.name = name
-        self.channel = channel
-        self.registration = registration
-        self.max_age = _FOR_EVER if max_age is None else max_age
-        self.ready = False
-        self.stale_at = _FOR_EVER
-
-    def feed(self, reading: Reading[Any]) -> None:
-        """Take a new reading; the reaction's next step decides on it."""
-        runner = self.runner
-        runner.values[self.name] = reading.value
-        if self.max_age < _FOR_EVER:
-            self.stale_at = reading.time + self.max_age
-            runner.refresh()
-        if not self.ready:
-            self.ready = True
-            runner.arrived()
-        if runner.on_reading and not runner.missing:
-            runner.job.soon()
-
-    def changed(self, error: EsairError | None) -> None:
-        """Park the reaction when the sensor is gone; feeding it wakes it up."""
-        if error is not None and self.ready:
-            self.ready = False
-            self.runner.park(f"{self.name}: {error}", missing=1)
-
-
-class Output:
-    """One actuator of a running reaction."""
-
-    __slots__ = ("active", "channel", "later", "name", "pending", "registration")
-
-    def __init__(
-        self, name: str, channel: ActuatorChannel, registration: Registration
-    ) -> None:
-        self.name = name
-        self.channel = channel
-        self.registration = registration
-        self.active = False
-        """It may hold the actuator."""
-        self.pending = False
-        """A write is on its way."""
-        self.later: Any = None
-        """The newest command, while an older one is on its way."""
-
-    def release(self) -> None:
-        """Give the actuator back; what it was told times out unless somebody writes."""
-        self.active = False
-        self.later = None
-        self.channel.release(self.registration)
 
 
 class ReactionRunner:
@@ -112,7 +38,9 @@ class ReactionRunner:
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
+        "_awaits",
         "_budget",
+        "_deferred",
         "_inputs",
         "_loop",
         "_on_crash",
@@ -120,7 +48,11 @@ class ReactionRunner:
         "_on_state",
         "_outputs",
         "_overruns_in_row",
+        "_patience",
+        "_polled",
         "_react",
+        "_sampled_in",
+        "_scheduler",
         "_settling",
         "_single",
         "_stopped",
@@ -161,7 +93,7 @@ class ReactionRunner:
         """How many commands were no good, or met a device that is not there."""
         self.conflated = 0
         """How many commands were replaced by a newer one before they could leave."""
-        self.stale_at = _FOR_EVER
+        self.stale_at = FOR_EVER
         self.parked = True
         self._loop = asyncio.get_running_loop()
         self._time = clock_of(self._loop)
@@ -171,7 +103,17 @@ class ReactionRunner:
         self.overruns = 0
         """How many steps have taken longer than their budget."""
         self._overruns_in_row = 0
-        self.job: Job = Scheduler.of(self._loop).on_demand(self._turn)
+        self._scheduler = Scheduler.of(self._loop)
+        self.job: Job = self._scheduler.on_demand(self._turn, name=reaction.name)
+        self._polled: tuple[SensorChannel, ...] = ()
+        """What it samples: the sensors that are asked, if it has a rate."""
+        self._deferred: Job | None = None
+        """The step that waits for its samples."""
+        self._awaits = 0
+        """For how many samples it waits,"""
+        self._sampled_in = 0
+        """and of which turn they are; 0 if it waits for none."""
+        self._patience: OneShot | None = None
         self._react = reaction.react
         self._inputs: list[Input] = []
         self._outputs: dict[str, Output] = {}
@@ -213,14 +155,14 @@ class ReactionRunner:
             outputs: For each command its channel and registration.
         """
         self._inputs = [Input(self, name, *terms) for name, terms in inputs.items()]
-        self._outputs = {name: Output(name, *terms) for name, terms in outputs.items()}
+        self._outputs = {
+            name: Output(self, name, *terms) for name, terms in outputs.items()
+        }
         if len(self._outputs) == 1:
             (self._single,) = self._outputs.values()
         self.missing = len(self._inputs)
         if self.reaction.rate is not None:
-            self.job = Scheduler.of(self._loop).every(
-                1.0 / self.reaction.rate, self._turn
-            )
+            self._take_rate(self.reaction.rate)
         for each in self._inputs:
             each.channel.follow(each)
             newest = each.channel.newest
@@ -232,17 +174,33 @@ class ReactionRunner:
             waits = ", ".join(each.name for each in self._inputs if not each.ready)
             self._on_state(False, f"no reading of {waits} yet")
 
+    def _take_rate(self, rate: float) -> None:
+        """Step on the grid, at the moments at which the sensors are asked."""
+        channels = [each.channel for each in self._inputs]
+        self._polled = tuple(each for each in channels if each.sensor.can_be_asked)
+        name, scheduler = self.reaction.name, self._scheduler
+        step = self._turn
+        if self._polled:
+            self._deferred = scheduler.on_demand(step, name=name)
+            step = self._sample
+        names = [each.name for each in self._polled] or [name]
+        phase = max(map(scheduler.phase, names))
+        self.job = scheduler.every(1.0 / rate, step, name=name, phase=phase)
+
     def stop(self) -> None:
         """Never step again, and follow nothing. What it wrote is the caller's to undo."""
         self._stopped = True
         self.job.stop()
+        if self._deferred is not None:
+            self._deferred.stop()
+        self._lose_patience()
         if self._watch is not None:
             self._watch.cancel()
             self._watch = None
         for each in self._inputs:
             each.channel.unfollow(each)
         for output in self._outputs.values():
-            output.later = None
+            output.forget()
         for task in tuple(self._settling):
             task.cancel()
 
@@ -271,7 +229,7 @@ class ReactionRunner:
             return
         self.parked = True
         for output in self._outputs.values():
-            output.later = None
+            output.forget()
             output.active = False
             output.channel.drop(output.registration)
         self._on_state(False, reason)
@@ -284,7 +242,7 @@ class ReactionRunner:
         """Park a reaction that nothing steps because no reading comes any more."""
         self._watch = None
         now = self._time()
-        if self.stale_at == _FOR_EVER:
+        if self.stale_at == FOR_EVER:
             return  # it is parked; the next reading begins anew
         if now < self.stale_at:
             self._watch = self._loop.call_at(self.stale_at, self._look)
@@ -295,8 +253,8 @@ class ReactionRunner:
         old = [each for each in self._inputs if each.ready and now >= each.stale_at]
         for each in old:
             each.ready = False
-            each.stale_at = _FOR_EVER
-        self.stale_at = min((each.stale_at for each in self._inputs), default=_FOR_EVER)
+            each.stale_at = FOR_EVER
+        self.stale_at = min((each.stale_at for each in self._inputs), default=FOR_EVER)
         if old:
             names = ", ".join(
                 f"{each.name} is older than {each.max_age:g} s" for each in old
@@ -309,6 +267,52 @@ class ReactionRunner:
     def _turn(self) -> Step:
         """What the scheduler calls; only who has a budget pays for the clock."""
         return self._step if self._budget is None else self._timed_step
+
+    def _sample(self, now: float) -> Awaitable[object] | None:
+        """Step when the polls of this instant are answered, half a period late at most."""
+        for channel in self._polled:
+            if channel.awaited_in and self._wait_for_samples(now):
+                return None
+        assert self._deferred is not None
+        return self._deferred.function(now)
+
+    def _wait_for_samples(self, now: float) -> bool:
+        assert self.reaction.rate is not None
+        half, turn = 0.5 / self.reaction.rate, self._scheduler.turns
+        awaited = [
+            each
+            for each in self._polled
+            if each.awaited_in == turn and each.latency <= half
+        ]
+        if not awaited:
+            return False
+        self._awaits = len(awaited)
+        self._sampled_in = turn
+        for each in awaited:
+            each.when_answered(functools.partial(self._answered, turn))
+        self._lose_patience()
+        self._patience = self._scheduler.at(
+            now + half, self._wait_no_longer, order=Order.EXPIRY
+        )
+        return True
+
+    def _answered(self, turn: int) -> None:
+        """A sample has come; step when all have."""
+        if turn == self._sampled_in:
+            self._awaits -= 1
+            if self._awaits == 0:
+                self._wait_no_longer(0.0)
+
+    def _wait_no_longer(self, _now: float) -> None:
+        self._sampled_in = 0
+        self._lose_patience()
+        if self._deferred is not None:
+            self._deferred.soon()
+
+    def _lose_patience(self) -> None:
+        if self._patience is not None:
+            self._scheduler.cancel(self._patience)
+            self._patience = None
 
     def _timed_step(self, now: float) -> Awaitable[object] | None:
         begin = self._time()
@@ -346,11 +350,9 @@ class ReactionRunner:
             return None
         output = self._single
         if output is None or result.__class__ is dict:
-            return self._write_all(result)
-        if result is not None:
-            return self._write(output, result)
-        if output.active:
-            output.release()
+            self._decide_all(result)
+        elif result is not None or output.active:
+            output.decide(result)
         return None
 
     def _is_over(self) -> bool:
@@ -370,10 +372,11 @@ class ReactionRunner:
         self.stop()
         self._on_crash(error)
 
-    def _write_all(self, result: Any) -> Awaitable[object] | None:
+    def _decide_all(self, result: Any) -> None:
         single = self._single
         if single is not None and single.name not in result:
-            return self._write(single, result)  # its commands are dictionaries
+            single.decide(result)  # its commands are dictionaries
+            return
         commands = {} if result is None else result
         if type(commands) is not dict or not commands.keys() <= self._outputs.keys():
             expected = ", ".join(self._outputs) or "nothing"
@@ -384,50 +387,31 @@ class ReactionRunner:
                     f"expected a dictionary with commands for {expected}, not {result!r:.80}",
                 )
             )
-            return None
-        waits: Awaitable[object] | None = None
+            return
         for name, output in self._outputs.items():
             command = commands.get(name)
-            if command is None:
-                if output.active:
-                    output.release()
-                continue
-            if waits is None:
-                waits = self._write(output, command)
-            elif output.pending:
-                self._write(output, command)
-            else:  # one driver waits: the other actuators must not wait for it
-                output.pending = True
-                output.later = command
-                spawn(
-                    self._loop, self._write_apart(output), name=f"{output.name} write"
-                )
-        return waits
+            if command is not None or output.active:
+                output.decide(command)
 
     def forget_waiting(self) -> None:
-        """Drop the commands that wait until a driver is done: the robot is halted."""
+        """Drop the commands that have not left yet: the robot is halted."""
         for output in self._outputs.values():
-            output.later = None
+            output.forget()
 
-    async def _write_apart(self, output: Output) -> None:
-        output.pending = False
-        command, output.later = output.later, None
-        if command is not None and not self._stopped:
-            rest = self._write(output, command)
-            if rest is not None:
-                await rest
-
-    def _write(self, output: Output, command: Any) -> Awaitable[object] | None:
+    def write(
+        self, output: Output, command: Any
+    ) -> tuple[bool, Awaitable[object] | None]:
+        """Send a command; return whether it was looked at, and the rest of the work."""
         if output.pending:
             if output.later is not None:
                 self.conflated += 1
             output.later = command
-            return None
+            return True, None
         try:
             outcome = output.channel.begin(output.registration, command, None)
         except EsairError as error:
             self._reject(output, error)
-            return None
+            return False, None
         kind = type(outcome)
         if kind is Written:
             output.active = True
@@ -436,8 +420,8 @@ class ReactionRunner:
         else:
             output.active = True
             output.pending = True
-            return self._settle(output, outcome)  # type: ignore[arg-type]
-        return None
+            return True, self._settle(output, outcome)  # type: ignore[arg-type]
+        return True, None
 
     async def _settle(
         self, output: Output, rest: Awaitable[Written[Any] | Refused]
@@ -446,23 +430,21 @@ class ReactionRunner:
         assert task is not None
         self._settling.add(task)
         try:
-            while True:
-                if not await rest:
-                    self.refused += 1
-                command, output.later = output.later, None
-                if command is None or self._stopped:
-                    return
-                outcome = output.channel.begin(output.registration, command, None)
-                if isinstance(outcome, Written | Refused):
-                    self.refused += not outcome
-                    return
-                rest = outcome
+            if not await rest:
+                self.refused += 1
         except EsairError as error:
             self._reject(output, error)
+            output.later = None
         finally:
             self._settling.discard(task)
             output.pending = False
-            output.later = None
+            command, output.later = output.later, None
+        if command is None or self._stopped:
+            return
+        if output.decided:  # in this turn, and newer
+            self.conflated += 1
+        else:
+            output.decide(command)
 
     def _reject(self, output: Output, error: EsairError) -> None:
         self.rejected += 1

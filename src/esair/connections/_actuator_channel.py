@@ -9,6 +9,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, NamedTuple
 
 from esair.connections._command_check import CommandCheck
+from esair.connections._decision import Decision
 from esair.connections._driver import Driver, Guard, is_drivers, translate
 from esair.connections._halt import HALT, HALT_PRIORITY, Halt
 from esair.connections._registrations import Registration, Registrations
@@ -116,6 +117,7 @@ class ActuatorChannel:
         "_writer",
         "actuator",
         "command_timeout",
+        "decision",
         "driver",
         "error",
         "holder",
@@ -156,6 +158,8 @@ class ActuatorChannel:
         self._loop = loop
         self._time = clock_of(loop)
         self._on_error = on_error
+        self.decision = Decision(self, loop)
+        """What reactions want of it in this turn."""
         self._writer: Registration | None = None
         self._last_write = 0.0
         self._accepts = False
@@ -307,17 +311,7 @@ class ActuatorChannel:
             and registration.priority <= holder.priority
             and holder.behavior != registration.behavior
         ):
-            self.refusals += 1
-            refused = Refused(
-                holder.behavior,
-                holder.priority,
-                _rule(holder),
-                self.since,
-                self.until,
-            )
-            if journal.heard:
-                journal.publish(Kind.REFUSED, self.name, registration.behavior, refused)
-            return refused
+            return self._refused(registration, holder)
         command = self._checked(command)
         if self._busy:
             return self._when_idle(registration, command, hold)
@@ -361,6 +355,27 @@ class ActuatorChannel:
             raise self._interrupted(error, command, self._opening) from error
         self._told_error = "it has not answered yet"
         return self._finish(Suspended(call, waits_for), registration, command)
+
+    def lost(
+        self, registration: Registration, command: Any, winner: Registration
+    ) -> Refused:
+        """Refuse a command that another one of the same turn has beaten."""
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.COMMAND, self.name, registration.behavior, command
+            )
+        return self._refused(registration, self.holder or winner)
+
+    def _refused(self, registration: Registration, holder: Registration) -> Refused:
+        self.refusals += 1
+        refused = Refused(
+            holder.behavior, holder.priority, _rule(holder), self.since, self.until
+        )
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.REFUSED, self.name, registration.behavior, refused
+            )
+        return refused
 
     def _guard(self, registration: Registration) -> Guard:
         """Return the checks that a thread makes when the turn of a command comes."""

@@ -24,6 +24,7 @@ from esair.journal import Kind
 from esair.loop import (
     Deadlines,
     Job,
+    Order,
     Scheduler,
     Suspended,
     clock_of,
@@ -89,6 +90,14 @@ class SensorChannel:
         self._followers: tuple[Follower, ...] = ()
         self._waiters: list[tuple[float, asyncio.Future[Reading[Any]]]] = []
         self._poll: Job | None = None
+        self._scheduler = Scheduler.of(loop)
+        self._polled_in = 0
+        self.awaited_in = 0
+        """The turn in which it was polled, while that poll is not answered; or 0."""
+        self.latency = 0.0
+        """How long the device took lately at most, in seconds; what is past fades."""
+        self._begun = 0.0
+        self._awaiting: list[Callable[[], None]] = []
         self._last: Any = None
         self._repeats = 0
         """How many times in a row the device has given the last value."""
@@ -157,12 +166,14 @@ class SensorChannel:
                 task.cancel()
         self._pump = self._asked = self._polled = None
         self._asking = False
+        self.awaited_in = 0
         waiters, self._waiters = self._waiters, []
         for _, future in waiters:
             if not future.done():
                 future.set_exception(error)
         for follower in self._followers:
             follower.changed(error)
+        self._answered()
 
     def forget_age(self) -> None:
         """Make every reading stale, as after a suspend of the computer."""
@@ -272,9 +283,14 @@ class SensorChannel:
             and self.state is ResourceState.READY
             and self.sensor.can_be_asked
         ):
-            self._poll = Scheduler.of(self._loop).every(
-                1.0 / self.sensor.rate, self._turn
+            self._poll = self._scheduler.every(
+                1.0 / self.sensor.rate,
+                self._turn,
+                order=Order.POLL,
+                name=self.name,
+                phase=self._scheduler.phase(self.name),
             )
+            self._poll.soon()
 
     def _stop_polling(self) -> None:
         if self._poll is not None:
@@ -283,11 +299,19 @@ class SensorChannel:
 
     # Transactions.
 
-    def _turn(self, _now: float) -> Awaitable[object] | None:
+    def _turn(self, now: float) -> Awaitable[object] | None:
+        turn = self._scheduler.turns
+        if turn == self._polled_in:  # the first poll, and its moment on the grid
+            return None
         if self._asking or self.state is not ResourceState.READY:
             self.missed += 1
             return None
-        return self._begin()
+        self._polled_in = turn
+        rest = self._begin()
+        if rest is not None:
+            self.awaited_in = turn
+            self._begun = now
+        return rest
 
     def _ask(self) -> None:
         if (
@@ -358,12 +382,26 @@ class SensorChannel:
             return  # it came after the device was closed
         self._asking = False
         self._polled = None
+        polled, self.awaited_in = self.awaited_in, 0
+        if polled:
+            self.latency = max(self.time() - self._begun, 0.75 * self.latency)
         if error is not None:
             self._fail(error, number)
         else:
             self.publish(value, number)
+        if polled:
+            self._answered()
         if self._waiters:
             self._ask()
+
+    def when_answered(self, function: Callable[[], None]) -> None:
+        """Call a function when the poll of this turn has ended, whatever came of it."""
+        self._awaiting.append(function)
+
+    def _answered(self) -> None:
+        awaiting, self._awaiting = self._awaiting, []
+        for function in awaiting:
+            function()
 
     async def _listen(self) -> None:
         sensor = self.sensor

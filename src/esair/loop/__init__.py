@@ -12,7 +12,8 @@ from esair.loop._ownership import (
     speaks_for_nobody,
 )
 from esair.loop._portal import Portal, portal
-from esair.loop._scheduler import Job, Scheduler, Step
+from esair.loop._rate_group import Job, OneShot, Order, Step
+from esair.loop._scheduler import Scheduler
 from esair.loop._signals import ProcessWatch, SignalWatch
 from esair.loop._stepping import Suspended, finish, first_step
 from esair.loop._suspend import GLANCE, SuspendWatch
@@ -25,6 +26,8 @@ __all__ = [
     "Every",
     "Executor",
     "Job",
+    "OneShot",
+    "Order",
     "OwnedTasks",
     "Owner",
     "Portal",

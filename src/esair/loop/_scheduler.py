@@ -5,6 +5,9 @@ thousand calls, not a thousand wake-ups of tasks. A step that has to wait return
 the rest of its work as an awaitable; the task that turned the scheduler then stays with
 that rest, and a new task goes on turning (the *leader and followers* pattern), so
 that whatever the step began stays in the task that began it.
+
+In a turn everything that is due is called in one order (`Order`): sensors are asked,
+steps decide, what was decided leaves, then those go on who waited for the moment.
 """
 
 from __future__ import annotations
@@ -14,131 +17,35 @@ import heapq
 import itertools
 import logging
 import math
-from collections.abc import Awaitable, Callable, Iterator
+import zlib
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from typing import Any
 
 from esair.loop._of_loop import of_loop
 from esair.loop._ownership import spawn
+from esair.loop._rate_group import (
+    EARLY,
+    SECOND,
+    Callee,
+    Job,
+    OneShot,
+    Order,
+    RateGroup,
+    Step,
+    idle,
+    whole_period,
+)
 from esair.loop._suspend import SuspendWatch
 from esair.loop._timer import Timer, clock_of, timer_for
 
-Step = Callable[[float], Awaitable[object] | None]
-
 _log = logging.getLogger("esair")
 
-SPREAD = 0.0025
-"""Steps of the same period are spread over phases at least this far apart, in s."""
+SPREAD = 2_500_000
+"""Phases of the same period are at least this far apart, in ns."""
 
 CROWD = 32
-"""How many steps share a phase before the next phase is used."""
-
-_EARLY = 1e-6  # timers may fire a hair early; such a step is on time
-
-
-def _idle(_now: float) -> None:
-    return None
-
-
-class OneShot:
-    """One call at one moment."""
-
-    __slots__ = ("due", "function", "number")
-
-    def __init__(self, due: float, number: int, function: Step) -> None:
-        self.due = due
-        self.number = number
-        self.function = function
-
-    def __lt__(self, other: OneShot | RateGroup) -> bool:
-        return (self.due, self.number) < (other.due, other.number)
-
-    def turn(self, _now: float) -> tuple[Job | OneShot, ...]:
-        return (self,)
-
-
-class Job:
-    """A step that the scheduler calls again and again."""
-
-    __slots__ = ("_skipped_before", "function", "group", "queued", "scheduler")
-
-    def __init__(
-        self, scheduler: Scheduler, function: Step, group: RateGroup | None
-    ) -> None:
-        self.scheduler = scheduler
-        self.function = function
-        self.group = group
-        self.queued = False
-        self._skipped_before = group.skipped if group is not None else 0
-
-    @property
-    def skipped(self) -> int:
-        """How many steps were left out because they came too late."""
-        return (
-            self.group.skipped - self._skipped_before if self.group is not None else 0
-        )
-
-    @property
-    def lateness(self) -> float:
-        """How late the steps have been on average, in seconds."""
-        group = self.group
-        return group.late / group.turns if group is not None and group.turns else 0.0
-
-    def soon(self) -> None:
-        """Have the step called in the next turn, once."""
-        if not self.queued:
-            self.queued = True
-            self.scheduler.queue(self)
-
-    def stop(self) -> None:
-        """Never call the step again."""
-        self.function = _idle
-        group = self.group
-        if group is not None and self in group.jobs:
-            group.jobs = tuple(job for job in group.jobs if job is not self)
-            if not group.jobs:
-                self.scheduler.drop(group)
-
-
-class RateGroup:
-    """The steps that share a period and a phase. It never drifts."""
-
-    __slots__ = (
-        "_begin",
-        "_count",
-        "due",
-        "jobs",
-        "late",
-        "number",
-        "period",
-        "skipped",
-        "turns",
-    )
-
-    def __init__(self, period: float, begin: float, number: int) -> None:
-        self.period = period
-        self.due = begin
-        self.number = number
-        self.jobs: tuple[Job, ...] = ()
-        self.skipped = 0
-        self.late = 0.0
-        self.turns = 0
-        self._begin = begin
-        self._count = 0
-
-    def __lt__(self, other: OneShot | RateGroup) -> bool:
-        return (self.due, self.number) < (other.due, other.number)
-
-    def turn(self, now: float) -> tuple[Job | OneShot, ...]:
-        """Move on to the next moment that has not passed; return whom to call."""
-        behind = now - self.due
-        self.late += behind if behind > 0 else 0.0
-        self.turns += 1
-        missed = int((behind + _EARLY) / self.period)
-        if missed > 0:
-            self.skipped += missed
-            self._count += missed
-        self._count += 1
-        self.due = self._begin + self._count * self.period
-        return self.jobs
+"""How many components share a phase before another phase is used."""
 
 
 class Scheduler:
@@ -149,17 +56,21 @@ class Scheduler:
         self._time = clock_of(loop)
         self.suspends = SuspendWatch(loop)
         """Looked at each time the scheduler begins to turn after a sleep."""
+        self.turns = 0
+        """How many turns have begun: the number of this one."""
         self._numbers = itertools.count()
-        self._heap: list[OneShot | RateGroup] = []
-        self._groups: dict[float, list[RateGroup]] = {}
+        self._heap: list[tuple[int, int, Any, RateGroup | OneShot]] = []
+        self._cancelled = 0
+        """How many one-shots in the heap nobody wants any more."""
+        self._groups: dict[tuple[Order, Fraction, int], RateGroup] = {}
+        self._phases = 1
         self._queue: list[Job] = []
-        self._calls: Iterator[Job | OneShot] = iter(())
+        self._decided: list[Callee] = []
+        self._turn: Iterator[Iterable[Callee]] = iter(())
+        self._calls: Iterator[Callee] = iter(())
         self._now = 0.0
-        self._began = 0.0
-        """When this turn began; what falls due later waits for the next one."""
-        self._grid = 0.0
         self._timer: Timer | None = None
-        self._timer_due = 0.0
+        self._timer_due = -1
         self._turning = False
         self._leader: asyncio.Task[None] | None = None
         self._sleep: asyncio.Future[None] | None = None
@@ -169,79 +80,126 @@ class Scheduler:
         """Return the scheduler of a loop."""
         return of_loop(loop, cls)
 
-    def every(self, period: float, function: Step) -> Job:
-        """Call a step each period (seconds), the first time within one period."""
-        group = self._group(period)
-        job = Job(self, function, group)
-        group.jobs = (*group.jobs, job)
+    def expect(self, components: int) -> None:
+        """Prepare for a number of components: a crowd is spread over phases.
+
+        The phase of each follows from its name, so it is the same in each run and
+        whatever was added first.
+        """
+        self._phases = max(self._phases, math.ceil(components / CROWD))
+
+    def phase(self, name: str) -> int:
+        """Return by how much the moments of a component are shifted, in ns."""
+        if self._phases == 1:
+            return 0
+        return zlib.crc32(name.encode()) % self._phases * SPREAD
+
+    def every(
+        self,
+        period: float,
+        function: Step,
+        *,
+        order: Order = Order.STEP,
+        name: str = "",
+        phase: int = 0,
+    ) -> Job:
+        """Call a step each period (seconds), the first time within one period.
+
+        Args:
+            period: In seconds.
+            function: What to call.
+            order: When in an instant it is called.
+            name: Its place among those of the same order.
+            phase: By how much it is shifted on the grid of all periods, in ns.
+        """
+        whole = whole_period(period)
+        key = (order, whole, int(phase % whole))
+        group = self._groups.get(key)
+        if group is None:
+            group = self._groups[key] = RateGroup(*key, after=self._nanoseconds())
+        job = self._job(function, group, order, name)
+        group.add(job)
+        if len(group.jobs) == 1:
+            self._push(group.due, group)
         return job
 
-    def on_demand(self, function: Step) -> Job:
+    def on_demand(self, function: Step, *, name: str = "") -> Job:
         """Return a step that is called only when its ``soon`` is."""
-        return Job(self, function, None)
+        return self._job(function, None, Order.STEP, name)
 
-    def at(self, due: float, function: Step) -> OneShot:
-        """Call a function once, at a moment of the loop's clock."""
-        one_shot = OneShot(due, next(self._numbers), function)
-        self._push(one_shot)
+    def _job(
+        self, function: Step, group: RateGroup | None, order: Order, name: str
+    ) -> Job:
+        number = next(self._numbers)
+        return Job(self, function, group, order=order, name=name, number=number)
+
+    def at(self, due: float, function: Step, *, order: Order = Order.WAKE) -> OneShot:
+        """Call a function once, at a moment of the loop's clock.
+
+        Args:
+            due: The moment, in seconds.
+            function: What to call.
+            order: `Order.WAKE` or `Order.EXPIRY`.
+        """
+        one_shot = OneShot(round(due * SECOND), order, function)
+        self._push(one_shot.due, one_shot)
         return one_shot
 
     def cancel(self, one_shot: OneShot) -> None:
-        """Never call the function of a one-shot."""
-        one_shot.function = _idle
-        self.drop(one_shot)
+        """Never call the function of a one-shot. Also fine when it was called."""
+        if one_shot.function is idle:
+            return
+        one_shot.function = idle
+        self._cancelled += 1
+        if 2 * self._cancelled > len(self._heap) or self._heap[0][-1] is one_shot:
+            self._forget(one_shot)
 
     def queue(self, job: Job) -> None:
         """Call the step of a job in the next turn."""
         self._queue.append(job)
         self._wake()
 
-    def drop(self, entry: OneShot | RateGroup) -> None:
-        """Take an entry out; the scheduler stands still when it was the last one."""
-        if entry in self._heap:
-            self._heap.remove(entry)
-            heapq.heapify(self._heap)
-        if isinstance(entry, RateGroup):
-            self._groups[entry.period].remove(entry)
-            if not self._groups[entry.period]:
-                del self._groups[entry.period]
+    def decide(self, decision: Callee) -> None:
+        """Call something when all steps of the turn have decided."""
+        self._decided.append(decision)
+        self._wake()
+
+    def drop(self, group: RateGroup) -> None:
+        """Call nothing of a group any more."""
+        del self._groups[group.key]
+        self._forget(group)
+
+    def _forget(self, gone: RateGroup | OneShot | None) -> None:
+        """Take an entry out, and all that were cancelled.
+
+        The scheduler stands still when it was the last one.
+        """
+        self._cancelled = 0
+        self._heap = [
+            each
+            for each in self._heap
+            if each[-1] is not gone and not _is_cancelled(each[-1])
+        ]
+        heapq.heapify(self._heap)
         if not self._heap:
             self._wake()
 
-    def _group(self, period: float) -> RateGroup:
-        groups = self._groups.setdefault(period, [])
-        phases = max(1, int(period / SPREAD))
-        emptiest = min(groups, key=lambda group: len(group.jobs), default=None)
-        if emptiest is not None and (
-            len(emptiest.jobs) < CROWD or len(groups) >= phases
-        ):
-            return emptiest
-        begin = self._time()
-        if not any(self._groups.values()):
-            self._grid = begin
-        # All groups begin on one grid, so that one wake-up serves many of them.
-        begin = self._grid + math.ceil((begin - self._grid) / SPREAD - _EARLY) * SPREAD
-        begin += len(groups) * SPREAD % period
-        group = RateGroup(period, begin, next(self._numbers))
-        groups.append(group)
-        self._push(group)
-        return group
+    def _nanoseconds(self) -> int:
+        return round(self._time() * SECOND)
 
-    def _push(self, entry: OneShot | RateGroup) -> None:
-        heapq.heappush(self._heap, entry)
+    def _push(self, due: int, entry: RateGroup | OneShot) -> None:
+        number = next(self._numbers)
+        rank = (*entry.rank, number) if isinstance(entry, RateGroup) else number
+        heapq.heappush(self._heap, (due, entry.order, rank, entry))
         if not self._turning:
             self._wake()
-        elif (
-            self._heap[0] is entry
-            and self._timer is not None
-            and self._sleep is not None
-        ):
-            self._timer_due = entry.due
-            self._timer.set(entry.due)
+        elif self._sleep is not None and self._heap[0][-1] is entry:
+            self._set_timer(due)
 
     def _wake(self) -> None:
         if not self._turning:
             self.suspends.look()
+            self._turn = self._batches()
             self._lead_on()
         elif self._sleep is not None and not self._sleep.done():
             self._sleep.set_result(None)
@@ -253,7 +211,6 @@ class Scheduler:
 
     async def _lead(self) -> None:
         me = self._leader = asyncio.current_task()
-        self._began = self._time()
         try:
             while True:
                 for call in self._calls:
@@ -266,10 +223,16 @@ class Scheduler:
                         self._lead_on()
                         await rest
                         return
-                if not self._collect():
-                    if not self._heap:
+                calls = next(self._turn, None)
+                if calls is None:
+                    if self._cancelled >= len(self._heap) > 0:
+                        self._forget(None)
+                    if not (self._heap or self._queue or self._decided):
                         return
                     await self._wait()
+                    self._turn = self._batches()
+                else:
+                    self._calls = iter(calls)
         finally:
             if self._leader is me:
                 self._leader = None
@@ -278,48 +241,90 @@ class Scheduler:
                     self._timer.close()
                     self._timer = None
 
-    def _collect(self) -> bool:
-        now = self._now = self._time()
-        heap = self._heap
+    def _batches(self) -> Iterator[Iterable[Callee]]:
+        """Go through one turn; what falls due in it waits for the next one."""
+        self.turns += 1
+        self._now = self._time()
+        now = round(self._now * SECOND)
+        due = now + EARLY
+        steps: list[tuple[Job, ...]] = []
+        one_shots: list[OneShot] = []
         if self._queue:
-            queue, self._queue = self._queue, []
-            for job in queue:
-                job.queued = False
-            self._calls = iter(queue)
-            return True
-        if not heap or heap[0].due > self._began + _EARLY:
-            return False
-        entry = heap[0]
-        self._calls = iter(entry.turn(now))
-        if isinstance(entry, RateGroup):
-            heapq.heapreplace(heap, entry)
-        else:
-            heapq.heappop(heap)
-        return True
+            yield from self._queued(Order.POLL)
+        while self._heap and self._heap[0][0] <= due:
+            entry = self._heap[0][-1]
+            if isinstance(entry, OneShot):
+                heapq.heappop(self._heap)
+                if entry.function is idle:
+                    self._cancelled -= 1
+                else:
+                    one_shots.append(entry)
+                continue
+            jobs = entry.turn(now)
+            _, order, rank, _ = self._heap[0]
+            heapq.heapreplace(self._heap, (entry.due, order, rank, entry))
+            if order == Order.POLL:
+                yield jobs
+            else:
+                steps.append(jobs)
+        if self._queue:
+            yield from self._queued(Order.STEP)
+        yield from steps
+        while self._decided:
+            decided, self._decided = self._decided, []
+            yield decided
+        if one_shots:
+            one_shots.sort(key=_moment)
+            yield from (self._fired(each) for each in one_shots)
+
+    def _queued(self, order: Order) -> Iterator[Iterable[Callee]]:
+        queue = [job for job in self._queue if job.order <= order]
+        self._queue = [job for job in self._queue if job.order > order]
+        queue.sort(key=_rank)
+        for job in queue:
+            job.queued = False
+        yield queue
+
+    def _fired(self, one_shot: OneShot) -> Iterable[Callee]:
+        if one_shot.function is idle:
+            return ()
+        fired = OneShot(one_shot.due, one_shot.order, one_shot.function)
+        one_shot.function = idle
+        return (fired,)
 
     async def _wait(self) -> None:
-        if self._heap[0].due <= self._time() + _EARLY:
+        if (
+            self._queue
+            or self._decided
+            or self._heap[0][0] <= self._nanoseconds() + EARLY
+        ):
             # Steps that take longer than their period must not starve everybody else.
             await asyncio.sleep(0)
-            self._began = self._time()
             return
-        if self._timer is None:
-            self._timer = timer_for(self._loop, self._wake)
-            self._timer_due = 0.0
-        due = self._heap[0].due
-        if due != self._timer_due:
-            self._timer_due = due
-            self._timer.set(due)
+        self._set_timer(self._heap[0][0])
         self._sleep = self._loop.create_future()
         try:
             await self._sleep
         finally:
             self._sleep = None
-            self._timer_due = 0.0
-        self._began = self._time()
+            self._timer_due = -1
         self.suspends.look()
 
+    def _set_timer(self, due: int) -> None:
+        if self._timer is None:
+            self._timer = timer_for(self._loop, self._wake)
+        if due != self._timer_due:
+            self._timer_due = due
+            self._timer.set(due)
 
-def scheduler() -> Scheduler:
-    """Return the scheduler of the running loop."""
-    return Scheduler.of(asyncio.get_running_loop())
+
+def _rank(job: Job) -> Any:
+    return job.rank
+
+
+def _is_cancelled(entry: RateGroup | OneShot) -> bool:
+    return isinstance(entry, OneShot) and entry.function is idle
+
+
+def _moment(one_shot: OneShot) -> tuple[Order, int]:
+    return one_shot.order, one_shot.due

@@ -13,8 +13,8 @@ from typing import Protocol
 class Timer(Protocol):
     """Calls a function once, at the moment it was last set to."""
 
-    def set(self, when: float) -> None:
-        """Call at this moment of the loop's clock; a moment set before is forgotten."""
+    def set(self, when: int) -> None:
+        """Call at this moment of the loop's clock, in nanoseconds, and at no other."""
 
     def close(self) -> None:
         """Never call again."""
@@ -30,9 +30,9 @@ class LoopTimer:
         self._function = function
         self._handle: asyncio.TimerHandle | None = None
 
-    def set(self, when: float) -> None:
+    def set(self, when: int) -> None:
         self.close()
-        self._handle = self._loop.call_at(when, self._function)
+        self._handle = self._loop.call_at(when / 1e9, self._function)
 
     def close(self) -> None:
         if self._handle is not None:
@@ -63,8 +63,8 @@ class DescriptorTimer:
             os.close(self._fd)
             raise
 
-    def set(self, when: float) -> None:
-        self._settime(self._fd, max(1, int(when * 1e9)))
+    def set(self, when: int) -> None:
+        self._settime(self._fd, max(1, when))
 
     def close(self) -> None:
         if self._fd >= 0:

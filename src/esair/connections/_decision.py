@@ -1,0 +1,91 @@
+"""One decision for each actuator in each turn, whoever decided first."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable
+from typing import TYPE_CHECKING, Any, Protocol
+
+from esair.connections._registrations import Registration
+from esair.loop import Scheduler
+
+if TYPE_CHECKING:
+    from esair.connections._actuator_channel import ActuatorChannel
+
+
+class Wish(Protocol):
+    """What somebody wants of an actuator in this turn."""
+
+    @property
+    def name(self) -> str:
+        """Decides among equals of one behavior."""
+
+    @property
+    def registration(self) -> Registration:
+        """The right by which it is wanted."""
+
+    @property
+    def command(self) -> Any:
+        """What it wants sent; None to give the actuator back."""
+
+    def commit(self) -> tuple[bool, Awaitable[object] | None]:
+        """Do it; return whether it was its turn, and the rest of the work."""
+
+    def lost(self, winner: Registration) -> None:
+        """Learn that somebody else was first."""
+
+
+class Decision:
+    """The wishes of one turn for one actuator; at most one command leaves.
+
+    All steps of a turn decide before anything is sent. Then those who give the
+    actuator back do so, and the highest priority wins (among equals the holder, then
+    the name), whatever the order in which they decided.
+
+    Args:
+        channel: The way to the actuator.
+        loop: In whose turns it is decided.
+    """
+
+    __slots__ = ("_channel", "_scheduler", "_wishes")
+
+    def __init__(
+        self, channel: ActuatorChannel, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        self._channel = channel
+        self._scheduler = Scheduler.of(loop)
+        self._wishes: list[Wish] = []
+
+    def add(self, wish: Wish) -> None:
+        """Take part in the decision of this turn; the wish commits at its end."""
+        if not self._wishes:
+            self._scheduler.decide(self)
+        self._wishes.append(wish)
+
+    def function(self, _now: float) -> Awaitable[object] | None:
+        """Decide. Called by the scheduler when all steps of the turn have run."""
+        wishes = self._wishes
+        if len(wishes) == 1:
+            wish = wishes.pop()
+            return wish.commit()[1]
+        self._wishes = []
+        wishes.sort(key=self._rank)
+        winner: Wish | None = None
+        rest: Awaitable[object] | None = None
+        for wish in wishes:
+            if winner is not None:
+                wish.lost(winner.registration)
+                continue
+            decided, rest = wish.commit()
+            winner = wish if decided else None
+        return rest
+
+    def _rank(self, wish: Wish) -> tuple[bool, int, bool, str, str]:
+        registration = wish.registration
+        return (
+            wish.command is not None,  # who gives it back comes first
+            -registration.priority,
+            registration is not self._channel.holder,
+            registration.behavior,
+            wish.name,
+        )

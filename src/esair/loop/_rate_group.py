@@ -1,0 +1,215 @@
+"""What a scheduler calls: jobs in groups of one rate and phase, and one-shots.
+
+All rates share one grid of whole nanoseconds that begins where the clock does, so
+the steps of harmonic rates meet: the second step at 10 Hz and the fourth at 20 Hz
+are due at the same nanosecond, also after a month.
+"""
+
+from __future__ import annotations
+
+import bisect
+import enum
+from collections.abc import Awaitable, Callable
+from fractions import Fraction
+from typing import Any, Protocol
+
+Step = Callable[[float], Awaitable[object] | None]
+
+SECOND = 1_000_000_000
+"""In nanoseconds."""
+
+EARLY = 1_000
+"""Timers may fire a hair early; what is due so soon is due, in nanoseconds."""
+
+
+class Order(enum.IntEnum):
+    """In which order the things of one instant are called."""
+
+    POLL = 0
+    """Ask a sensor."""
+    STEP = 1
+    """Decide; what was decided leaves when all have."""
+    WAKE = 2
+    """Go on with what waited for this moment."""
+    EXPIRY = 3
+    """End what did not come until this moment."""
+
+
+class Callee(Protocol):
+    """Something with a function that the scheduler calls."""
+
+    @property
+    def function(self) -> Step:
+        """What to call, with the time of the turn."""
+
+
+class Queue(Protocol):
+    """Takes jobs that are to be called in the next turn."""
+
+    def queue(self, job: Job) -> None:
+        """Call the step of a job in the next turn."""
+
+    def drop(self, group: RateGroup) -> None:
+        """Call nothing of a group any more."""
+
+
+def idle(_now: float) -> None:
+    """Do nothing: the step of what was stopped."""
+
+
+class OneShot:
+    """One call at one moment."""
+
+    __slots__ = ("due", "function", "order")
+
+    def __init__(self, due: int, order: Order, function: Step) -> None:
+        self.due = due
+        """In nanoseconds of the loop's clock."""
+        self.order = order
+        self.function = function
+
+
+class Job:
+    """A step that the scheduler calls again and again."""
+
+    __slots__ = (
+        "_number",
+        "_skipped_before",
+        "function",
+        "group",
+        "name",
+        "order",
+        "queued",
+        "scheduler",
+    )
+
+    def __init__(
+        self,
+        scheduler: Queue,
+        function: Step,
+        group: RateGroup | None,
+        *,
+        order: Order,
+        name: str,
+        number: int,
+    ) -> None:
+        self.scheduler = scheduler
+        self.function = function
+        self.group = group
+        self.order = order
+        self.name = name
+        self.queued = False
+        self._number = number
+        self._skipped_before = group.skipped if group is not None else 0
+
+    @property
+    def skipped(self) -> int:
+        """How many steps were left out because they came too late."""
+        return (
+            self.group.skipped - self._skipped_before if self.group is not None else 0
+        )
+
+    @property
+    def lateness(self) -> float:
+        """How late the steps have been on average, in seconds."""
+        group = self.group
+        return group.late / group.turns if group is not None and group.turns else 0.0
+
+    @property
+    def rank(self) -> tuple[int, str, int]:
+        """Its place among the jobs of one instant: no matter when each was made."""
+        return (self.order, self.name, self._number)
+
+    def soon(self) -> None:
+        """Have the step called in the next turn, once."""
+        if not self.queued:
+            self.queued = True
+            self.scheduler.queue(self)
+
+    def stop(self) -> None:
+        """Never call the step again."""
+        self.function = idle
+        group = self.group
+        if group is not None and self in group.jobs:
+            group.jobs = tuple(job for job in group.jobs if job is not self)
+            if not group.jobs:
+                self.scheduler.drop(group)
+
+
+class RateGroup:
+    """The jobs that share an order, a period and a phase. It never drifts.
+
+    Args:
+        order: When in an instant its jobs are called.
+        period: In nanoseconds; a fraction, so that 30 and 60 Hz meet as well.
+        phase: By how much it is shifted on the grid, in nanoseconds.
+        after: Its first moment is the first of the grid that is not before this.
+    """
+
+    __slots__ = (
+        "_count",
+        "_denominator",
+        "_numerator",
+        "_phase",
+        "due",
+        "jobs",
+        "key",
+        "late",
+        "order",
+        "rank",
+        "skipped",
+        "turns",
+    )
+
+    def __init__(self, order: Order, period: Fraction, phase: int, after: int) -> None:
+        self.key = (order, period, phase)
+        self.order = order
+        self.rank = (float(period), phase)
+        self.jobs: tuple[Job, ...] = ()
+        self.skipped = 0
+        self.late = 0.0
+        self.turns = 0
+        self._numerator = period.numerator
+        self._denominator = period.denominator
+        self._phase = phase
+        self._count = (after - phase) * self._denominator // self._numerator
+        self.due = self._moment()
+        if self.due < after:
+            self._count += 1
+            self.due = self._moment()
+
+    def _moment(self) -> int:
+        return self._phase + self._count * self._numerator // self._denominator
+
+    def add(self, job: Job) -> None:
+        """Call a job from now on."""
+        jobs = list(self.jobs)
+        bisect.insort(jobs, job, key=_rank)
+        self.jobs = tuple(jobs)
+
+    def turn(self, now: int) -> tuple[Job, ...]:
+        """Move on to the next moment that has not passed; return whom to call."""
+        behind = now - self.due
+        if behind > 0:
+            self.late += behind / SECOND
+        self.turns += 1
+        missed = (behind + EARLY) * self._denominator // self._numerator
+        if missed > 0:
+            self.skipped += missed
+            self._count += missed
+        self._count += 1
+        self.due = self._moment()
+        return self.jobs
+
+
+def _rank(job: Job) -> Any:
+    return job.rank
+
+
+def whole_period(seconds: float) -> Fraction:
+    """Return a period in nanoseconds: that of the simple rate in Hz which it means."""
+    rate = 1.0 / seconds
+    simple = Fraction(rate).limit_denominator(1_000_000)
+    if simple > 0 and abs(float(simple) - rate) <= 1e-12 * rate:
+        return SECOND / simple
+    return Fraction(max(1, round(seconds * SECOND)))

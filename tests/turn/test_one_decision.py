@@ -1,0 +1,110 @@
+"""One decision for each actuator in each turn, whoever decided first."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from typing import Any
+
+import pytest
+
+import esair
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class Says(esair.Reaction):
+    """Decides what the sensor says, by a table."""
+
+    rate = 20.0
+    sensor = esair.reads(float)
+    motor = esair.writes(float)
+
+    def __init__(self, name: str, priority: int, table: dict[float, Any]) -> None:
+        super().__init__(
+            name=name, writes={"motor": esair.writes(float, priority=priority)}
+        )
+        self.table = table
+
+    def react(self, sensor: float) -> Any:
+        return self.table.get(sensor)
+
+
+async def commands(reactions: list[Says], values: list[float]) -> list[Any]:
+    """Return what the motor is told, but the safe commands at both ends."""
+    sensor, motor = FakeSensor("sensor", -1.0), FakeActuator("motor", safe=0.0)
+    async with esair.Robot(resources=[sensor, motor], behaviors=reactions):
+        await asyncio.sleep(0.01)
+        for value in values:
+            sensor.feed(value)
+            await asyncio.sleep(0.05)
+    return motor.commands[1:-1]
+
+
+def orders(make: Any) -> list[list[Says]]:
+    return [list(order) for order in itertools.permutations(make())]
+
+
+@pytest.mark.promise("TURN-2", "AC-2")
+async def test_the_highest_priority_wins_from_the_first_turn() -> None:
+    """A lower one that steps first does not get a command through."""
+
+    def make() -> list[Says]:
+        return [Says(f"r{i}", i, {1.0: float(i + 1)}) for i in range(3)]
+
+    for order in orders(make):
+        assert await commands(order, [1.0, 1.0]) == [3.0, 3.0]
+
+
+@pytest.mark.promise("TURN-2", "AC-2")
+async def test_among_equals_the_holder_goes_on_and_else_the_name_decides() -> None:
+    """First only b decides, then both."""
+
+    def make() -> list[Says]:
+        return [Says("a", 1, {2.0: 10.0}), Says("b", 1, {1.0: 20.0, 2.0: 21.0})]
+
+    for order in orders(make):
+        assert await commands(order, [1.0, 2.0, 2.0]) == [20.0, 21.0, 21.0]
+    for order in orders(make):
+        assert await commands(order, [2.0, 2.0]) == [10.0, 10.0]
+
+
+@pytest.mark.promise("TURN-2", "AC-2")
+async def test_a_release_and_a_lower_write_are_one_command() -> None:
+    """The lower priority gets through in the very turn in which the holder lets go."""
+
+    def make() -> list[Says]:
+        return [Says("high", 2, {1.0: 5.0}), Says("low", 1, {1.0: 7.0, 2.0: 8.0})]
+
+    for order in orders(make):
+        assert await commands(order, [1.0, 2.0, 1.0]) == [5.0, 8.0, 5.0]
+
+
+@pytest.mark.promise("TURN-2", "AC-2")
+async def test_a_bad_command_does_not_win() -> None:
+    """The best command that may be sent is sent."""
+
+    def make() -> list[Says]:
+        return [Says("high", 2, {1.0: float("nan")}), Says("low", 1, {1.0: 7.0})]
+
+    for order in orders(make):
+        assert await commands(order, [1.0]) == [7.0]
+
+
+@pytest.mark.promise("TURN-2", "AC-2")
+async def test_losers_get_their_refused() -> None:
+    """It is counted, and it is an event that names the winner."""
+    sensor, motor = FakeSensor("sensor", 1.0), FakeActuator("motor", safe=0.0)
+    reactions = [Says(f"r{i}", i, {1.0: float(i + 1)}) for i in range(3)]
+    robot = esair.Robot(resources=[sensor, motor], behaviors=reactions)
+    heard: list[Any] = []
+    robot.journal.listen(heard.append)
+    async with robot:
+        sensor.feed(1.0)
+        await asyncio.sleep(0.06)
+        refusals = robot.journal.counts()["motor"]["refusals"]
+
+    refused = [event for event in heard if event.kind.name == "REFUSED"]
+    assert len(refused) == refusals >= 2
+    assert {event.value.holder for event in refused} == {"r2"}

@@ -1,0 +1,141 @@
+"""A reaction with a rate samples its sensors, then decides."""
+
+from __future__ import annotations
+
+import asyncio
+import statistics
+import time
+from typing import Any
+
+import pytest
+
+import esair
+from esair.testing import FakeActuator
+
+RATE = 20.0
+
+
+class Asked(esair.Sensor[float]):
+    """Answers after a time; its value is the moment at which it answered."""
+
+    def __init__(self, name: str, rate: float, takes: float) -> None:
+        super().__init__(name=name)
+        self.rate = rate
+        self.takes = takes
+
+    async def read(self) -> float:
+        if self.takes:
+            await asyncio.sleep(self.takes)
+        return asyncio.get_running_loop().time()
+
+
+class InThread(Asked):
+    """The same with a plain method, which blocks a thread."""
+
+    def read(self) -> float:  # type: ignore[override]
+        time.sleep(self.takes)
+        return time.monotonic()
+
+
+class Ages(esair.Reaction):
+    """Notes how old what it decides on is."""
+
+    rate = RATE
+    sensor = esair.reads(float)
+    motor = esair.writes(float)
+
+    def __init__(self, name: str = "ages") -> None:
+        super().__init__(name=name)
+        self.ages: list[float] = []
+        self.moments: list[float] = []
+
+    def react(self, sensor: float) -> float:
+        now = asyncio.get_running_loop().time()
+        self.ages.append(now - sensor)
+        self.moments.append(now)
+        return 1.0
+
+
+async def ages(sensor: Any, seconds: float) -> Ages:
+    reaction = Ages()
+    robot = esair.Robot(
+        resources=[sensor, FakeActuator("motor", safe=0.0)], behaviors=[reaction]
+    )
+    async with robot:
+        await asyncio.sleep(seconds)
+    return reaction
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("TURN-3")
+@pytest.mark.parametrize("rate", [20.0, 40.0, 60.0, 100.0])
+@pytest.mark.parametrize("takes", [0.0, 0.002, 0.008])
+async def test_a_reaction_decides_on_what_was_sampled_at_its_own_instant(
+    rate: float, takes: float
+) -> None:
+    """The age is far below a tenth of the period, whatever harmonic rate is asked."""
+    reaction = await ages(Asked("sensor", rate, takes), 5.0)
+
+    assert len(reaction.ages) >= 99
+    assert statistics.median(reaction.ages) < 1e-6
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("TURN-3")
+async def test_a_sensor_that_is_too_slow_is_not_waited_for() -> None:
+    """It answers after 35 of 50 ms: the steps keep their own moments."""
+    reaction = await ages(Asked("sensor", RATE, 0.035), 5.0)
+
+    assert len(reaction.moments) >= 95
+    late = [moment % 0.05 for moment in reaction.moments[3:]]
+    assert max(min(each, 0.05 - each) for each in late) < 1e-6
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("TURN-3")
+async def test_a_sensor_that_stops_answering_delays_a_step_by_half_a_period() -> None:
+    """It is waited for once more, and then known as slow."""
+    sensor = Asked("sensor", RATE, 0.002)
+    reaction = Ages()
+    robot = esair.Robot(
+        resources=[sensor, FakeActuator("motor", safe=0.0)], behaviors=[reaction]
+    )
+    async with robot:
+        await asyncio.sleep(1.01)
+        sensor.takes = 0.6
+        before = len(reaction.moments)
+        await asyncio.sleep(0.5)
+        late = [moment % 0.05 for moment in reaction.moments[before:]]
+
+    assert late[0] == pytest.approx(0.025)
+    assert len(late) == 10
+    assert max(min(each, 0.05 - each) for each in late[1:]) < 1e-6
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("TURN-3")
+async def test_a_failing_sensor_is_not_waited_for_longer_than_its_error() -> None:
+    """The step comes when the poll of its instant has ended, whatever came of it."""
+
+    class Failing(Asked):
+        async def read(self) -> float:
+            value = await super().read()
+            if value > 1.0:
+                raise ValueError("no")
+            return value
+
+    reaction = await ages(Failing("sensor", RATE, 0.004), 1.4)
+
+    assert [moment % 0.05 for moment in reaction.moments[-5:]] == pytest.approx(
+        [0.004] * 5
+    )
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("TURN-3")
+@pytest.mark.parametrize("kind", [Asked, InThread])
+async def test_the_same_in_real_time(kind: Any) -> None:
+    """With a device that takes 2 ms, in the loop and on a thread."""
+    reaction = await ages(kind("sensor", RATE, 0.002), 2.0)
+
+    assert statistics.median(reaction.ages) < 0.1 / RATE
