@@ -342,7 +342,7 @@ async def _i2c() -> list[Row]:
         result: bytes = await single.call(transfer)
         return result
 
-    bus = I2CBus(name="chips", opener=lambda: ChipBus({0x48: Words()}))
+    bus = I2CBus(name="chips", wire=ChipBus({0x48: Words()}))
     async with _reading(Register(name="device", bus=bus)) as read:
         mine, limit, ratio = await neighbors(lambda: cpu_of(read), lambda: cpu_of(bare))
 

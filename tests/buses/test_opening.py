@@ -9,22 +9,23 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from esair.buses import Bus, I2CBus
+from esair.buses import Bus, I2CBus, Wire
 from esair.drivers.servo import ServoBus
 from esair.exceptions import DeviceLostError
 from esair.testing import FakeSerial
 
 
-class Slow:
+class Slow(Wire):
     """Opens when it is told to, in a thread, and counts what is closed."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.begun = threading.Event()
         self.go = threading.Event()
         self.opened = threading.Event()
         self.closed = threading.Event()
 
-    def __call__(self) -> Slow:
+    def open(self) -> Slow:
         self.begun.set()
         self.go.wait(30)
         self.opened.set()
@@ -41,12 +42,12 @@ def slow() -> Iterator[Slow]:
     found.go.set()
 
 
-def i2c(opener: Slow) -> Bus:
-    return I2CBus(name="front", opener=opener)  # type: ignore[arg-type, return-value]
+def i2c(slow: Slow) -> Bus:
+    return I2CBus(name="front", wire=slow)
 
 
-def servos(opener: Slow) -> Bus:
-    return ServoBus(name="front", opener=opener)  # type: ignore[arg-type, return-value]
+def servos(slow: Slow) -> Bus:
+    return ServoBus(name="front", opener=slow.open)  # type: ignore[arg-type, return-value]
 
 
 @pytest.mark.real_clock
@@ -80,7 +81,7 @@ async def test_what_opens_too_late_is_closed(
     slow: Slow, make: Callable[[Slow], Bus], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nobody waits for it any more; the next opening gets another."""
-    monkeypatch.setattr("esair.buses.i2c._bus.OPEN_TIMEOUT", 0.05)
+    monkeypatch.setattr("esair.buses._link_bus.OPEN_TIMEOUT", 0.05)
     monkeypatch.setattr("esair.drivers.servo.OPEN_TIMEOUT", 0.05)
     bus = make(slow)
 

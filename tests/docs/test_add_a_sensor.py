@@ -8,14 +8,17 @@ import pytest
 from sensors import CpuTemperature, RangeFinder, Thermometer
 
 import esair
-from esair.buses import I2CBus, SerialBus
+from esair.buses import I2CBus, SerialBus, Wire
 from esair.buses.serial import MemoryLine
 
 READ = esair.Access.READ
 
 
-class Tmp102:
+class Tmp102(Wire):
     """The registers of the part, as smbus2 gives them; -25 °C, from its data sheet."""
+
+    def open(self) -> "Tmp102":
+        return self
 
     def read_i2c_block_data(
         self, i2c_addr: int, register: int, length: int
@@ -54,7 +57,7 @@ class Reader(esair.Behavior):
 @pytest.mark.virtual_clock
 async def test_a_sensor_that_is_asked() -> None:
     """The thermometer is asked at its rate while somebody follows it."""
-    bus = I2CBus(name="chips", opener=Tmp102, inline=True)
+    bus = I2CBus(name="chips", wire=Tmp102())
     reader = Reader("thermometer")
 
     async with esair.Robot(resources=[Thermometer(bus=bus)], behaviors=[reader]):
@@ -86,7 +89,7 @@ async def test_a_sensor_that_pushes() -> None:
     """Each line that it sends is a reading; unplugged, it comes back by itself."""
     line = MemoryLine("front")
     line.plug()
-    bus = SerialBus(name="front", opener=line.open)
+    bus = SerialBus(name="front", wire=line)
     reader = Reader("range_finder")
 
     async with esair.Robot(

@@ -12,9 +12,11 @@ from esair.buses._bus import Bus, wanted
 from esair.buses._late import late
 from esair.buses._media import MEDIA, Medium
 from esair.buses._stats import BusStats
+from esair.buses._wire import LateWire, Wire
 
 if TYPE_CHECKING:
     from esair.buses._inbox import Inbox
+    from esair.buses._link_bus import LinkBus
     from esair.buses._opening import open_on, shut_on
     from esair.buses.can import (
         CanBus,
@@ -38,11 +40,14 @@ __all__ = [
     "FrameLink",
     "I2CBus",
     "Inbox",
+    "LateWire",
+    "LinkBus",
     "Medium",
     "MessageLink",
     "RegisterLink",
     "SerialBus",
     "SerialLink",
+    "Wire",
     "open_on",
     "python_can",
     "shut_on",
@@ -59,6 +64,7 @@ _late, _ = late(
         "FrameLink": "can",
         "I2CBus": "i2c",
         "Inbox": "_inbox",
+        "LinkBus": "_link_bus",
         "MessageLink": "i2c",
         "RegisterLink": "i2c",
         "SerialBus": "serial",

@@ -6,9 +6,10 @@ import abc
 import asyncio
 import contextlib
 from collections.abc import Callable, Hashable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from esair.buses._stats import BusStats
+from esair.buses._wire import Wire
 from esair.exceptions import DeviceLostError, describe
 from esair.loop import Executor, spawn
 from esair.values import check_name
@@ -38,12 +39,14 @@ class Bus(abc.ABC):
 
     Args:
         name: The name of the bus in errors, threads and the configuration.
+        wire: What is opened instead of a port of the computer.
     """
 
     _presence: Callable[[], Hashable | None] | None = None
 
-    def __init__(self, *, name: str) -> None:
+    def __init__(self, *, name: str, wire: Wire | None = None) -> None:
         self.name = check_name("bus", name)
+        self._wire = wire
         self.is_open = False
         self.error: BaseException | None = None
         """Why the bus is not open; None if it is, or has not been tried."""
@@ -145,6 +148,8 @@ class Bus(abc.ABC):
         if was_open or opening is not None or self.error is not None:
             await self._close()
         await self.executor.join(timeout=0.2)
+        if self._wire is not None:
+            await self._wire.leave(self)
 
     @property
     def waiting(self) -> int:
@@ -187,6 +192,12 @@ class Bus(abc.ABC):
             return
         for listener in tuple(self._on_arrival):
             listener()
+
+    async def _far_end(self, wire: Wire) -> Any:
+        """Return what is at the far end now, which tells of its arrivals from then on."""
+        far_end = await wire.join(self)
+        far_end.on_plug(self.arrived)
+        return far_end
 
     def _note(self, error: BaseException) -> None:
         self.error = error

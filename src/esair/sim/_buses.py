@@ -1,22 +1,30 @@
-"""Buses that are on a wire of the simulation: what a configuration file names."""
+"""Buses that are on a wire of the simulation: what a configuration file names.
+
+They are the buses of esair themselves, each with a wire that starts the simulation.
+"""
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 
-from esair.buses import (
-    CanBus,
-    Frame,
-    FrameLink,
-    I2CBus,
-    SerialBus,
-    SerialLink,
-)
-from esair.buses.can import MemoryCan
-from esair.buses.i2c import ChipBus
-from esair.buses.serial import MemoryLine
+from esair.buses import Bus, CanBus, I2CBus, LateWire, SerialBus, Wire
 from esair.sim._simulation import Simulation
+
+
+def _wire(choose: Callable[[Simulation], Wire]) -> Wire:
+    """Return a wire of the simulation, which ends with its last bus."""
+    used: dict[Bus, Simulation] = {}
+
+    async def find(bus: Bus) -> Wire:
+        simulation = used[bus] = await Simulation.join(bus)
+        return choose(simulation)
+
+    async def left(bus: Bus) -> None:
+        simulation = used.pop(bus, None)
+        if simulation is not None:
+            await simulation.leave(bus)
+
+    return LateWire(find, left)
 
 
 class SimSerialBus(SerialBus):
@@ -31,71 +39,20 @@ class SimSerialBus(SerialBus):
     def __init__(
         self, *, name: str, line: str = "front", baudrate: int = 115200
     ) -> None:
-        super().__init__(name=name, baudrate=baudrate, opener=self._reach)
-        self.line = line
-        self._simulation: Simulation | None = None
-
-    async def close(self) -> None:
-        """Close the bus; the simulation ends with its last bus."""
-        await super().close()
-        if self._simulation is not None:
-            await self._simulation.leave(self)
-
-    async def _reach(self, protocol: asyncio.Protocol) -> SerialLink:
-        self._simulation = await Simulation.join(self)
-        line = self._simulation.line(self.line)
-        line.on_plug(self.arrived)
-        if isinstance(line, MemoryLine):
-            return await line.open(protocol)
-        self.port = str(line.path)
-        return await self._open_port(protocol)
+        wire = _wire(lambda simulation: simulation.line(line))
+        super().__init__(name=name, baudrate=baudrate, wire=wire)
 
 
 class SimCanBus(CanBus):
     """The CAN bus, with the two motor controllers of the simulation on it."""
 
     def __init__(self, *, name: str) -> None:
-        super().__init__(name=name, interface="virtual", opener=self._reach)
-        self._simulation: Simulation | None = None
-
-    async def close(self) -> None:
-        """Close the bus; the simulation ends with its last bus."""
-        await super().close()
-        if self._simulation is not None:
-            await self._simulation.leave(self)
-
-    async def _reach(
-        self, received: Callable[[Frame], None], gone: Callable[[Exception], None]
-    ) -> FrameLink:
-        self._simulation = await Simulation.join(self)
-        wire = self._simulation.drive
-        wire.on_plug(self.arrived)
-        if isinstance(wire, MemoryCan):
-            return await wire.node(received, gone)
-        self.channel = wire.channel
-        return await wire.node(received, gone, executor=self.executor, stats=self.stats)
+        wire = _wire(lambda simulation: simulation.drive)
+        super().__init__(name=name, interface="virtual", wire=wire)
 
 
 class SimI2CBus(I2CBus):
     """The I²C bus, with the inertial unit of the simulation on it."""
 
     def __init__(self, *, name: str) -> None:
-        super().__init__(name=name, opener=self._reach)
-        self._simulation: Simulation | None = None
-
-    async def close(self) -> None:
-        """Close the bus; the simulation ends with its last bus."""
-        await super().close()
-        if self._simulation is not None:
-            await self._simulation.leave(self)
-
-    def _reach(self) -> ChipBus:
-        assert self._simulation is not None
-        return self._simulation.body
-
-    async def _open(self) -> None:
-        simulation = self._simulation = await Simulation.join(self)
-        simulation.body.on_plug(self.arrived)
-        # A thread's part in the order of things is chance, which a virtual clock bars.
-        self._inline = simulation.in_memory
-        await super()._open()
+        super().__init__(name=name, wire=_wire(lambda simulation: simulation.body))

@@ -117,7 +117,7 @@ class Simulation:
         _of_loop[self._loop] = self
         self.front.plug()
         self.skirt.plug()
-        await self.drive.open()
+        await self.drive.start()
         self._began = self._loop.time()
         self._job = Scheduler.of(self._loop).every(STEP, self._turn)
 
@@ -129,7 +129,7 @@ class Simulation:
             self._job.stop()
         self.front.unplug()
         self.skirt.unplug()
-        await self.drive.close()
+        await self.drive.stop()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
 

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import strategies as st
 
 import esair
-from esair.buses import CanBus, CanState, Frame, FrameKind, FrameLink
+from esair.buses import CanBus, CanState, Frame, FrameKind, FrameLink, Wire
 from esair.exceptions import (
     BadValueError,
     BusyError,
@@ -31,10 +31,11 @@ from esair.testing import FakeCan, VirtualLoop
 pytestmark = pytest.mark.virtual_clock
 
 
-class Link:
+class Link(Wire):
     """A node that does what a test says."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.state = CanState.ACTIVE
         self.sent: list[Frame] = []
         self.heard: list[set[int] | None] = []
@@ -46,7 +47,10 @@ class Link:
         self.on_open: Callable[[], None] = lambda: None
 
     async def open(
-        self, received: Callable[[Frame], None], gone: Callable[[Exception], None]
+        self,
+        received: Callable[[Frame], None],
+        gone: Callable[[Exception], None],
+        interface: object,
     ) -> FrameLink:
         self.opened += 1
         self.received, self.gone = received, gone
@@ -74,7 +78,7 @@ def link() -> Link:
 
 @pytest.fixture
 def bus(link: Link) -> CanBus:
-    return CanBus(name="drive", opener=link.open)
+    return CanBus(name="drive", wire=link)
 
 
 async def test_each_listener_gets_the_frames_with_its_ids(
@@ -181,7 +185,7 @@ def test_every_frame_is_taken_or_counted(frames: list[Frame]) -> None:
 
     async def check() -> None:
         link = Link()
-        bus = CanBus(name="drive", opener=link.open)
+        bus = CanBus(name="drive", wire=link)
         await bus.open()
         wanted = {
             (1, False): bus.frames(1, limit=100),
@@ -484,7 +488,7 @@ async def test_what_is_no_frame_is_not_sent(
     link: Link, number: Any, data: Any, extended: bool, fd: bool, field: str
 ) -> None:
     """The error names the part that is wrong."""
-    bus = CanBus(name="drive", opener=link.open, fd=fd)
+    bus = CanBus(name="drive", wire=link, fd=fd)
     await bus.open()
 
     with pytest.raises(BadValueError) as caught:
@@ -497,7 +501,7 @@ async def test_what_is_no_frame_is_not_sent(
 
 async def test_can_fd_carries_the_lengths_it_has(link: Link) -> None:
     """0 to 8, then 12, 16, 20, 24, 32, 48 and 64 bytes."""
-    bus = CanBus(name="drive", opener=link.open, fd=True)
+    bus = CanBus(name="drive", wire=link, fd=True)
     await bus.open()
     good = []
     for length in range(66):
@@ -548,7 +552,7 @@ async def test_a_behavior_that_meets_the_loss_may_end_at_once(link: Link) -> Non
             with pytest.raises(DeviceLostError):
                 await bus.send(1, b"")
 
-    bus = CanBus(name="drive", opener=link.open)
+    bus = CanBus(name="drive", wire=link)
     link.close, link.send = close, fail  # type: ignore[method-assign]
     await bus.open()
     async with esair.Robot(behaviors=[Once()]):
@@ -568,7 +572,7 @@ async def test_a_frame_does_not_wait_for_a_bus_that_was_lost(
     await asyncio.sleep(0)
     link.gone(ConnectionError("gone"))
     other = Link()
-    bus._opener = other.open
+    bus._wire = other
     await bus.open()
 
     with pytest.raises(DeviceLostError, match="while a frame waited"):

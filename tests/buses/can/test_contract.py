@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from esair.buses import CanBus, Frame
+from esair.buses import Bus, CanBus, Frame, LateWire
 from esair.buses.can import VirtualCan
 from esair.exceptions import DeviceLostError
 from esair.testing import BusContract, FakeCan
@@ -45,20 +45,18 @@ class OnVirtualCan(CanBus):
 
     def __init__(self) -> None:
         channel = f"contract-{os.getpid()}-{next(self.numbers)}"
-        super().__init__(name="drive", opener=self._reach)
         self.wire = VirtualCan(channel, self._heard)
+        wire = LateWire(self._begin)
+        super().__init__(name="drive", wire=wire)
         self.silent = False
 
-    async def _reach(self, received: Any, gone: Any) -> Any:
-        if self.wire._link is None:
-            await self.wire.open()
-        return await self.wire.node(
-            received, gone, executor=self.executor, stats=self.stats
-        )
+    async def _begin(self, _bus: Bus) -> VirtualCan:
+        await self.wire.start()
+        return self.wire
 
     async def close(self) -> None:
         await super().close()
-        await self.wire.close()
+        await self.wire.stop()
 
     def _heard(self, frame: Frame) -> None:
         if frame.id == 0x101 and not self.silent:

@@ -115,6 +115,6 @@ async def test_a_hundred_times_pulled_and_restored() -> None:
             assert next(f.data for f in bus.sent if f.id == 0x101) == b"\0"
             assert bus.stats.lost == n + 1
         await bus.until(lambda frame: frame.data == b"\x07", timeout=60)
-        assert len(bus._wire._robots) == 1
+        assert len(bus._far._robots) == 1
         assert len(bus._by_key) == 1
     assert bus.sent[-1].data == b"\0"

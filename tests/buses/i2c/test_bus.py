@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from smbus2 import i2c_msg
 
-from esair.buses import I2CBus, RegisterLink
+from esair.buses import I2CBus, RegisterLink, Wire
 from esair.buses.i2c import Registers
 from esair.exceptions import (
     BadValueError,
@@ -23,11 +23,15 @@ from esair.exceptions import (
 from esair.testing import FakeI2c
 
 
-class RegistersOnly:
+class RegistersOnly(Wire):
     """A link with the calls for registers, and no other."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.chip = Registers(bytes(range(256)))
+
+    def open(self) -> RegistersOnly:
+        return self
 
     def read_byte_data(self, i2c_addr: int, register: int) -> int:
         return self.chip.read(register, 1)[0]
@@ -138,7 +142,7 @@ async def test_what_smbus_cannot_do_is_not_done(fake_i2c, write, read) -> None:
 @pytest.mark.virtual_clock
 async def test_a_link_with_registers_only_has_no_transfers() -> None:
     """Registers work; anything else names what is missing."""
-    bus = I2CBus(name="body", opener=RegistersOnly, inline=True)
+    bus = I2CBus(name="body", wire=RegistersOnly())
     await bus.open()
 
     assert await bus.read(0x50, 7) == b"\x07"
@@ -154,7 +158,7 @@ async def test_a_link_with_registers_only_has_no_transfers() -> None:
 @pytest.mark.fault("D26")
 async def test_a_reading_that_is_too_short_is_a_fault() -> None:
     """It says how many bytes came."""
-    bus = I2CBus(name="body", opener=Short, inline=True)
+    bus = I2CBus(name="body", wire=Short())
     await bus.open()
 
     with pytest.raises(DeviceFaultError, match="3 bytes instead of 4"):

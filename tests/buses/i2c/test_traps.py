@@ -18,7 +18,7 @@ import pytest
 import smbus2
 import smbus2.smbus2 as inside
 
-from esair.buses import I2CBus, RegisterLink
+from esair.buses import I2CBus, RegisterLink, Wire
 
 pytestmark = pytest.mark.real_clock
 
@@ -88,11 +88,18 @@ def test_bare_smbus2_in_two_threads_reaches_the_wrong_chip(kernel) -> None:
     assert kernel.wrong > 0
 
 
+class OnNull(Wire):
+    """A bus of smbus2 on a file that takes its calls."""
+
+    def open(self) -> smbus2.SMBus:
+        return smbus2.SMBus("/dev/null")
+
+
 @pytest.mark.fault("I05")
 @pytest.mark.promise("BUS-1")
 async def test_no_transfer_of_100_000_reaches_another_chip(kernel) -> None:
     """Behaviors and blocking drivers share a bus; address and transfer stay together."""
-    bus = I2CBus(name="body", opener=lambda: smbus2.SMBus("/dev/null"), timeout=30.0)
+    bus = I2CBus(name="body", wire=OnNull(), timeout=30.0)
     await bus.open()
 
     async def ask(address: int) -> None:

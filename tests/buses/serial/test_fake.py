@@ -325,7 +325,7 @@ class TestOnATerminal(Checks):
 
         assert line.path.startswith("/dev/")
         other = FakeSerial("other")
-        other._opener = other._open_port
+        other._wire = None
         other.port = line.path
         with pytest.raises(DeviceLostError, match="one user"):
             await other.open()

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from esair.buses.can._bus import CanBus
     from esair.buses.can._errors import CanState
     from esair.buses.can._fake import FakeCan
-    from esair.buses.can._far_end import CanWire, MemoryCan, VirtualCan
-    from esair.buses.can._frame import FD_SIZES, Frame, FrameKind, FrameLink
+    from esair.buses.can._far_end import MemoryCan, VirtualCan
+    from esair.buses.can._frame import FD_SIZES, CanWire, Frame, FrameKind, FrameLink
     from esair.buses.can._interfaces import devices, toml
     from esair.buses.can._python_can import python_can
 
@@ -40,7 +40,7 @@ __getattr__, __dir__ = late(
         "FD_SIZES": "_frame",
         "CanBus": "_bus",
         "CanState": "_errors",
-        "CanWire": "_far_end",
+        "CanWire": "_frame",
         "FakeCan": "_fake",
         "Frame": "_frame",
         "FrameKind": "_frame",

@@ -9,13 +9,13 @@ from typing import Any, Final, Literal
 
 from esair.buses._bus import Bus
 from esair.buses._inbox import Inbox
+from esair.buses._wire import Wire
 from esair.buses.can._errors import CanState, ErrorFrame, decode_error
 from esair.buses.can._frame import (
     EXTENDED,
     Frame,
     FrameKind,
     FrameLink,
-    FrameOpener,
     check_data,
     key_of,
 )
@@ -77,7 +77,7 @@ class CanBus(Bus):
             data bit rate that the interface is set up with; needs ``fd``.
         lost_when: At which state of the controller the bus counts as lost. Short of
             bus-off it works on; `on_state` tells.
-        opener: Opens something else than an interface, such as a wire in memory.
+        wire: What is opened instead of an interface, such as a bus in memory.
         **options: Further options of ``can.Bus``, such as ``bitrate=500_000``.
     """
 
@@ -91,11 +91,11 @@ class CanBus(Bus):
         fd: bool = False,
         bitrate_switch: bool = False,
         lost_when: Literal["warning", "passive", "bus_off"] = "bus_off",
-        opener: FrameOpener | None = None,
+        wire: Wire | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(name=name)
-        if not channel and opener is None:
+        super().__init__(name=name, wire=wire)
+        if not channel and wire is None:
             raise ConfigError(
                 name, "channel", "expected the name of a channel, such as 'can0'"
             )
@@ -115,8 +115,8 @@ class CanBus(Bus):
         self._lost_when = _LOST_WHEN[lost_when]
         self._state = CanState.ACTIVE
         self._on_state: list[Callable[[CanState], None]] = []
-        self._opener = opener or functools.partial(self._open_interface, options)
-        self._of_kernel = opener is None and interface == "socketcan"
+        self._options = options
+        self._of_kernel = wire is None and interface == "socketcan"
         if self._of_kernel:
             self._presence = self._look
         self._link: FrameLink | None = None
@@ -320,9 +320,7 @@ class CanBus(Bus):
         self._lost_in_opening = None
         self._unacknowledged = False
         try:
-            link = await self._opener(
-                self._received, lambda error: self._gone(epoch, error)
-            )
+            link = await self._reach(lambda error: self._gone(epoch, error))
         except EsairError:
             raise
         except OSError as error:
@@ -339,24 +337,30 @@ class CanBus(Bus):
         self._link = link
         self._enter(link.state)
 
+    async def _reach(self, gone: Callable[[Exception], None]) -> FrameLink:
+        interface = functools.partial(self._open_interface, gone)
+        if self._wire is None:
+            return await interface(self.interface, self.channel)
+        far_end = await self._far_end(self._wire)
+        link: FrameLink = await far_end.open(self._received, gone, interface)
+        return link
+
     async def _open_interface(
-        self,
-        options: dict[str, Any],
-        received: Callable[[Frame], None],
-        gone: Callable[[Exception], None],
+        self, gone: Callable[[Exception], None], interface: str, channel: str
     ) -> FrameLink:
         from esair.buses.can._python_can import python_can
 
+        self.interface, self.channel = interface, channel
         opener = python_can(
-            self.interface,
-            self.channel,
+            interface,
+            channel,
             executor=self.executor,
             stats=self.stats,
             fd=self.fd,
             bitrate_switch=self.bitrate_switch,
-            **options,
+            **self._options,
         )
-        return await opener(received, gone)
+        return await opener(self._received, gone)
 
     async def _close(self) -> None:
         self._epoch += 1

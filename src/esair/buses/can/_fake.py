@@ -7,11 +7,11 @@ import collections
 from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
-from esair.buses import CanBus, CanState, Frame, FrameKind, FrameLink
 from esair.buses._inbox import within
-from esair.buses.can import MemoryCan
-from esair.buses.can._errors import BUS_OFF, CONTROLLER, CONTROLLER_BITS
-from esair.buses.can._frame import check_data, key_of
+from esair.buses.can._bus import CanBus
+from esair.buses.can._errors import BUS_OFF, CONTROLLER, CONTROLLER_BITS, CanState
+from esair.buses.can._far_end import MemoryCan
+from esair.buses.can._frame import Frame, FrameKind, check_data, key_of
 
 SENT_LIMIT = 100_000
 """How many frames of the robot are remembered; then the newest win."""
@@ -44,10 +44,9 @@ class FakeCan(CanBus):
     """
 
     def __init__(self, name: str = "can", **options: Any) -> None:
-        super().__init__(name=name, interface="fake", opener=self._reach, **options)
+        self._far = MemoryCan(self._heard)
+        super().__init__(name=name, interface="fake", wire=self._far, **options)
         self.sent: collections.deque[Frame] = collections.deque(maxlen=SENT_LIMIT)
-        self._wire = MemoryCan(self._heard)
-        self._wire.on_plug(self.arrived)
         self._newest: dict[int, Frame] = {}
         self._on_send: list[Callable[[Frame], Reply]] = []
         self._until: list[tuple[Callable[[Frame], bool], asyncio.Future[Frame]]] = []
@@ -64,7 +63,7 @@ class FakeCan(CanBus):
         key_of(self.name, id, extended=extended)
         check_data(self.name, data, fd=self.fd)
         kind = FrameKind.REMOTE if remote else FrameKind.DATA
-        self._wire.send(Frame(id, bytes(data), extended, kind=kind))
+        self._far.send(Frame(id, bytes(data), extended, kind=kind))
 
     def on_send(self, listener: Callable[[Frame], Reply]) -> Callable[[], None]:
         """Call a function with each frame of the robot; what it returns is sent back.
@@ -153,20 +152,20 @@ class FakeCan(CanBus):
             data: The bytes of the error frame.
         """
         if error is CanState.BUS_OFF:
-            self._wire.error_frame(BUS_OFF, data)
+            self._far.error_frame(BUS_OFF, data)
         elif isinstance(error, CanState):
             said = bytes((0, CONTROLLER_BITS[error])) + data[2:]
-            self._wire.error_frame(CONTROLLER, said)
+            self._far.error_frame(CONTROLLER, said)
         else:
-            self._wire.error_frame(error, data)
+            self._far.error_frame(error, data)
 
     def bus_off(self) -> None:
         """Take the robot's controller off the bus; it cannot be opened until `restart`."""
-        self._wire.bus_off()
+        self._far.bus_off()
 
     def restart(self) -> None:
         """Start the controller again, and say that the bus can be opened."""
-        self._wire.restart()
+        self._far.restart()
         self.arrived()
 
     def acknowledge(self, yes: bool = True) -> None:
@@ -175,28 +174,28 @@ class FakeCan(CanBus):
         If none does, the controller reports it and keeps 10 frames; then there is no
         room. What it has kept goes out once somebody acknowledges.
         """
-        self._wire.acknowledge(yes)
+        self._far.acknowledge(yes)
 
     def full(self, times: int = 1) -> None:
         """Have no room for the next frames: so many times, retries included."""
-        self._wire.full(times)
+        self._far.full(times)
 
     def stall(self) -> None:
         """Take and give no frames until `resume`."""
-        self._wire.stall()
+        self._far.stall()
 
     def resume(self) -> None:
         """Go on, with the frames that were fed meanwhile, the newest 1024."""
-        self._wire.resume()
+        self._far.resume()
 
     def unplug(self) -> None:
         """Be gone, from this moment on."""
-        self._wire.unplug()
+        self._far.unplug()
 
     def plug(self) -> None:
         """Be there again, with a controller that was started anew."""
-        self._wire.restart()
-        self._wire.plug()
+        self._far.restart()
+        self._far.plug()
 
     def fail(self, error: Exception, *, after: int = 0, times: int | None = 1) -> None:
         """Raise an error from a send of the robot.
@@ -206,12 +205,7 @@ class FakeCan(CanBus):
             after: How many sends go well before.
             times: How many sends fail; None for all from then on.
         """
-        self._wire.fail(error, after=after, times=times)
-
-    async def _reach(
-        self, received: Callable[[Frame], None], gone: Callable[[Exception], None]
-    ) -> FrameLink:
-        return await self._wire.node(received, gone)
+        self._far.fail(error, after=after, times=times)
 
     def _heard(self, frame: Frame) -> None:
         key = key_of(self.name, frame.id, extended=frame.extended)
@@ -224,7 +218,7 @@ class FakeCan(CanBus):
         for listener in tuple(self._on_send):
             reply = listener(frame)
             if isinstance(reply, Frame):
-                self._wire.send(reply)
+                self._far.send(reply)
             elif reply is not None:
                 for each in reply:
-                    self._wire.send(each)
+                    self._far.send(each)

@@ -5,39 +5,23 @@ from __future__ import annotations
 import asyncio
 import collections
 from collections.abc import Callable, Collection
-from typing import Protocol
 
-from esair.buses import BusStats, CanState, Frame, FrameKind, FrameLink, python_can
-from esair.buses._plug import Plug
+from esair.buses.can._errors import CanState
+from esair.buses.can._frame import (
+    CanWire,
+    Frame,
+    FrameKind,
+    FrameLink,
+    InterfaceOpener,
+)
+from esair.buses.can._python_can import python_can
 from esair.loop import Executor, clock_of, spawn
 
 Received = Callable[[Frame], None]
 Gone = Callable[[Exception], None]
 
 
-class CanWire(Protocol):
-    """The parts' end of a CAN bus."""
-
-    def send(self, frame: Frame) -> None:
-        """Send a frame to everybody else on the bus."""
-
-    async def open(self) -> None:
-        """Begin."""
-
-    async def close(self) -> None:
-        """End."""
-
-    def unplug(self) -> None:
-        """Take the robot's adapter away."""
-
-    def plug(self) -> None:
-        """Bring it back."""
-
-    def on_plug(self, listener: Callable[[], None]) -> None:
-        """Call a function whenever the adapter is back."""
-
-
-class _Socket(Plug):
+class _Socket(CanWire):
     """Where the robot's adapter is plugged in."""
 
     def __init__(self) -> None:
@@ -101,10 +85,10 @@ class MemoryCan(_Socket):
         self._error_after = 0
         self._error_times: int | None = 0
 
-    async def open(self) -> None:
+    async def start(self) -> None:
         """Begin."""
 
-    async def close(self) -> None:
+    async def stop(self) -> None:
         """End."""
 
     def send(self, frame: Frame) -> None:
@@ -117,7 +101,9 @@ class MemoryCan(_Socket):
         for node in tuple(self._robots):
             node.deliver_soon(frame)
 
-    async def node(self, received: Received, gone: Gone) -> FrameLink:
+    async def open(
+        self, received: Received, gone: Gone, interface: InterfaceOpener | None = None
+    ) -> FrameLink:
         """Open a node of the robot.
 
         Raises:
@@ -289,13 +275,15 @@ class VirtualCan(_Socket):
         )
         self._sender: asyncio.Task[None] | None = None
 
-    async def open(self) -> None:
-        """Begin."""
+    async def start(self) -> None:
+        """Begin; twice is once."""
+        if self._link is not None:
+            return
         opener = python_can("virtual", self.channel, executor=self._executor)
         self._link = await opener(self._heard, lambda _error: None)
         self._link.listen(None)
 
-    async def close(self) -> None:
+    async def stop(self) -> None:
         """End."""
         link, self._link = self._link, None
         self._queue.clear()
@@ -305,25 +293,17 @@ class VirtualCan(_Socket):
             await link.close()
         await self._executor.join(timeout=0.5)
 
-    async def node(
-        self, received: Received, gone: Gone, *, executor: Executor, stats: BusStats
+    async def open(
+        self, received: Received, gone: Gone, interface: InterfaceOpener
     ) -> FrameLink:
         """Open a node of the robot.
-
-        Args:
-            received: Called with each frame.
-            gone: Called once when it is unplugged, or lost otherwise.
-            executor: The thread of the robot's bus.
-            stats: What the robot's bus counts.
 
         Raises:
             ConnectionError: It is unplugged.
         """
         self._check()
-        node = await python_can(
-            "virtual", self.channel, executor=executor, stats=stats
-        )(received, gone)
-        self._users[executor] = gone  # in the place of its former node, which is closed
+        node = await interface("virtual", self.channel)
+        self._users[received] = gone  # in the place of its former node, which is closed
         return node
 
     def send(self, frame: Frame) -> None:

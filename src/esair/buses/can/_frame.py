@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import abc
 import enum
 from collections.abc import Awaitable, Callable, Collection
 from typing import Final, NamedTuple, Protocol
 
+from esair.buses._wire import Wire
 from esair.buses.can._errors import CanState
 from esair.exceptions import BadValueError
 
@@ -81,6 +83,31 @@ FrameOpener = Callable[
 ]
 """Opens a node; gets a function for each frame, of any kind, and one for the loss of
 the bus. Both are called on the event loop."""
+
+InterfaceOpener = Callable[[str, str], Awaitable[FrameLink]]
+"""Opens an interface of python-can, by its kind and channel."""
+
+
+class CanWire(Wire, abc.ABC):
+    """The far end of a CAN bus."""
+
+    @abc.abstractmethod
+    async def open(
+        self,
+        received: Callable[[Frame], None],
+        gone: Callable[[Exception], None],
+        interface: InterfaceOpener,
+    ) -> FrameLink:
+        """Open a node of the robot.
+
+        Args:
+            received: Called with each frame.
+            gone: Called once when it is lost.
+            interface: Opens a node of python-can as every one is opened.
+
+        Raises:
+            ConnectionError: It is not there.
+        """
 
 
 def key_of(owner: str, number: int, *, extended: bool) -> int:

@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import random
 from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import NamedTuple, TypeVar, cast
 
-from esair.buses._bus import Bus, wanted
-from esair.buses._opening import open_on, shut_on
+from esair.buses._link_bus import LinkBus
+from esair.buses._wire import Wire
 from esair.buses.i2c import _kernel as kernel
 from esair.buses.i2c import _link as wire
 from esair.buses.i2c._errors import OCCUPIED, SILENT, explained, stuck_with
 from esair.buses.i2c._link import RegisterLink
 from esair.exceptions import (
     BadValueError,
-    BusyError,
-    ConfigError,
     DeviceFaultError,
-    DeviceLostError,
     DriverStuckError,
     EsairError,
-    describe,
 )
-from esair.loop import spawn
 
 T = TypeVar("T")
 
@@ -36,14 +30,11 @@ RETRIES = 3
 RETRY_PERIOD = 0.001
 """The first pause before that, in seconds; it doubles, and varies by half."""
 
-OPEN_TIMEOUT = 2.0
-"""How long opening a bus may take, in seconds."""
-
 SCANNED = range(0x08, 0x78)
 """The addresses that a chip may have; the others mean something else on every bus."""
 
 
-class I2CBus(Bus):
+class I2CBus(LinkBus[RegisterLink]):
     """An I²C bus and the chips on it.
 
     Every transfer is made on the bus's one thread, so the address and the transfer,
@@ -67,10 +58,8 @@ class I2CBus(Bus):
             waiting and repeating included.
         pec: Have the adapter add and check a checksum (SMBus packet error code); the
             chips must know it too.
-        opener: Opens something else than a bus of the kernel, such as a fake.
-        inline: Call the link in the event loop itself. Only for a link that never
-            blocks, where a thread would make the order of things depend on chance:
-            a simulation on a virtual clock.
+        wire: What is opened instead of a bus of the kernel, such as a `ChipBus`; its
+            ``open()`` returns the link.
     """
 
     def __init__(
@@ -80,28 +69,15 @@ class I2CBus(Bus):
         bus: int | str = 1,
         timeout: float = 0.2,
         pec: bool = False,
-        opener: Callable[[], RegisterLink] | None = None,
-        inline: bool = False,
+        wire: Wire | None = None,
     ) -> None:
-        super().__init__(name=name)
+        super().__init__(name=name, timeout=timeout, wire=wire)
         self.place = kernel.check_place(name, bus)
-        if not 0 < timeout < float("inf"):
-            raise ConfigError(
-                name, "timeout", f"expected a number of seconds > 0, not {timeout!r}"
-            )
-        self.timeout = timeout
         self.pec = pec
-        self.path = ""
-        """The path of the kernel's bus while it is open."""
-        if opener is None:
+        if wire is None:
             self._presence = self._look
-        self._opener = opener or self._open_kernel_bus
-        self._inline = inline
-        self._link: RegisterLink | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._opened_as: Hashable | None = None
         self._jitter = random.Random(name)
-        self._letting_go: asyncio.Task[None] | None = None
 
     async def read(
         self,
@@ -250,44 +226,6 @@ class I2CBus(Bus):
 
         return await self._turn(make, address, idempotent, timeout, whole=True)
 
-    def direct(
-        self, transfer: Callable[[RegisterLink], T], *, address: int | None = None
-    ) -> T:
-        """Make transfers from a plain method of a driver, which may block.
-
-        Such methods run on the bus's thread already, so nobody else's transfers come
-        between those of one call. Nothing is tried again.
-
-        Args:
-            transfer: Gets the link, as in `transaction`.
-            address: The chip, for error messages.
-
-        Raises:
-            RuntimeError: It is called from another thread.
-            DeviceFaultError: The chip does not answer, or a transfer failed.
-            DeviceLostError: The bus itself is gone.
-            DriverStuckError: The adapter gave up on the bus.
-        """
-        if not self.executor.is_current:
-            raise RuntimeError(
-                f"{self.name}: direct() is for plain (not async) methods of drivers, "
-                "which run on the thread of the bus"
-            )
-        link = self._connected()
-        try:
-            result = transfer(link)
-        except EsairError:
-            raise
-        except OSError as error:
-            owner = self._owner(error, address)
-            reason = self._explained(error, address, self.timeout, owner)
-            if isinstance(reason, DeviceLostError) and self._loop is not None:
-                self._loop.call_soon_threadsafe(self.lost, reason)
-                raise reason from error
-            raise self._failed(reason) from error
-        self.stats.sent += 1
-        return result
-
     async def scan(self, addresses: Iterable[int] = SCANNED) -> dict[int, str]:
         """Look which chips are there, as carefully as ``i2cdetect`` does.
 
@@ -324,11 +262,6 @@ class I2CBus(Bus):
                 found[address] = state
         return found
 
-    @property
-    def stuck_since(self) -> float | None:
-        """When a transfer overran its time that has not returned; None if none has."""
-        return self.executor.stuck_since
-
     # The way of one transfer.
 
     async def _turn(
@@ -362,37 +295,6 @@ class I2CBus(Bus):
             self.stats.retries += 1
             await asyncio.sleep(pause)
 
-    async def _call(
-        self,
-        function: Callable[..., T],
-        *args: object,
-        timeout: float,
-        address: int | None = None,
-    ) -> T:
-        """Call a function with the link first, in the thread; not late."""
-        link = self._connected()
-        self._check_stuck()
-        if self._inline:
-            return function(link, *args)
-        try:
-            return await self.executor.call(
-                function, link, *args, timeout=timeout, guard=wanted
-            )
-        except DriverStuckError:
-            raise self._failed(stuck_with(self.name, address, timeout)) from None
-        except BusyError:
-            self.stats.refused += 1
-            raise
-
-    def _check_stuck(self) -> None:
-        stuck = self.executor.stuck_since
-        if stuck is not None:
-            self.stats.refused += 1
-            since = asyncio.get_running_loop().time() - stuck + self.timeout
-            raise self._failed(
-                DriverStuckError(self.name, "an earlier transfer", since)
-            )
-
     def _make(
         self,
         link: RegisterLink,
@@ -406,9 +308,9 @@ class I2CBus(Bus):
         except EsairError:
             raise
         except OSError as error:
-            owner = self._owner(error, address)
-            reason = self._explained(error, address, seconds, owner)
-            return _Failure(reason, error, error.errno if owner is None else None)
+            owned = self._owner(error, address) is not None
+            reason = self._explained(error, address, seconds)
+            return _Failure(reason, error, None if owned else error.errno)
 
     def _probe(self, link: RegisterLink, address: int) -> str | EsairError:
         try:
@@ -426,17 +328,16 @@ class I2CBus(Bus):
         return "answers"
 
     def _explained(
-        self,
-        error: OSError,
-        address: int | None,
-        seconds: float,
-        owner: Path | None = None,
+        self, error: OSError, address: int | None, seconds: float
     ) -> EsairError:
-        """Find out what an error means; looks into the file system."""
         there = self._same_place() if self.path else None
+        owner = self._owner(error, address)
         return explained(
             self.name, error, address, there=there, seconds=seconds, owner=owner
         )
+
+    def _stuck_with(self, address: int | None, seconds: float) -> DriverStuckError:
+        return stuck_with(self.name, address, seconds)
 
     def _owner(self, error: OSError, address: int | None) -> Path | None:
         """Return the kernel's driver that keeps us from a chip, if one does."""
@@ -444,25 +345,9 @@ class I2CBus(Bus):
             return None
         return kernel.owner(self.path, address)
 
-    def _told(self, error: EsairError) -> EsairError:
-        if not isinstance(error, DeviceLostError):
-            return self._failed(error)
-        self.lost(error)
-        return error
-
-    def _failed(self, error: EsairError) -> EsairError:
-        self.stats.errors += 1
-        self.stats.last_error = describe(error)
-        return error
-
     def _count(self, write: object, read: object) -> None:
         self.stats.sent += bool(write) or not read
         self.stats.received += bool(read)
-
-    def _connected(self) -> RegisterLink:
-        if not self.is_open or self._link is None:
-            raise DeviceLostError(self.name, "the bus is not open")
-        return self._link
 
     def _check_address(self, address: int) -> None:
         if not 0x03 <= address <= 0x77:
@@ -485,45 +370,6 @@ class I2CBus(Bus):
 
     # Its life.
 
-    def lost(self, error: BaseException) -> None:
-        """Tell everybody on the bus, once, that it is gone, and let it go.
-
-        An open file keeps the kernel from giving the adapter its number again.
-        """
-        if not self.is_open:
-            return
-        super().lost(error)
-        self._letting_go = spawn(
-            asyncio.get_running_loop(), self._close(), name=f"let go {self.name}"
-        )
-
-    async def _open(self) -> None:
-        await self._close()  # what a loss has left behind
-        self._loop = asyncio.get_running_loop()
-        try:
-            if self._inline:
-                self._link = self._opener()
-            else:
-                self._link = await open_on(
-                    self.executor, self._opener, _shut, timeout=OPEN_TIMEOUT
-                )
-        except OSError as error:
-            detail = f"cannot be opened: {describe(error)}"
-            raise DeviceLostError(self.name, detail) from error
-
-    async def _close(self) -> None:
-        link, self._link = self._link, None
-        self.path = ""
-        if link is None:
-            return
-        if self._inline:
-            link.close()
-            return
-        try:
-            await shut_on(self.executor, link.close, timeout=0.2)
-        except OSError as error:
-            self.stats.last_error = describe(error)
-
     def _look(self) -> Hashable | None:
         return kernel.presence(self.place)
 
@@ -532,7 +378,7 @@ class I2CBus(Bus):
         # A changed time may be a changed permission; device and file are the adapter.
         return seen is not None and seen[:2] == self._opened_as
 
-    def _open_kernel_bus(self) -> RegisterLink:
+    def _open_link(self) -> RegisterLink:
         path = kernel.find(self.place)
         link = kernel.open_bus(path, pec=self.pec)
         seen = kernel.presence(path)
@@ -553,8 +399,3 @@ class _Failure(NamedTuple):
     error: EsairError
     cause: OSError
     code: int | None
-
-
-def _shut(link: RegisterLink) -> None:
-    with contextlib.suppress(OSError):
-        link.close()

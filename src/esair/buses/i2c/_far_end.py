@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from esair.buses._plug import Plug
+from esair.buses._wire import Wire
 
 FUNCS = 0x0EFF0001
 """What `ChipBus` can do: plain I²C, and SMBus by it; as the kernel's bits."""
@@ -54,7 +54,7 @@ class Registers:
             self.content[(register + index) % 256] = value
 
 
-class ChipBus(Plug):
+class ChipBus(Wire):
     """An I²C bus with simulated chips, behind the methods of ``smbus2.SMBus``.
 
     Args:
@@ -68,6 +68,17 @@ class ChipBus(Plug):
         self.closed = False
         self.funcs = FUNCS
         self._pointers: dict[int, int] = {}
+
+    def open(self) -> ChipBus:
+        """Return the link, which is this.
+
+        Raises:
+            OSError: It is unplugged.
+        """
+        if not self.plugged:
+            raise OSError(errno.ENOENT, os.strerror(errno.ENOENT))
+        self.closed = False
+        return self
 
     def unplug(self) -> None:
         """Take the adapter away; who used it notices at the next transfer."""

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from esair.buses.serial._bus import SerialBus
     from esair.buses.serial._fake import FakeSerial
     from esair.buses.serial._far_end import MemoryLine, PtyLine
-    from esair.buses.serial._line import SerialLink, SerialOpener
+    from esair.buses.serial._line import SerialLink, SerialWire
     from esair.buses.serial._place import SerialPlace
     from esair.buses.serial._port import OPEN_TIMEOUT, Port, close_port, reach_port
     from esair.buses.serial._ports import devices, find_port, serial_identity, toml
@@ -26,8 +26,8 @@ __all__ = [
     "PtyLine",
     "SerialBus",
     "SerialLink",
-    "SerialOpener",
     "SerialPlace",
+    "SerialWire",
     "close_port",
     "devices",
     "find_port",
@@ -46,8 +46,8 @@ __getattr__, __dir__ = late(
         "PtyLine": "_far_end",
         "SerialBus": "_bus",
         "SerialLink": "_line",
-        "SerialOpener": "_line",
         "SerialPlace": "_place",
+        "SerialWire": "_line",
         "close_port": "_port",
         "devices": "_ports",
         "find_port": "_ports",

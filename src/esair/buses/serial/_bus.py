@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import math
 from collections.abc import Callable, Mapping
@@ -11,8 +12,9 @@ from typing import Any
 from esair.buses._bus import Bus
 from esair.buses._inbox import Inbox, within
 from esair.buses._turns import Turns
+from esair.buses._wire import Wire
 from esair.buses.serial._framing import make_framing, resync_bytes
-from esair.buses.serial._line import Line, SerialLink, SerialOpener
+from esair.buses.serial._line import Line, SerialLink
 from esair.buses.serial._place import SerialPlace
 from esair.buses.serial._port import Port, close_port, link_of, reach_port
 from esair.exceptions import (
@@ -60,7 +62,7 @@ class SerialBus(Bus):
         write_timeout: How long a write may take unless it says otherwise, in s.
         bad_limit: After how many damaged messages in a row everybody who listens is
             told that the device is at fault.
-        opener: Opens something else than a port, such as a wire in memory.
+        wire: What is opened instead of a port, such as a line in memory.
         dtr: Whether DTR is raised while the port is open, as usual. Lowering it keeps
             some boards from starting anew, and starts the motor of some others.
         rts: The same for RTS.
@@ -83,10 +85,10 @@ class SerialBus(Bus):
         bad_limit: int = 100,
         dtr: bool = True,
         rts: bool = True,
-        opener: SerialOpener | None = None,
+        wire: Wire | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(name=name)
+        super().__init__(name=name, wire=wire)
         if type(baudrate) is not int or baudrate < 1:
             raise ConfigError(
                 name, "baudrate", f"expected bits per second, not {baudrate!r:.80}"
@@ -114,10 +116,9 @@ class SerialBus(Bus):
         self.path = ""
         self._options = options
         self._levels = {"dtr": dtr, "rts": rts}
-        if opener is None:
+        if wire is None:
             place = SerialPlace(name, port)
             self._presence = None if place.is_url else place.look
-        self._opener = opener or self._open_port
         self._open_device: Port | None = None
         self._letting_go: asyncio.Task[None] | None = None
         self._line: Line | None = None
@@ -279,7 +280,12 @@ class SerialBus(Bus):
         self.framing.reset()
         self._bad_in_row = 0
         line = Line(self._received, self._gone)
-        line.link = await self._opener(line)
+        if self._wire is None:
+            line.link = await self._open_port(line, self.port)
+        else:
+            far_end = await self._far_end(self._wire)
+            port = functools.partial(self._open_port, line)
+            line.link = await far_end.open(line, port)
         line.link.set_write_buffer_limits(high=0)
         self._line = line
 
@@ -297,8 +303,9 @@ class SerialBus(Bus):
         if port is not None:
             await close_port(port, self.executor)
 
-    async def _open_port(self, protocol: asyncio.Protocol) -> SerialLink:
-        place = SerialPlace(self.name, self.port)
+    async def _open_port(self, protocol: asyncio.Protocol, path: str) -> SerialLink:
+        self.port = path
+        place = SerialPlace(self.name, path)
         port = await reach_port(
             self.executor, place, self.baudrate, self._options, self._levels
         )

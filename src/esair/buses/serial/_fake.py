@@ -8,9 +8,11 @@ import random
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from esair.buses import SerialBus, SerialLink
+from esair.buses._bus import Bus
 from esair.buses._inbox import within
-from esair.buses.serial import MemoryLine, PtyLine
+from esair.buses._wire import LateWire
+from esair.buses.serial._bus import SerialBus
+from esair.buses.serial._far_end import MemoryLine, PtyLine
 from esair.exceptions import DeviceLostError
 from esair.framing import Framing
 
@@ -70,7 +72,9 @@ class FakeSerial(SerialBus):
         framing: Framing | str | Mapping[str, Any] = "lines",
         **options: Any,
     ) -> None:
-        super().__init__(name=name, framing=framing, opener=self._reach, **options)
+        super().__init__(
+            name=name, framing=framing, wire=LateWire(self._reach), **options
+        )
         self.sent: collections.deque[bytes] = collections.deque(maxlen=SENT_LIMIT)
         self.written = b""
         self.on_write: Reply | None = None
@@ -79,7 +83,7 @@ class FakeSerial(SerialBus):
         self._plugged = True
         self._stalled = False
         self._room: int | None = None
-        self._wire: MemoryLine | PtyLine | None = None
+        self._far: MemoryLine | PtyLine | None = None
         self._far_framing = self.framing.fresh()
         self._answers: dict[bytes, bytes | Reply] = {}
         self._waiting_tests: list[
@@ -99,7 +103,7 @@ class FakeSerial(SerialBus):
 
     def feed(self, data: bytes) -> None:
         """Send bytes to the robot, as they are; lost if nobody is there to hear them."""
-        if not self.is_open or self._wire is None:
+        if not self.is_open or self._far is None:
             self.lost_bytes += len(data)
             return
         room = WRITTEN_LIMIT - len(self._outgoing)
@@ -184,19 +188,22 @@ class FakeSerial(SerialBus):
         """Pull the cable: the port is gone until `plug`."""
         self._plugged = False
         self._quiet()
-        if self._wire is not None:
-            self._wire.unplug()
+        if self._far is not None:
+            self._far.unplug()
 
     def plug(self) -> None:
         """Plug the cable in again; the bus is told that it can be opened."""
         self._plugged = True
-        self.arrived()
+        if self._far is None:
+            self.arrived()
+        else:
+            self._far.plug()
 
     def end_of_file(self) -> None:
         """Hang up: the line ends, and the port is there to be opened again."""
         self._quiet()
-        if self._wire is not None:
-            self._wire.hang_up()
+        if self._far is not None:
+            self._far.hang_up()
 
     def stall(self, after: int = 0) -> None:
         """Take and give no byte until `resume`, as a device that holds CTS down.
@@ -211,23 +218,23 @@ class FakeSerial(SerialBus):
     def resume(self) -> None:
         """Take and give again, also what waited."""
         self._stalled = False
-        if self._wire is not None:
-            self._wire.resume()
+        if self._far is not None:
+            self._far.resume()
         self._push()
 
     def xoff(self) -> None:
         """Send XOFF: the robot may write no more, if its port heeds XON and XOFF."""
-        if isinstance(self._wire, MemoryLine) and self._options.get("xonxoff"):
-            self._wire.stall()
-        elif self._wire is not None:
-            self._wire.write(XOFF)
+        if isinstance(self._far, MemoryLine) and self._options.get("xonxoff"):
+            self._far.stall()
+        elif self._far is not None:
+            self._far.write(XOFF)
 
     def xon(self) -> None:
         """Send XON: the robot may write again."""
-        if isinstance(self._wire, MemoryLine) and self._options.get("xonxoff"):
-            self._wire.resume()
-        elif self._wire is not None:
-            self._wire.write(XON)
+        if isinstance(self._far, MemoryLine) and self._options.get("xonxoff"):
+            self._far.resume()
+        elif self._far is not None:
+            self._far.write(XON)
 
     def fail(
         self, error: BaseException, *, after: int = 0, times: int | None = 1
@@ -257,8 +264,8 @@ class FakeSerial(SerialBus):
     async def close(self) -> None:
         """Close the bus; the next opening makes a new line."""
         await super().close()
-        if isinstance(self._wire, PtyLine):  # a safe command is the last to come
-            self._wire.hear_the_rest()
+        if isinstance(self._far, PtyLine):  # a safe command is the last to come
+            self._far.hear_the_rest()
         self._drop_wire()
 
     async def _open(self) -> None:
@@ -270,35 +277,31 @@ class FakeSerial(SerialBus):
         self._quiet()
         await super()._close()
 
-    async def _reach(self, protocol: asyncio.Protocol) -> SerialLink:
+    async def _reach(self, _bus: Bus) -> MemoryLine | PtyLine:
         if not self._plugged:
             raise DeviceLostError(self.name, "nothing is plugged in")
         self._far_framing = self.framing.fresh()
-        wire = self._wire
-        if wire is None:
+        if self._far is None:
             virtual = getattr(asyncio.get_running_loop(), "virtual", False)
-            wire = self._wire = MemoryLine(self.name) if virtual else PtyLine()
-            wire.heard = self._heard
-        wire.plug()
+            self._far = MemoryLine(self.name) if virtual else PtyLine()
+            self._far.heard = self._heard
+            self._far.plug()
         self._stall_wire()
-        if isinstance(wire, MemoryLine):
-            return await wire.open(protocol)
-        self.port = wire.port
-        return await self._open_port(protocol)
+        return self._far
 
     def _drop_wire(self) -> None:
-        wire, self._wire = self._wire, None
+        wire, self._far = self._far, None
         if wire is not None:
             wire.unplug()
             self.lost_bytes += wire.lost
 
     def _stall_wire(self) -> None:
-        if not self._stalled or self._wire is None:
+        if not self._stalled or self._far is None:
             return
-        if isinstance(self._wire, MemoryLine):
-            self._wire.stall(self._room or 0)
+        if isinstance(self._far, MemoryLine):
+            self._far.stall(self._room or 0)
         else:
-            self._wire.stall()
+            self._far.stall()
 
     def _due_error(self) -> BaseException | None:
         if self._error is None:
@@ -334,7 +337,7 @@ class FakeSerial(SerialBus):
         """Send what waits: at once, or piece by piece."""
         if self._stalled or self._pushing is not None:
             return
-        wire = self._wire
+        wire = self._far
         while wire is not None and self._outgoing:
             size = self._piece or len(self._outgoing)
             pause = PIECE_PERIOD if self._piece and isinstance(wire, PtyLine) else 0.0

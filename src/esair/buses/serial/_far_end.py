@@ -9,11 +9,10 @@ import os
 import pty
 import termios
 import tty
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from esair.buses import SerialLink
-from esair.buses._plug import Plug
+from esair.buses.serial._line import SerialLink, SerialWire
 from esair.exceptions import DeviceLostError
 
 
@@ -21,7 +20,7 @@ def _nobody(_data: bytes) -> None:
     return None
 
 
-class PtyLine(Plug):
+class PtyLine(SerialWire):
     """A serial line that is a pseudo-terminal, and can be unplugged.
 
     Args:
@@ -73,6 +72,17 @@ class PtyLine(Plug):
         self._loop.add_reader(self._master, self._readable)
         self._tell_plugged()
 
+    async def open(
+        self,
+        protocol: asyncio.Protocol,
+        port: Callable[[str], Awaitable[SerialLink]] | None = None,
+    ) -> SerialLink:
+        """Open the robot's end, as any port is opened."""
+        if port is None:
+            raise DeviceLostError(self.port, "a terminal is opened by a bus")
+        path = self.port  # which is told only while it is plugged in
+        return await port(str(self.path or path))
+
     def unplug(self) -> None:
         """Let the port vanish, as a pulled cable does."""
         if not self.plugged:
@@ -122,7 +132,7 @@ class PtyLine(Plug):
         return False
 
 
-class MemoryLine(Plug):
+class MemoryLine(SerialWire):
     """A serial line in memory, with the same ends as a `PtyLine`."""
 
     def __init__(self, name: str) -> None:
@@ -176,7 +186,11 @@ class MemoryLine(Plug):
         else:
             self._loop.call_soon(self._link.deliver, data)
 
-    async def open(self, protocol: asyncio.Protocol) -> SerialLink:
+    async def open(
+        self,
+        protocol: asyncio.Protocol,
+        port: Callable[[str], Awaitable[SerialLink]] | None = None,
+    ) -> SerialLink:
         """Open the robot's end."""
         if not self._plugged:
             raise DeviceLostError(self.name, "nothing is plugged in")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import abc
 import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Protocol
+
+from esair.buses._wire import Wire
 
 
 class SerialLink(Protocol):
@@ -31,8 +34,24 @@ class SerialLink(Protocol):
         """Let the line go at once; what it has not taken is thrown away."""
 
 
-SerialOpener = Callable[[asyncio.Protocol], Awaitable[SerialLink]]
-"""Opens a line; the link then tells the protocol what comes, and of its end."""
+class SerialWire(Wire, abc.ABC):
+    """The far end of a serial line."""
+
+    @abc.abstractmethod
+    async def open(
+        self,
+        protocol: asyncio.Protocol,
+        port: Callable[[str], Awaitable[SerialLink]] | None = None,
+    ) -> SerialLink:
+        """Open the robot's end.
+
+        Args:
+            protocol: Is told what comes, and of the end.
+            port: Opens a device file as every port is opened, for the protocol.
+
+        Raises:
+            DeviceLostError: Nothing is plugged in, or somebody else has it.
+        """
 
 
 class Line(asyncio.Protocol):

@@ -1,0 +1,216 @@
+"""Buses whose package blocks: every call is made on the one thread of the bus."""
+
+from __future__ import annotations
+
+import abc
+import asyncio
+import contextlib
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+from esair.buses._bus import Bus, wanted
+from esair.buses._opening import open_on, shut_on
+from esair.buses._wire import Wire
+from esair.exceptions import (
+    BusyError,
+    ConfigError,
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    describe,
+)
+from esair.loop import spawn
+
+T = TypeVar("T")
+
+OPEN_TIMEOUT = 2.0
+"""How long opening a bus may take, in seconds."""
+
+
+class Closable(Protocol):
+    """What is open while a bus is."""
+
+    def close(self) -> None:
+        """Let the bus go; may block."""
+
+
+L = TypeVar("L", bound=Closable)
+
+
+class LinkBus(Bus, Generic[L]):
+    """A bus behind a link whose calls block, and return when the transfer is made.
+
+    A transfer that does not return holds up the whole bus: everybody who asks gets
+    `DriverStuckError` at once until it returns, and what waited is not made late.
+
+    Where the link is a wire in memory and the clock a virtual one, calls are made in
+    the event loop itself: a thread would make the order of things depend on chance.
+
+    Args:
+        name: The name of the bus.
+        timeout: How long a transfer may take unless it says otherwise, in seconds.
+        wire: What is opened instead of a bus of the kernel; ``open()`` returns a link.
+    """
+
+    def __init__(self, *, name: str, timeout: float, wire: Wire | None = None) -> None:
+        super().__init__(name=name, wire=wire)
+        if not 0 < timeout < float("inf"):
+            raise ConfigError(
+                name, "timeout", f"expected a number of seconds > 0, not {timeout!r}"
+            )
+        self.timeout = timeout
+        self.path = ""
+        """The path of the kernel's bus while it is open."""
+        self._link: L | None = None
+        self._inline = False
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._letting_go: asyncio.Task[None] | None = None
+
+    @abc.abstractmethod
+    def _open_link(self) -> L:
+        """Open the kernel's bus; blocks."""
+
+    @abc.abstractmethod
+    def _explained(
+        self, error: OSError, address: int | None, seconds: float
+    ) -> EsairError:
+        """Find out what an error of a transfer means; may look into files."""
+
+    @abc.abstractmethod
+    def _stuck_with(self, address: int | None, seconds: float) -> DriverStuckError:
+        """Return the error for a transfer that takes too long."""
+
+    def direct(self, transfer: Callable[[L], T], *, address: int | None = None) -> T:
+        """Make transfers from a plain method of a driver, which may block.
+
+        Such methods run on the bus's thread already, so nobody else's transfers come
+        between those of one call. Nothing is tried again.
+
+        Args:
+            transfer: Gets the link, as in `transaction`.
+            address: The chip, for error messages.
+
+        Raises:
+            RuntimeError: It is called from another thread.
+            DeviceFaultError: The chip does not answer, or a transfer failed.
+            DeviceLostError: The bus itself is gone.
+            DriverStuckError: The adapter gave up on the bus.
+        """
+        if not self.executor.is_current:
+            raise RuntimeError(
+                f"{self.name}: direct() is for plain (not async) methods of drivers, "
+                "which run on the thread of the bus"
+            )
+        link = self._connected()
+        try:
+            result = transfer(link)
+        except EsairError:
+            raise
+        except OSError as error:
+            reason = self._explained(error, address, self.timeout)
+            if isinstance(reason, DeviceLostError) and self._loop is not None:
+                self._loop.call_soon_threadsafe(self.lost, reason)
+                raise reason from error
+            raise self._failed(reason) from error
+        self.stats.sent += 1
+        return result
+
+    @property
+    def stuck_since(self) -> float | None:
+        """When a transfer overran its time that has not returned; None if none has."""
+        return self.executor.stuck_since
+
+    async def _call(
+        self,
+        function: Callable[..., T],
+        *args: object,
+        timeout: float,
+        address: int | None = None,
+    ) -> T:
+        """Call a function with the link first, in the thread; not late."""
+        link = self._connected()
+        self._check_stuck()
+        if self._inline:
+            return function(link, *args)
+        try:
+            return await self.executor.call(
+                function, link, *args, timeout=timeout, guard=wanted
+            )
+        except DriverStuckError:
+            raise self._failed(self._stuck_with(address, timeout)) from None
+        except BusyError:
+            self.stats.refused += 1
+            raise
+
+    def _check_stuck(self) -> None:
+        stuck = self.executor.stuck_since
+        if stuck is not None:
+            self.stats.refused += 1
+            since = asyncio.get_running_loop().time() - stuck + self.timeout
+            raise self._failed(
+                DriverStuckError(self.name, "an earlier transfer", since)
+            )
+
+    def _told(self, error: EsairError) -> EsairError:
+        if not isinstance(error, DeviceLostError):
+            return self._failed(error)
+        self.lost(error)
+        return error
+
+    def _failed(self, error: EsairError) -> EsairError:
+        self.stats.errors += 1
+        self.stats.last_error = describe(error)
+        return error
+
+    def _connected(self) -> L:
+        if not self.is_open or self._link is None:
+            raise DeviceLostError(self.name, "the bus is not open")
+        return self._link
+
+    def lost(self, error: BaseException) -> None:
+        """Tell everybody on the bus, once, that it is gone, and let it go.
+
+        An open file keeps the kernel from giving the adapter its number again.
+        """
+        if not self.is_open:
+            return
+        super().lost(error)
+        self._letting_go = spawn(
+            asyncio.get_running_loop(), self._close(), name=f"let go {self.name}"
+        )
+
+    async def _open(self) -> None:
+        await self._close()  # what a loss has left behind
+        self._loop = asyncio.get_running_loop()
+        make: Callable[[], L] = self._open_link
+        if self._wire is not None:
+            make = (await self._far_end(self._wire)).open
+            self._inline = getattr(self._loop, "virtual", False)
+        try:
+            if self._inline:
+                self._link = make()
+            else:
+                self._link = await open_on(
+                    self.executor, make, _shut, timeout=OPEN_TIMEOUT
+                )
+        except OSError as error:
+            detail = f"cannot be opened: {describe(error)}"
+            raise DeviceLostError(self.name, detail) from error
+
+    async def _close(self) -> None:
+        link, self._link = self._link, None
+        self.path = ""
+        if link is None:
+            return
+        if self._inline:
+            link.close()
+            return
+        try:
+            await shut_on(self.executor, link.close, timeout=0.2)
+        except OSError as error:
+            self.stats.last_error = describe(error)
+
+
+def _shut(link: Closable) -> None:
+    with contextlib.suppress(OSError):
+        link.close()

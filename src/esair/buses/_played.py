@@ -1,0 +1,208 @@
+"""What the fakes of buses with a blocking link have in common: their bad days."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import os
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import attrs
+
+from esair.buses._link_bus import L, LinkBus
+from esair.buses._wire import Wire
+from esair.exceptions import DeviceLostError
+
+T = TypeVar("T")
+
+
+def os_error(code: int) -> OSError:
+    """Return the error of an error number, in the kernel's words."""
+    return OSError(code, os.strerror(code))
+
+
+@attrs.define
+class _Failure:
+    error: BaseException
+    after: int
+    times: int | None
+    address: int | None
+
+
+class PlayedWire(Wire):
+    """A far end whose transfers wait, stretch and fail as a test says.
+
+    Attributes:
+        virtual: Whether it is on a virtual clock, in the event loop.
+        plugged: Whether the adapter is there.
+        stretch: How long every transfer takes, in seconds.
+        go: Set unless transfers do not return.
+        failures: What is to fail, in the order in which it was told.
+    """
+
+    def __init__(self, *rest: Any) -> None:
+        super().__init__(*rest)
+        self.virtual = False
+        self.plugged = True
+        self.stretch = 0.0
+        self.go = threading.Event()
+        self.go.set()
+        self.failures: list[_Failure] = []
+
+    def hold(self) -> None:
+        """Let a transfer take its time; on the thread of the bus."""
+        if not self.virtual:
+            self.go.wait()
+            time.sleep(self.stretch)  # where another thread may select another chip
+        elif not self.go.is_set():
+            # No time passes on a virtual clock while a driver's thread works.
+            raise os_error(errno.ETIMEDOUT)
+
+    def fail_if_told(self, address: int) -> None:
+        """Raise what a transfer with a chip is to fail with."""
+        if not self.plugged:
+            return  # that comes first
+        for failure in self.failures:
+            if failure.address not in {None, address}:
+                continue
+            if failure.after > 0:
+                failure.after -= 1
+                continue
+            if failure.times is not None:
+                failure.times -= 1
+                if failure.times <= 0:
+                    self.failures.remove(failure)
+            raise failure.error
+
+
+class PlayedBus(LinkBus[L]):
+    """A bus that does what its test tells it; ``link`` is its far end.
+
+    On a virtual clock it runs in the event loop, else on its thread as a real bus; it
+    is driven by the same code as a real one either way.
+    """
+
+    link: PlayedWire
+
+    def _set_up_play(self) -> None:
+        self._turn_of_play = asyncio.Lock()
+        self._go = asyncio.Event()
+        self._go.set()
+        self._begun: Callable[[], object] | None = None
+
+    def fail(
+        self,
+        error: OSError | int,
+        *,
+        after: int = 0,
+        times: int | None = 1,
+        address: int | None = None,
+    ) -> None:
+        """Let transfers fail.
+
+        Args:
+            error: What the kernel says: an error number, such as ``errno.EIO``.
+            after: How many transfers go well before.
+            times: How many fail; None for all from then on.
+            address: Only those with this chip; with any if None.
+        """
+        if isinstance(error, int):
+            error = os_error(error)
+        self.link.failures.append(_Failure(error, after, times, address))
+
+    def stretch(self, seconds: float) -> None:
+        """Let every transfer take so long, as a slow or busy chip does."""
+        self.link.stretch = seconds
+
+    def stall(self) -> None:
+        """Let no transfer return until `resume`."""
+        self.link.go.clear()
+        self._go.clear()
+
+    def resume(self) -> None:
+        """Let transfers go on; one that had begun is made now."""
+        self.link.go.set()
+        self._go.set()
+        self._finish()
+
+    def unplug(self, *, noticed: bool = True) -> None:
+        """Take the adapter away.
+
+        Args:
+            noticed: Whether all on the bus are told at once, as with a USB adapter;
+                else the next transfer finds out.
+        """
+        self.link.plugged = False
+        if noticed:
+            self.lost(DeviceLostError(self.name, "the adapter was unplugged"))
+
+    def plug(self) -> None:
+        """Bring the adapter back; the bus can be opened again."""
+        self.link.plugged = True
+        self.arrived()
+
+    async def _open(self) -> None:
+        self.link.virtual = getattr(asyncio.get_running_loop(), "virtual", False)
+        await super()._open()
+
+    async def _close(self) -> None:
+        if self._begun is not None:  # the wire is let go with what is stuck on it
+            self._begun = None
+            self._turn_of_play.release()
+            self.executor.stuck_since = None
+        await super()._close()
+
+    async def _call(
+        self,
+        function: Callable[..., T],
+        *args: object,
+        timeout: float,
+        address: int | None = None,
+    ) -> T:
+        if not self._inline or (self._go.is_set() and not self.link.stretch):
+            return await super()._call(
+                function, *args, timeout=timeout, address=address
+            )
+        link = self._connected()
+        self._check_stuck()
+        loop = asyncio.get_running_loop()
+        until = loop.time() + timeout
+        stuck = self._stuck_with(address, timeout)
+        try:
+            async with asyncio.timeout_at(until):
+                await self._turn_of_play.acquire()
+        except TimeoutError:
+            raise self._failed(stuck) from None
+        try:
+            async with asyncio.timeout_at(until):
+                await self._go.wait()
+                await asyncio.sleep(self.link.stretch)
+        except TimeoutError:
+            # The transfer has begun: nobody waits for it, but the chip will see it.
+            self._begun = lambda: function(link, *args)
+            self.executor.stuck_since = loop.time()
+            if self._go.is_set():
+                loop.call_later(max(0.0, self.link.stretch - timeout), self._finish)
+            raise self._failed(stuck) from None
+        except asyncio.CancelledError:
+            self._turn_of_play.release()
+            raise
+        try:
+            return await super()._call(
+                function, *args, timeout=timeout, address=address
+            )
+        finally:
+            self._turn_of_play.release()
+
+    def _finish(self) -> None:
+        """Make the transfer that had begun, too late for who asked for it."""
+        begun, self._begun = self._begun, None
+        if begun is not None:
+            with contextlib.suppress(OSError):
+                begun()
+            self._turn_of_play.release()
+            self.executor.stuck_since = None
