@@ -14,7 +14,16 @@ reactions (its *actions*). Subclass those, hand them to a `Robot`, and `run` it:
 """
 
 from esair.abc import Action, Connection, Supervisor
-from esair.actions import Behavior, Reaction, guards, reads, writes
+from esair.actions import (
+    Behavior,
+    Reaction,
+    Request,
+    answers,
+    guards,
+    reads,
+    takes,
+    writes,
+)
 from esair.connections import ActuatorConnection, Registration, SensorConnection
 from esair.exceptions import (
     AccessDeniedError,
@@ -95,6 +104,7 @@ __all__ = [
     "Refused",
     "RefusedError",
     "Registration",
+    "Request",
     "Resource",
     "ResourceRemovedError",
     "ResourceState",
@@ -111,10 +121,12 @@ __all__ = [
     "UnknownNameError",
     "Why",
     "Written",
+    "answers",
     "every",
     "guards",
     "reads",
     "run",
     "setting",
+    "takes",
     "writes",
 ]

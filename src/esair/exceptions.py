@@ -18,11 +18,11 @@ it broadly (``except TimeoutError``) or exactly (``except esair.StaleReadingErro
     ├── BehaviorUnavailableError TimeoutError     busy for the whole interval
     ├── BehaviorRemovedError                      the other behavior is gone
     ├── BehaviorFailedError                       the other behavior crashed
-    ├── CircularRequestError                      a get that waits for itself
+    ├── RefusedError                              an ask that its peer refused
+    ├── CircularRequestError                      a request that waits for itself
     ├── BusyError                                 a bound is reached
     ├── StoppingError                             the robot starts or stops
     ├── HaltedError              PermissionError  the robot is halted
-    ├── RefusedError                              the behavior asked said no
     ├── RecordingError           OSError          a recording cannot be written
     └── RecordingBrokenError     ValueError       a recording cannot be read
 """
@@ -246,8 +246,22 @@ class BehaviorFailedError(EsairError):
         self.behavior = behavior
 
 
+class RefusedError(EsairError):
+    """A behavior refused what it was asked; one that answers requests may raise it.
+
+    Attributes:
+        reason: Why, in words.
+        behavior: Who refused; empty where it is raised to refuse.
+    """
+
+    def __init__(self, reason: str, behavior: str = "") -> None:
+        super().__init__(f"{behavior!r} refused: {reason}" if behavior else reason)
+        self.reason = reason
+        self.behavior = behavior
+
+
 class CircularRequestError(EsairError):
-    """A get that would wait for itself.
+    """A get, or an ask, that would wait for itself.
 
     Attributes:
         path: The names on the circle, the first one again at the end.
@@ -255,7 +269,7 @@ class CircularRequestError(EsairError):
 
     def __init__(self, path: Iterable[str]) -> None:
         self.path = tuple(path)
-        super().__init__(f"a circle of get: {' -> '.join(self.path)}")
+        super().__init__(f"a circle of requests: {' -> '.join(self.path)}")
 
 
 class BusyError(EsairError):
@@ -296,20 +310,6 @@ class HaltedError(EsairError, PermissionError):
             "(robot.resume() ends the halt)"
         )
         self.resource = resource
-        self.reason = reason
-
-
-class RefusedError(EsairError):
-    """The behavior that was asked has refused the request.
-
-    Attributes:
-        behavior: Who was asked.
-        reason: Why it refused, in its own words.
-    """
-
-    def __init__(self, behavior: str, reason: str) -> None:
-        super().__init__(f"{behavior!r} refused: {reason}")
-        self.behavior = behavior
         self.reason = reason
 
 

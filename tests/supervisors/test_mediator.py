@@ -333,7 +333,7 @@ async def test_everybody_on_a_circle_is_told_of_it() -> None:
         with pytest.raises(esair.CircularRequestError) as caught:
             await a.get("b")
         assert caught.value.path == ("b", "a", "b")
-        with pytest.raises(esair.BehaviorFailedError, match="a circle of get"):
+        with pytest.raises(esair.BehaviorFailedError, match="a circle of requests"):
             await waits.get("b")
 
 

@@ -22,13 +22,25 @@ from esair.actions._ports import (
 )
 from esair.actions._reaction import Reaction, mistakes_in_reaction
 from esair.actions._reaction_runner import ReactionRunner
+from esair.actions._request import Request, taken
+from esair.actions._takes import (
+    Answers,
+    BlockingRequestPort,
+    RequestPort,
+    Takes,
+    answers,
+    mistakes_in_requests,
+    takes,
+)
 
 __all__ = [
     "NOTHING",
     "ActuatorPort",
+    "Answers",
     "Behavior",
     "Blind",
     "BlockingActuatorPort",
+    "BlockingRequestPort",
     "BlockingSensorPort",
     "Guards",
     "Host",
@@ -38,12 +50,19 @@ __all__ = [
     "Reaction",
     "ReactionRunner",
     "Reads",
+    "Request",
+    "RequestPort",
     "SensorPort",
+    "Takes",
     "Writes",
     "adapt_action",
+    "answers",
     "guards",
     "mistakes_in_needs",
     "mistakes_in_reaction",
+    "mistakes_in_requests",
     "reads",
+    "taken",
+    "takes",
     "writes",
 ]

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 from esair import minimal
 from esair.actions._from_minimal import adapt_action
 from esair.actions._needs import ProfiledAction
 from esair.actions._ports import ActuatorPort, SensorPort
 from esair.actions._reaction import Reaction
+from esair.actions._request import Request
+from esair.actions._takes import Answers, Takes, declared_requests
 from esair.connections import Halting, Stopped
-from esair.exceptions import NotRegisteredError
+from esair.exceptions import ConfigError, NotRegisteredError
 from esair.messages import Access, Restart
+
+A = TypeVar("A")
 
 NOTHING: Any = object()
 """What `Host.take` returns when there is nothing to take at once."""
@@ -32,6 +36,13 @@ class Host(Protocol):
     def take(self, sender: str, interval: float) -> Any: ...
     def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]: ...
     async def receive(self) -> Any: ...
+    def ask(
+        self,
+        receiver: str,
+        request: Any,
+        timeout: float | None,
+        progress: Callable[[Any], object] | None,
+    ) -> Coroutine[Any, Any, Any]: ...
     def offer(self, data: Any) -> None: ...
     async def perform(
         self,
@@ -155,6 +166,45 @@ class Behavior(ProfiledAction):
         offered = host.take(sender, interval)
         return await host.get(sender, interval) if offered is NOTHING else offered
 
+    async def ask(
+        self,
+        receiver: str,
+        request: Request[A],
+        *,
+        timeout: float | None = 10.0,
+        progress: Callable[[Any], object] | None = None,
+    ) -> A:
+        """Ask another behavior to do something, and wait for its answer.
+
+        The request has one outcome, whatever becomes of the other. If this task is
+        cancelled, or this behavior ends, the other never sees the request, or its work
+        on it is cancelled.
+
+        Args:
+            receiver: The name of the other behavior.
+            request: What it is asked; its class says what it is answered with.
+            timeout: How long it may wait and work, in seconds; None for no limit.
+            progress: Called with what the other tells of its progress; of several
+                that wait the newest wins. It may be a coroutine function.
+
+        Returns:
+            The answer.
+
+        Raises:
+            UnknownNameError: No behavior has the name, or a reaction has.
+            RefusedError: The other refused, or does not take such requests.
+            BehaviorFailedError: It failed, or ended its work without an answer.
+            BehaviorRemovedError: It was removed, or replaced while it worked.
+            BehaviorUnavailableError: There was no answer in time.
+            CircularRequestError: It waits, itself or through others, for this one.
+            BusyError: Too many requests wait.
+            StoppingError: The robot is stopping.
+        """
+        host = self._host
+        if host is None:
+            raise self._alone()
+        return await host.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
+
     async def receive(self) -> Any:
         """Wait for data that another behavior has put, and take it."""
         host = self._host
@@ -259,6 +309,11 @@ class Behavior(ProfiledAction):
         if host is None:
             raise self._alone()
         return await host.stop_robot(reason)
+
+    @property
+    def takes(self) -> Mapping[str, Takes[Any] | Answers | ConfigError]:
+        """The requests that it takes, by the name of the port or method."""
+        return declared_requests(type(self))
 
     @property
     def provides(self) -> bool:

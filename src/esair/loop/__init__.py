@@ -1,6 +1,6 @@
 """What the one event loop needs: a scheduler for time, threads for blocking code."""
 
-from esair.loop._deadlines import Deadlines
+from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._garbage import freeze_garbage, unfreeze_garbage
@@ -22,6 +22,7 @@ from esair.loop._timer import clock_of
 __all__ = [
     "GLANCE",
     "CallRefused",
+    "Deadline",
     "Deadlines",
     "Every",
     "Executor",

@@ -52,14 +52,16 @@ def spawn(
     *,
     name: str,
     owner: Owner | None = None,
+    context: contextvars.Context | None = None,
 ) -> asyncio.Task[T]:
     """Start a task that belongs to esair itself, or to an owner.
 
-    It gets a context of its own, so that what it starts is not mistaken for work
-    of the component that happened to call. It never begins before this returns, even
-    if the loop's factory makes eager tasks: esair's own records are complete then.
+    It gets a context of its own unless one is given, so that what it starts is not
+    mistaken for work of the component that happened to call. It never begins before
+    this returns, even if the loop's factory makes eager tasks: esair's own records are
+    complete then.
     """
-    context = contextvars.Context()
+    context = context or contextvars.Context()
     if owner is not None:
         context.run(_owner.set, owner)
     task = asyncio.Task(coroutine, loop=loop, name=name, context=context)

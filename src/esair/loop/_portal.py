@@ -113,6 +113,7 @@ class Portal:
         if mine is not None and mine.closed:  # a thread that outlived its own run
             raise BehaviorRemovedError(self.name)
         outcome: concurrent.futures.Future[T] = concurrent.futures.Future()
+        context = contextvars.copy_context()  # what the thread does it for
 
         def done(task: asyncio.Task[T]) -> None:
             self._calls.discard(task)
@@ -141,6 +142,7 @@ class Portal:
                 coroutine,
                 name=f"{self.name} call",
                 owner=self._owner,
+                context=context,
             )
             self._calls.add(task)
             task.add_done_callback(done)

@@ -7,16 +7,18 @@ import inspect
 import itertools
 import logging
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from esair import abc, minimal
 from esair.actions import (
     Behavior,
     Reaction,
     Reads,
+    Request,
     adapt_action,
     mistakes_in_needs,
     mistakes_in_reaction,
+    mistakes_in_requests,
 )
 from esair.connections import (
     ActuatorConnection,
@@ -51,6 +53,8 @@ from esair.supervisors._requests import Record
 from esair.supervisors._resource_mistakes import used_already
 from esair.supervisors._resource_supervisor import ResourceSupervisor
 from esair.values import same_type, type_name
+
+A = TypeVar("A")
 
 START_TIMEOUT = 5.0
 """How long the start waits for the ``setup`` of behaviors, in seconds."""
@@ -181,6 +185,33 @@ class BehaviorSupervisor(abc.Supervisor):
             StoppingError: The robot is stopping.
         """
         return await self.mediator.get(sender, receiver, interval)
+
+    async def ask(
+        self,
+        request: Request[A],
+        *,
+        sender: str,
+        receiver: str,
+        timeout: float | None = 10.0,
+        progress: Callable[[Any], object] | None = None,
+    ) -> A:
+        """Ask a behavior to do something, in the name of somebody.
+
+        Args:
+            request: What it is asked; its class says what it is answered with.
+            sender: In whose name.
+            receiver: The name of the behavior that is asked.
+            timeout: How long it may wait and work, in seconds; None for no limit.
+            progress: Called with what it tells of its progress; the newest wins.
+
+        Returns:
+            The answer.
+
+        Raises:
+            EsairError: As `Behavior.ask`.
+        """
+        asks = self.mediator.asks
+        return await asks.ask(request, sender, receiver, timeout, progress)  # type: ignore[no-any-return]
 
     # What the user may do.
 
@@ -521,6 +552,7 @@ class BehaviorSupervisor(abc.Supervisor):
             found.extend(mistakes_in_reaction(action))
         else:
             found.extend(_mistakes_in_boxes(action))
+            found.extend(mistakes_in_requests(action))
             found.extend(_mistakes_in_methods(action))
         if not isinstance(action.restart, Restart):
             found.append(ConfigError(name, "restart", "expected an esair.Restart"))

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import NOTHING, Behavior, Reaction
-from esair.exceptions import BehaviorRemovedError, BusyError, NotRegisteredError
+from esair.exceptions import (
+    BehaviorRemovedError,
+    BusyError,
+    ConfigError,
+    NotRegisteredError,
+)
 from esair.loop import Owner, Portal, speaks_for_nobody
 from esair.messages import BehaviorState
-from esair.supervisors._requests import FairQueue
+from esair.supervisors._request_queue import RequestQueue
+from esair.supervisors._requests import FairQueue, Request
 
 if TYPE_CHECKING:
     from esair.supervisors._mediator import Mediator
+    from esair.supervisors._orders import Order
+
+_NO_QUEUES: Mapping[Any, RequestQueue] = {}
 
 _ALIVE = frozenset(
     {
@@ -41,6 +50,7 @@ class Mailbox:
         "_state",
         "action",
         "alive",
+        "asked",
         "askers",
         "dropped",
         "error",
@@ -51,11 +61,17 @@ class Mailbox:
         "outlived",
         "owner",
         "provider",
+        "queues",
         "receives",
         "room",
         "senders",
+        "serves",
         "takers",
     )
+
+    def run_tasks(self) -> list[asyncio.Task[Any]]:
+        """Return the tasks that only wait for its threads."""
+        return []
 
     def __init__(
         self, action: Behavior | Reaction, mediator: Mediator, name: str
@@ -74,6 +90,18 @@ class Mailbox:
         self.askers = FairQueue()
         self.provider: asyncio.Task[Any] | None = None
         """Makes data for somebody who asks; one at a time."""
+        self.serves: Request | None = None
+        """What the provider makes data for."""
+        self.asked: dict[Request | Order, None] = {}
+        """The requests that it has made and that wait, the oldest first."""
+        self.queues: Mapping[Any, RequestQueue] = _NO_QUEUES
+        """The requests that it takes, by their type."""
+        if isinstance(action, Behavior) and action.takes:
+            self.queues = {
+                each.type: RequestQueue(self, each)
+                for each in action.takes.values()
+                if not isinstance(each, ConfigError)
+            }
         self.takers: list[asyncio.Future[None]] | None = None
         self.owner = Owner()
         self._mediator = mediator
@@ -179,12 +207,29 @@ class Mailbox:
     ) -> Coroutine[Any, Any, None]:
         """Hand data to another behavior."""
         self.check_speaker()
-        return self._mediator.put(data, self.name, receiver, interval)
+        return self._mediator.put(data, self.name, receiver, interval, self)
 
     def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]:
         """Ask another behavior for data."""
         self.check_speaker()
-        return self._mediator.get(sender, self.name, interval)
+        return self._mediator.get(sender, self.name, interval, self)
+
+    def ask(
+        self,
+        receiver: str,
+        request: Any,
+        timeout: float | None,
+        progress: Callable[[Any], object] | None,
+    ) -> Coroutine[Any, Any, Any]:
+        """Ask another behavior, and wait for its answer."""
+        self.check_speaker()
+        asks = self._mediator.asks
+        return asks.ask(request, self.name, receiver, timeout, progress, self)
+
+    def run_over(self, error: BaseException | None) -> None:
+        """A run has ended: nobody works on what it had taken."""
+        for queue in self.queues.values():
+            queue.run_ended(error)
 
     async def receive(self) -> Any:
         """Wait for data in the inbox, and take it."""

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from esair.actions import NOTHING
+from esair.actions import NOTHING, Behavior
 from esair.exceptions import (
     BadValueError,
     BehaviorFailedError,
@@ -25,6 +25,8 @@ from esair.exceptions import (
 from esair.journal import Journal, Kind
 from esair.loop import Deadlines, spawn
 from esair.messages import BehaviorState
+from esair.supervisors._asks import Asks, run_over
+from esair.supervisors._circles import circle_of_get
 from esair.supervisors._requests import (
     REQUESTS,
     REQUESTS_PER_SENDER,
@@ -32,6 +34,7 @@ from esair.supervisors._requests import (
     Outcome,
     Record,
     Request,
+    serving,
 )
 from esair.values import is_positive
 
@@ -58,9 +61,10 @@ class Mediator:
 
     def __init__(self, members: Mapping[str, Mailbox], journal: Journal) -> None:
         self._members = members
-        self._journal = journal
+        self.journal = journal
         self._loop = asyncio.get_running_loop()
-        self._deadlines = Deadlines.of(self._loop)
+        self.deadlines = Deadlines.of(self._loop)
+        self.asks = Asks(self)
         self._pending = 0
         self._of_asker: dict[str, int] = {}
         self._gets: dict[str, list[Request]] = {}
@@ -72,6 +76,14 @@ class Mediator:
         self.delivered = 0
         self.late_answers = 0
         """How many answers came when nobody waited for them any more."""
+
+    def behaviors(self) -> list[str]:
+        """Return the names of those who can be asked: reactions cannot."""
+        return [
+            name
+            for name, member in self._members.items()
+            if isinstance(member.action, Behavior)
+        ]
 
     def outcomes(self) -> list[Record]:
         """Return the last outcomes, the oldest first."""
@@ -104,26 +116,38 @@ class Mediator:
             member.wake()
         self.delivered += 1
         self.ledger.append(("put", sender, receiver, _DELIVERED))
-        if self._journal.heard:
-            self._journal.publish(Kind.PUT, receiver, sender, data)
+        if self.journal.heard:
+            self.journal.publish(Kind.PUT, receiver, sender, data)
         return True
 
-    async def put(self, data: Any, sender: str, receiver: str, interval: float) -> None:
+    async def put(
+        self,
+        data: Any,
+        sender: str,
+        receiver: str,
+        interval: float,
+        by: Mailbox | None = None,
+    ) -> None:
         """Hand data to a behavior; see `BehaviorSupervisor.put`."""
         if not self.hand(data, sender, receiver, interval):
-            await self._put_slowly(data, sender, receiver, interval)
+            await self._put_slowly(data, sender, receiver, interval, by)
 
     async def _put_slowly(
-        self, data: Any, sender: str, receiver: str, interval: float
+        self,
+        data: Any,
+        sender: str,
+        receiver: str,
+        interval: float,
+        by: Mailbox | None,
     ) -> None:
         member = self._check(receiver, interval, data)
         if member.can_receive:
             member.deliver(data)
-            self._record("put", sender, receiver, _DELIVERED, data)
+            self.record("put", sender, receiver, _DELIVERED, data)
             return
-        request = self._begin("put", sender, receiver, data, member.senders.count)
+        request = self._begin("put", sender, receiver, data, member.senders.count, by)
         member.senders.push(request)
-        deadline = self._deadlines.after(
+        deadline = self.deadlines.after(
             interval, self._expire, request, interval, member
         )
         try:
@@ -143,7 +167,7 @@ class Mediator:
             request = member.senders.pop()
             if not request.future.done():
                 member.deliver(request.data)
-                self._record(
+                self.record(
                     "put", request.sender, request.receiver, _DELIVERED, request.data
                 )
                 request.future.set_result(None)
@@ -165,32 +189,36 @@ class Mediator:
         self.delivered += 1
         self.ledger.append(("get", sender, receiver, _DELIVERED))
         data = member.outbox.pop(0)
-        if self._journal.heard:
-            self._journal.publish(Kind.GOT, receiver, sender, data)
+        if self.journal.heard:
+            self.journal.publish(Kind.GOT, receiver, sender, data)
         return data
 
-    async def get(self, sender: str, receiver: str, interval: float) -> Any:
+    async def get(
+        self, sender: str, receiver: str, interval: float, by: Mailbox | None = None
+    ) -> Any:
         """Ask a behavior for data; see `BehaviorSupervisor.get`."""
         offered = self.take(sender, receiver, interval)
         if offered is not NOTHING:
             return offered
-        return await self._get_slowly(sender, receiver, interval)
+        return await self._get_slowly(sender, receiver, interval, by)
 
-    async def _get_slowly(self, sender: str, receiver: str, interval: float) -> Any:
+    async def _get_slowly(
+        self, sender: str, receiver: str, interval: float, by: Mailbox | None
+    ) -> Any:
         member = self._check(sender, interval)
-        path = self._circle(receiver, sender)
+        path = circle_of_get(receiver, sender, self._members, self._gets)
         if path:
-            self._record("get", sender, receiver, Outcome.REFUSED)
+            self.record("get", sender, receiver, Outcome.REFUSED)
             raise CircularRequestError(path)
         if member.outbox:
             offered = member.outbox.pop(0)
-            self._record("get", sender, receiver, _DELIVERED, offered)
+            self.record("get", sender, receiver, _DELIVERED, offered)
             return offered
-        request = self._begin("get", sender, receiver, None, member.askers.count)
+        request = self._begin("get", sender, receiver, None, member.askers.count, by)
         member.askers.push(request)
         self._gets.setdefault(receiver, []).append(request)
         self.serve(member)
-        deadline = self._deadlines.after(
+        deadline = self.deadlines.after(
             interval, self._expire, request, interval, member
         )
         try:
@@ -216,7 +244,7 @@ class Mediator:
             request = member.askers.pop()
             if request.future.done():
                 continue
-            self._record("get", request.sender, request.receiver, _DELIVERED, data)
+            self.record("get", request.sender, request.receiver, _DELIVERED, data)
             request.future.set_result(data)
             return True
         return False
@@ -228,9 +256,10 @@ class Mediator:
         request = member.askers.peek()
         if request is None:
             return
+        member.serves = request
         request.provider = member.provider = spawn(
             self._loop,
-            _make_data(member),
+            _make_data(member, request),
             name=f"{member.name} provide",
             owner=member.owner,
         )
@@ -246,12 +275,12 @@ class Mediator:
         data, error = (
             (None, asyncio.CancelledError()) if task.cancelled() else task.result()
         )
-        member.provider = None
+        member.provider = member.serves = None
         waited = member.askers.discard(request)
         if not waited or request.future.done():
             self.late_answers += error is None
         elif error is None:
-            self._record("get", request.sender, request.receiver, _DELIVERED, data)
+            self.record("get", request.sender, request.receiver, _DELIVERED, data)
             request.future.set_result(data)
         else:
             failed: EsairError = _failed(member, error)
@@ -268,6 +297,23 @@ class Mediator:
         """End every request that waits for a behavior that has crashed."""
         for request in self._drain(member):
             self._fail(request, _failed(member, error), Outcome.PEER_FAILED)
+        if member.state is BehaviorState.FAILED:
+            for queue in member.queues.values():
+                queue.fail_all(describe(error), error)
+
+    def peer_finished(self, member: Mailbox) -> None:
+        """End every request that waits for a behavior whose run has ended."""
+        for queue in member.queues.values():
+            queue.fail_all("its run has ended", None)
+
+    def asker_ended(self, member: Mailbox, *, removed: bool = False) -> None:
+        """End every request of a behavior whose run has ended, whoever waits in it."""
+        make = BehaviorRemovedError if removed else run_over
+        for each in tuple(member.asked):
+            if isinstance(each, Request):
+                self._fail(each, make(member.name), Outcome.WITHDRAWN)
+            else:
+                each.withdraw(Outcome.WITHDRAWN, make(member.name))
 
     def peer_removed(self, member: Mailbox) -> None:
         """End every request that waits for a behavior that is removed."""
@@ -277,12 +323,25 @@ class Mediator:
                 BehaviorRemovedError(member.name, request.data),
                 Outcome.PEER_REMOVED,
             )
+        for queue in member.queues.values():
+            queue.end_all(
+                Outcome.PEER_REMOVED, lambda: BehaviorRemovedError(member.name)
+            )
 
     def moved(self, old: Mailbox, new: Mailbox) -> None:
         """Let what waits for a behavior wait for the one in its place."""
-        for queue, other in ((old.senders, new.senders), (old.askers, new.askers)):
-            for request in queue.drain():
-                other.push(request)
+        for before, after in ((old.senders, new.senders), (old.askers, new.askers)):
+            for request in before.drain():
+                after.push(request)
+        for kind, queue in old.queues.items():
+            takes = new.queues.get(kind)
+            if takes is not None:
+                takes.adopt(queue)
+            else:
+                queue.refuse_all(
+                    f"{new.name} was replaced, and takes no {kind.__name__}"
+                )
+            queue.end_all(Outcome.PEER_REMOVED, lambda: BehaviorRemovedError(old.name))
         self.admit(new)
         while new.outbox and self.offered(new, new.outbox[0]):
             del new.outbox[0]
@@ -296,6 +355,10 @@ class Mediator:
                 self._fail(
                     request, StoppingError("behaviors", "stopping"), Outcome.STOPPING
                 )
+            for queue in member.queues.values():
+                queue.end_all(
+                    Outcome.STOPPING, lambda: StoppingError("behaviors", "stopping")
+                )
 
     def _drain(self, member: Mailbox) -> list[Request]:
         return [*member.senders.drain(), *member.askers.drain()]
@@ -303,15 +366,20 @@ class Mediator:
     # Requests that wait.
 
     def _check(self, peer: str, interval: object, data: Any = None) -> Mailbox:
+        member = self.check_peer(peer, data)
+        if not is_positive(interval):
+            raise BadValueError(
+                peer, "interval", f"expected seconds > 0, not {interval!r:.80}"
+            )
+        return member
+
+    def check_peer(self, peer: str, data: Any = None) -> Mailbox:
+        """Return a behavior that somebody asks something of, if it may be asked."""
         if self.closed:
             raise StoppingError("behaviors", "stopping")
         member = self._members.get(peer)
         if member is None:
             raise UnknownNameError("behavior", peer, self._members)
-        if not is_positive(interval):
-            raise BadValueError(
-                peer, "interval", f"expected seconds > 0, not {interval!r:.80}"
-            )
         state = member.state
         if state is BehaviorState.FAILED:
             assert member.error is not None
@@ -321,41 +389,63 @@ class Mediator:
         return member
 
     def _begin(
-        self, kind: str, sender: str, receiver: str, data: Any, waiting: int
+        self,
+        kind: str,
+        sender: str,
+        receiver: str,
+        data: Any,
+        waiting: int,
+        by: Mailbox | None,
     ) -> Request:
-        request = Request(kind, sender, receiver, data, self._loop.create_future())
-        asker = request.asker
-        of_asker = self._of_asker.get(asker, 0)
-        if (
-            waiting >= REQUESTS_PER_TARGET
-            or of_asker >= REQUESTS_PER_SENDER
-            or self._pending >= REQUESTS
-        ):
-            self._record(kind, sender, receiver, Outcome.REFUSED)
-            if waiting >= REQUESTS_PER_TARGET:
-                raise BusyError(
-                    request.peer, "number of requests to it", REQUESTS_PER_TARGET
-                )
-            if of_asker >= REQUESTS_PER_SENDER:
-                raise BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
-            raise BusyError("behaviors", "number of requests", REQUESTS)
-        self._pending += 1
-        self._of_asker[asker] = of_asker + 1
+        future = self._loop.create_future()
+        request = Request(kind, sender, receiver, data, future, by)
+        if waiting >= REQUESTS_PER_TARGET:
+            self.record(kind, sender, receiver, Outcome.REFUSED)
+            raise BusyError(
+                request.peer, "number of requests to it", REQUESTS_PER_TARGET
+            )
+        self.check_bounds(kind, sender, receiver, request.asker)
+        self.count(request.asker)
+        if by is not None:
+            by.asked[request] = None
         return request
 
-    def _finish(self, request: Request) -> None:
+    def check_bounds(self, kind: str, sender: str, receiver: str, asker: str) -> None:
+        """Pass if one more request of an asker may wait.
+
+        Raises:
+            BusyError: Too many wait.
+        """
+        full = self._of_asker.get(asker, 0) >= REQUESTS_PER_SENDER
+        if full or self._pending >= REQUESTS:
+            self.record(kind, sender, receiver, Outcome.REFUSED)
+            if full:
+                raise BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
+            raise BusyError("behaviors", "number of requests", REQUESTS)
+
+    def count(self, asker: str) -> None:
+        """Count a request that begins to wait."""
+        self._pending += 1
+        self._of_asker[asker] = self._of_asker.get(asker, 0) + 1
+
+    def uncount(self, asker: str) -> None:
         """Count a request that waits no more."""
         self._pending -= 1
-        left = self._of_asker[request.asker] - 1
+        left = self._of_asker[asker] - 1
         if left:
-            self._of_asker[request.asker] = left
+            self._of_asker[asker] = left
         else:
-            del self._of_asker[request.asker]
+            del self._of_asker[asker]
+
+    def _finish(self, request: Request) -> None:
+        self.uncount(request.asker)
+        if request.by is not None:
+            request.by.asked.pop(request, None)
 
     def _withdraw(self, request: Request, error: BaseException) -> None:
         """Record a request whose asker was cancelled before it had an outcome."""
         if isinstance(error, asyncio.CancelledError) and request.future.cancelled():
-            self._record(
+            self.record(
                 request.kind, request.sender, request.receiver, Outcome.WITHDRAWN
             )
 
@@ -369,11 +459,11 @@ class Mediator:
 
     def _fail(self, request: Request, error: EsairError, outcome: Outcome) -> None:
         if not request.future.done():
-            self._record(request.kind, request.sender, request.receiver, outcome)
+            self.record(request.kind, request.sender, request.receiver, outcome)
             request.future.set_exception(error)
             request.future.exception()  # its asker may be cancelled in this moment
 
-    def _record(
+    def record(
         self,
         kind: str,
         sender: str,
@@ -381,37 +471,20 @@ class Mediator:
         outcome: Outcome,
         data: Any = None,
     ) -> None:
+        """Write the outcome of a request into the ledger."""
         self.ledger.append((kind, sender, receiver, outcome))
         if outcome is _DELIVERED:
             self.delivered += 1
-            if self._journal.heard:
+            if self.journal.heard:
                 event = Kind.PUT if kind == "put" else Kind.GOT
-                self._journal.publish(event, receiver, sender, data)
-
-    def _circle(self, asker: str, giver: str) -> list[str]:
-        """Return the circle that a get would close, or nothing."""
-        if asker == giver:
-            return [asker, asker]
-        trail = [(giver, [asker, giver])]
-        seen = {giver}
-        while trail:
-            name, path = trail.pop()
-            for request in self._gets.get(name, ()):
-                other = request.sender
-                if request.future.done():
-                    continue
-                if other == asker:
-                    return [*path, asker]
-                if other not in seen:
-                    seen.add(other)
-                    trail.append((other, [*path, other]))
-        return []
+                self.journal.publish(event, receiver, sender, data)
 
 
 _Made = tuple[Any, BaseException | None]
 
 
-async def _make_data(member: Mailbox) -> _Made:
+async def _make_data(member: Mailbox, request: Request) -> _Made:
+    serving.set(request)
     try:
         return await member.make_data(), None
     except BaseException as error:  # contained: it is the other's code

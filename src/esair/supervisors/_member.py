@@ -15,7 +15,9 @@ from esair.actions import (
     Reaction,
     ReactionRunner,
     Reads,
+    RequestPort,
     SensorPort,
+    Takes,
     Writes,
 )
 from esair.connections import (
@@ -50,7 +52,16 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("esair")
 
-_BOUND = ("put", "get", "receive", "offer", "perform", "register", "stop_robot")
+_BOUND = (
+    "put",
+    "get",
+    "ask",
+    "receive",
+    "offer",
+    "perform",
+    "register",
+    "stop_robot",
+)
 
 
 class Member(Mailbox):
@@ -195,6 +206,12 @@ class Member(Mailbox):
                 if self._portal is not None:
                     port = port.blocking(self._portal)
                 self.action.__dict__[attribute] = port
+            for attribute, each in self.action.takes.items():
+                if isinstance(each, Takes):
+                    requests: Any = RequestPort(self.queues[each.type])
+                    if self._portal is not None:
+                        requests = requests.blocking(self._portal)
+                    self.action.__dict__[attribute] = requests
         except BaseException:
             self.fence()
             raise
@@ -216,6 +233,8 @@ class Member(Mailbox):
             await self._run(behavior.run)
         except BaseException as raised:  # contained: one component's failure
             error = raised
+        if asyncio.current_task() is self.task:  # else it is another run's by now
+            self.run_over(error)
         try:
             await self._run(behavior.teardown)
         except BaseException as raised:  # contained: one component's failure
@@ -245,6 +264,8 @@ class Member(Mailbox):
         if running:
             self._mediator.admit(self)
             self._mediator.serve(self)
+            for queue in self.queues.values():
+                queue.roused()
         if before is not self.state:
             self._tell(Kind.RUNNING if running else Kind.PARKED, why)
         if before is BehaviorState.RUNNING and not running:
@@ -272,6 +293,8 @@ class Member(Mailbox):
             self.state = BehaviorState.FINISHED
             self._tell(Kind.FINISHED)
             self.fence()
+            self._end_requests()
+            self._mediator.peer_finished(self)
             self._cancel_tasks()
             self._supervisor.ended(self)
         else:
@@ -282,6 +305,8 @@ class Member(Mailbox):
         self.error = error
         self._tell(Kind.CRASHED, describe(error))
         self.fence()
+        self.run_over(error)
+        self._end_requests()
         self.owner.over = self.outlived = True
         self._cancel_tasks()
         ready = self.ready
@@ -393,6 +418,8 @@ class Member(Mailbox):
             self._timer.cancel()
             self._timer = None
         self.fence(lambda: _UserRemovedError(self.name))
+        self._end_requests()
+        self.run_over(None)
         for taker in self.takers or ():
             if not taker.done():
                 taker.set_result(None)
@@ -414,6 +441,15 @@ class Member(Mailbox):
         self.task = None
         if isinstance(self.action, Behavior) and self.action._host is self:  # noqa: SLF001
             self._unbind(self.action)
+
+    def _end_requests(self) -> None:
+        if self.asked:
+            removed = self.state is BehaviorState.STOPPING
+            self._mediator.asker_ended(self, removed=removed)
+
+    def run_tasks(self) -> list[asyncio.Task[Any]]:
+        """Return the tasks that only wait for its threads."""
+        return [] if self.task is None or self._portal is None else [self.task]
 
     def _living(self) -> list[asyncio.Task[Any]]:
         me = asyncio.current_task()

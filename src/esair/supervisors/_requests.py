@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import contextvars
 import enum
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from esair.supervisors._mailbox import Mailbox
 
 REQUESTS_PER_SENDER = 16
 """How many requests of one behavior may wait at a time."""
@@ -21,6 +26,7 @@ class Outcome(enum.Enum):
     """How a request ended. Each ends in exactly one way."""
 
     DELIVERED = "delivered"
+    ANSWERED = "answered"
     REFUSED = "refused"
     TIMED_OUT = "timed out"
     PEER_REMOVED = "peer removed"
@@ -38,19 +44,59 @@ class Record(NamedTuple):
     outcome: Outcome
 
 
-class Request:
+class Link:
+    """A request that somebody waits for, as a link in the chain of those who wait.
+
+    Attributes:
+        asker: Who waits for its outcome.
+        peer: Whom for.
+        task: The task that waits.
+        parent: The request that the asker served when it made this one.
+        outer: The request that the peer served already when it took this one.
+        over: Whether it has its outcome.
+    """
+
+    __slots__ = ("asker", "outer", "parent", "peer", "task")
+
+    if TYPE_CHECKING:
+
+        @property
+        def over(self) -> bool: ...
+
+    def __init__(self, asker: str, peer: str) -> None:
+        self.asker = asker
+        self.peer = peer
+        self.task = asyncio.current_task()
+        self.parent = served()
+        self.outer: Link | None = None
+
+
+serving: contextvars.ContextVar[Link | None] = contextvars.ContextVar(
+    "esair_serving", default=None
+)
+"""The request that the code that runs now was begun for."""
+
+
+def served() -> Link | None:
+    """Return the request that is being served by the code that runs now."""
+    link = serving.get()
+    while link is not None and link.over:
+        link = link.outer
+    return link
+
+
+def chain() -> Iterator[Link]:
+    """Yield the requests that wait for the code that runs now, the nearest first."""
+    link = served()
+    while link is not None and not link.over:
+        yield link
+        link = link.parent
+
+
+class Request(Link):
     """A put or a get that waits for the other side."""
 
-    __slots__ = (
-        "asker",
-        "data",
-        "future",
-        "kind",
-        "peer",
-        "provider",
-        "receiver",
-        "sender",
-    )
+    __slots__ = ("by", "data", "future", "kind", "provider", "receiver", "sender")
 
     def __init__(
         self,
@@ -59,17 +105,22 @@ class Request:
         receiver: str,
         data: Any,
         future: asyncio.Future[Any],
+        by: Mailbox | None = None,
     ) -> None:
+        super().__init__(*((sender, receiver) if kind == "put" else (receiver, sender)))
         self.kind = kind
         self.sender = sender
         self.receiver = receiver
-        self.asker, self.peer = (
-            (sender, receiver) if kind == "put" else (receiver, sender)
-        )
-        """Who waits for the outcome, and whom for."""
         self.data = data
         self.future = future
+        self.by = by
+        """The behavior that made it, unless the user did."""
         self.provider: asyncio.Task[Any] | None = None
+
+    @property
+    def over(self) -> bool:
+        """Whether it has its outcome."""
+        return self.future.done()
 
 
 class FairQueue:

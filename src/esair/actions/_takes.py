@@ -1,0 +1,281 @@
+"""How a behavior takes requests: in a loop over a port, or by a method for each."""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from collections.abc import (
+    AsyncIterator,
+    Callable,
+    Coroutine,
+    Iterator,
+    Mapping,
+)
+from typing import Any, Generic, Protocol, TypeVar, overload
+
+import attrs
+
+from esair import abc
+from esair.actions._request import Request, answer_type
+from esair.exceptions import ConfigError, NotRegisteredError
+from esair.loop import Portal
+from esair.values import same_type, type_name
+
+S = TypeVar("S")
+T = TypeVar("T")
+R = TypeVar("R", bound=Request[Any])
+
+QUEUE = 16
+"""How many requests wait for a behavior unless it says otherwise."""
+
+_MARK = "_esair_answers"
+
+
+class RequestLoop(Protocol):
+    """One loop over a port for requests."""
+
+    async def next(self) -> Any: ...
+    def serve(self) -> None: ...
+
+
+class RequestSource(Protocol):
+    """Where a port gets the requests that wait for its behavior."""
+
+    def loop(self) -> RequestLoop: ...
+
+
+class RequestPort(Generic[R]):
+    """The requests of one type that others ask of a behavior.
+
+    Example:
+        >>> async for request in self.orders:
+        ...     async with request:
+        ...         request.answer(Docked(1))
+    """
+
+    __slots__ = ("_source",)
+
+    def __init__(self, source: RequestSource) -> None:
+        self._source = source
+
+    def __aiter__(self) -> AsyncIterator[R]:
+        """Yield each request as it comes.
+
+        An error that leaves its ``async with`` block, a block that is left without
+        an answer, and going on to the next without one, all fail the request.
+        """
+        return _Requests(self._source.loop())
+
+    def blocking(self, portal: Portal) -> BlockingRequestPort[R]:
+        """Return the same port for a plain behavior's thread."""
+        return BlockingRequestPort(self._source, portal)
+
+
+class BlockingRequestPort(Generic[R]):
+    """The requests that others ask of a behavior with a plain ``run``."""
+
+    __slots__ = ("_portal", "_source")
+
+    def __init__(self, source: RequestSource, portal: Portal) -> None:
+        self._source = source
+        self._portal = portal
+
+    def __iter__(self) -> Iterator[R]:
+        """Yield each request as it comes, as `RequestPort` does; the thread waits."""
+        return _BlockingRequests(self._source.loop(), self._portal)
+
+
+class _Requests(AsyncIterator[R]):
+    # No generator: one that is left is closed late, by the collector.
+    def __init__(self, loop: RequestLoop) -> None:
+        self._loop = loop
+
+    async def __anext__(self) -> R:
+        request: R = await self._loop.next()
+        self._loop.serve()
+        return request
+
+
+class _BlockingRequests(Iterator[R]):
+    def __init__(self, loop: RequestLoop, portal: Portal) -> None:
+        self._loop = loop
+        self._portal = portal
+
+    def __next__(self) -> R:
+        request: R = self._portal.call(self._loop.next)
+        self._loop.serve()
+        return request
+
+
+@attrs.frozen
+class Takes(Generic[R]):
+    """A behavior takes requests; in the running behavior it is a `RequestPort`.
+
+    Attributes:
+        type: The class of the requests.
+        queue: How many may wait.
+        newest: Whether a new one ends those before it.
+    """
+
+    type: type[R]
+    queue: int = QUEUE
+    newest: bool = False
+
+    @overload
+    def __get__(self, instance: None, owner: Any) -> Takes[R]: ...
+    @overload
+    def __get__(self, instance: object, owner: Any) -> RequestPort[R]: ...
+    def __get__(self, instance: object | None, owner: Any) -> Any:
+        if instance is None:
+            return self
+        # A bound port lies in the instance and is found before this.
+        name = instance.name if isinstance(instance, abc.Component) else repr(instance)
+        raise NotRegisteredError(
+            name, type_name(self.type), "it is not in a running robot"
+        )
+
+
+def takes(
+    type: type[R],  # noqa: A002 - as in `reads`
+    *,
+    queue: int = QUEUE,
+    newest: bool = False,
+) -> Takes[R]:
+    """Declare, as a class attribute, that a behavior takes requests of a type.
+
+    Args:
+        type: A class derived from `Request`.
+        queue: How many may wait; the next one is refused with `BusyError`.
+        newest: A new request ends those before it, also the one that is being
+            worked on: their askers get `RefusedError`.
+
+    Example:
+        >>> class Docking(esair.Behavior):
+        ...     orders = esair.takes(Dock)
+        ...
+        ...     async def run(self) -> None:
+        ...         async for request in self.orders:
+        ...             async with request:
+        ...                 request.answer(await self.dock(request.bay))
+    """
+    return Takes(type, queue, newest)
+
+
+@overload
+def answers(
+    method: Callable[[S, R], Coroutine[Any, Any, T]],
+) -> Callable[[S, R], Coroutine[Any, Any, T]]: ...
+@overload
+def answers(method: Callable[[S, R], T]) -> Callable[[S, R], T]: ...
+def answers(method: Any) -> Any:
+    """Let a method of a behavior answer requests of the type that it is annotated with.
+
+    Each request gets a task of its own, or a thread if the method is a plain function;
+    one at a time for each method. What it returns is the answer; `RefusedError` that it
+    raises is a refusal; any other error fails the request, and the behavior goes on.
+
+    Example:
+        >>> @esair.answers
+        ... async def dock(self, request: Dock) -> Docked:
+        ...     return Docked(1)
+    """
+    setattr(method, _MARK, True)
+    return method
+
+
+@attrs.frozen
+class Answers:
+    """A method that answers requests of one type."""
+
+    type: Any
+    method: str
+    queue: int = QUEUE
+    newest: bool = False
+
+
+def declared_requests(cls: type) -> Mapping[str, Takes[Any] | Answers | ConfigError]:
+    """Return what a class takes and answers, by attribute, or what is wrong with it."""
+    known: Mapping[str, Takes[Any] | Answers | ConfigError] | None
+    known = vars(cls).get("_requests")
+    if known is None:
+        # Not when the class is made: its annotations may name what comes later.
+        known = _declared(cls)
+        cls._requests = known  # type: ignore[attr-defined]
+    return known
+
+
+def _declared(cls: type) -> dict[str, Takes[Any] | Answers | ConfigError]:
+    found: dict[str, Takes[Any] | Answers | ConfigError] = {}
+    for each in reversed(cls.__mro__):
+        for attribute, value in vars(each).items():
+            if isinstance(value, Takes):
+                found[attribute] = value
+            elif getattr(value, _MARK, False) is True and callable(value):
+                found[attribute] = _answers(cls, attribute, value)
+            else:
+                found.pop(attribute, None)
+    return found
+
+
+def _answers(cls: type, attribute: str, method: Any) -> Answers | ConfigError:
+    try:
+        parameters = list(inspect.signature(method).parameters.values())
+        hints = typing.get_type_hints(method)
+    except Exception as error:
+        return ConfigError(
+            cls.__name__, attribute, f"its annotations cannot be read: {error}"
+        )
+    kinds = {p.kind for p in parameters} - {inspect.Parameter.POSITIONAL_OR_KEYWORD}
+    wanted = hints.get(parameters[1].name) if len(parameters) == 2 else None
+    if kinds or not _is_request(wanted):
+        return ConfigError(
+            cls.__name__,
+            attribute,
+            "expected one parameter, annotated with a class derived from esair.Request",
+        )
+    given, answer = hints.get("return", Any), answer_type(wanted)
+    if not same_type(_or_none(given), _or_none(answer)):
+        return ConfigError(
+            cls.__name__,
+            attribute,
+            f"it returns {type_name(given)}, but {wanted.__name__} is answered with "
+            f"{type_name(answer)}",
+        )
+    return Answers(wanted, attribute)
+
+
+def _or_none(kind: Any) -> Any:
+    return type(None) if kind is None else kind
+
+
+def _is_request(kind: Any) -> typing.TypeGuard[type[Request[Any]]]:
+    return inspect.isclass(kind) and issubclass(kind, Request) and kind is not Request
+
+
+def mistakes_in_requests(action: abc.Action) -> list[ConfigError]:
+    """Return what is wrong with the requests that an action takes."""
+    found: list[ConfigError] = []
+    by_type: dict[Any, str] = {}
+    for attribute, each in declared_requests(type(action)).items():
+        if isinstance(each, ConfigError):
+            found.append(ConfigError(action.name, each.field, _text(each)))
+            continue
+        if not _is_request(each.type):
+            message = (
+                f"expected a class derived from esair.Request, not {each.type!r:.80}"
+            )
+        elif type(each.queue) is not int or each.queue < 1:
+            message = f"expected a queue of 1 or more, not {each.queue!r:.80}"
+        elif type(each.newest) is not bool:
+            message = f"expected newest=True or False, not {each.newest!r:.80}"
+        elif each.type in by_type:
+            message = f"{each.type.__name__} is taken by {by_type[each.type]!r} already"
+        else:
+            by_type[each.type] = attribute
+            continue
+        found.append(ConfigError(action.name, attribute, message))
+    return found
+
+
+def _text(error: ConfigError) -> str:
+    return str(error).split(": ", 2)[-1]

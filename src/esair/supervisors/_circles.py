@@ -1,0 +1,119 @@
+"""Who waits for whom: a request that would wait for itself is refused at once.
+
+It follows the requests that an answer waits for. Two behaviors that ask each other
+wait for nobody as long as one of them has somebody free to answer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from esair.supervisors._requests import Link, Request, chain
+
+if TYPE_CHECKING:
+    from esair.supervisors._mailbox import Mailbox
+    from esair.supervisors._orders import Order
+    from esair.supervisors._request_queue import RequestQueue
+
+
+def circle_of_ask(order: Order, queue: RequestQueue) -> list[str]:
+    """Return the circle that an ask would close, or nothing."""
+    links = list(chain())
+    peer = order.peer
+    busy = queue.busy()
+    if busy:
+        if all(any(each is link for link in links) for each in busy):
+            return _path(links, peer)
+        return []
+    # Nobody takes such requests now: can anybody begin to?
+    waits = [link.task for link in links if link.asker == peer]
+    if order.asker == peer:
+        waits.append(order.task)
+    if not waits or not _all_wait(queue.member, waits):
+        return []
+    return _path(links, peer)
+
+
+def circle_of_get(
+    asker: str,
+    giver: str,
+    members: Mapping[str, Mailbox],
+    gets: Mapping[str, list[Request]],
+) -> list[str]:
+    """Return the circle that a get would close, or nothing.
+
+    Args:
+        asker: Who would wait.
+        giver: Whom for.
+        members: The behaviors by name.
+        gets: For each behavior that waits in a get: its requests.
+    """
+    if asker == giver:
+        return [asker, asker]
+    links = list(chain())
+    trail = [(giver, [asker, giver])]
+    seen = {giver}
+    while trail:
+        name, path = trail.pop()
+        member = members.get(name)
+        if member is not None and member.serves in links:
+            return _path(links, giver) if name == giver else [*path, asker]
+        for request in _waits(name, member, gets.get(name, ())):
+            other = request.peer
+            if other == asker:
+                own = members.get(asker)
+                if request in links or _is_stuck(own, gets.get(asker, ()), links):
+                    return [*path, asker]
+            elif other not in seen:
+                seen.add(other)
+                trail.append((other, [*path, other]))
+    return []
+
+
+def _waits(name: str, member: Mailbox | None, gets: Iterable[Request]) -> list[Request]:
+    """Return the gets that the next answer of a behavior waits for."""
+    pending = [request for request in gets if not request.over]
+    if member is None:
+        return pending
+    if member.can_provide:
+        serves = member.serves
+        return [r for r in pending if serves is not None and r.parent is serves]
+    tasks = [request.task for request in pending]
+    return pending if pending and _all_wait(member, tasks) else []
+
+
+def _is_stuck(
+    member: Mailbox | None, gets: Iterable[Request], links: list[Link]
+) -> bool:
+    """Tell whether the one that asks now has nobody else who would answer."""
+    if member is None:
+        return True
+    if member.can_provide:
+        return member.serves is not None and member.serves in links
+    tasks = [request.task for request in gets if not request.over]
+    return _all_wait(member, [*tasks, asyncio.current_task()])
+
+
+def _all_wait(member: Mailbox, waits: list[asyncio.Task[Any] | None]) -> bool:
+    """Tell whether nobody of a behavior is left who does not wait."""
+    living = set(member.owner.living())
+    if any(task not in living for task in waits):
+        return True  # somebody else acts in its name: what is known are the requests
+    threads = member.owner.threads
+    if threads and len(waits) >= len(threads):
+        living.difference_update(member.run_tasks())
+    return living.issubset(waits)
+
+
+def _path(links: list[Link], peer: str) -> list[str]:
+    """Return the names on the circle, in the order in which they wait."""
+    names = [peer]
+    for link in links:
+        if link.peer == peer:
+            break
+        names.append(link.peer)
+        if link.asker == peer:
+            break
+    return [peer, *reversed(names[1:]), peer]
