@@ -77,7 +77,7 @@ async def test_start_order_and_its_exact_reverse() -> None:
         log.remove("open bus")
     assert log[:4] == ["open device", "write 0.0", "setup", "write 1.0"]
     assert sorted(log[4:6]) == ["teardown", "write 0.0"]
-    assert log[6:8] == ["close device", "close bus"]
+    assert log[6:9] == ["write 0.0", "close device", "close bus"]
     phases = {robot.resources.phase, robot.behaviors.phase}
     assert phases == {SupervisorPhase.STOPPED}
 

@@ -67,7 +67,7 @@ async def test_too_many_slow_steps_in_a_row_are_an_error(
 
     assert status.restarts == restarts
     assert status.state is esair.BehaviorState.RUNNING
-    assert wheels.commands.count(0.0) == 2 + restarts
+    assert wheels.commands.count(0.0) == 3 + restarts
     if restarts:
         assert isinstance(status.error, esair.BehaviorFailedError)
         assert "overrun 3 in a row" in str(status.error)

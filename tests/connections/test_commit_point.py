@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import threading
 from typing import Any
@@ -103,7 +104,7 @@ async def test_nothing_but_safe_leaves_once_the_robot_stops(
     async with esair.Robot(resources=[wheels], behaviors=[Stubborn()]):
         await asyncio.sleep(0.1)
 
-    assert wheels.commands == [0.0, 1.0, 0.0]
+    assert wheels.commands == [0.0, 1.0, 0.0, 0.0]
     assert [type(each) for each in outcomes] == [esair.StoppingError] * 2
 
 
@@ -188,6 +189,8 @@ async def test_a_write_from_before_a_loss_does_not_move_the_device_after_it(
 
         async def write(self, command: float) -> None:
             if command:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(1.0)
                 await asyncio.sleep(0.5)
             log.append(command)
 
@@ -197,8 +200,9 @@ async def test_a_write_from_before_a_loss_does_not_move_the_device_after_it(
         writing = asyncio.create_task(user.slow.write(1.0))
         await asyncio.sleep(0.01)
         slow.report_lost()
+        with pytest.raises(esair.DeviceLostError, match=r"unknown whether 1\.0"):
+            await writing
         await asyncio.sleep(1.0)
-        await writing
 
         assert log == ["open", 0.0, 1.0, "open", 0.0]
         assert robot.resources.query("slow").state is esair.ResourceState.READY
@@ -213,8 +217,11 @@ async def test_what_a_gone_device_answers_late_is_no_news(user_of: Any) -> None:
 
         async def write(self, command: float) -> None:
             if command:
-                await asyncio.sleep(0.3)
-                raise ConnectionError("the old cable")
+                try:
+                    await asyncio.sleep(1.0)
+                finally:
+                    await asyncio.sleep(0.3)
+                    raise ConnectionError("the old cable")
 
     dying = Dying()
     user = user_of("user", dying=esair.writes(float))
@@ -222,7 +229,7 @@ async def test_what_a_gone_device_answers_late_is_no_news(user_of: Any) -> None:
         writing = asyncio.create_task(user.dying.write(1.0))
         await asyncio.sleep(0.01)
         dying.report_lost()
-        with pytest.raises(esair.DeviceLostError, match="old cable"):
+        with pytest.raises(esair.DeviceLostError, match="reported that it is gone"):
             await writing
         await asyncio.sleep(1.0)
 

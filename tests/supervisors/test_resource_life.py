@@ -89,7 +89,7 @@ async def test_a_required_device_that_is_not_there_refuses_the_start(
 
     assert [type(e) for e in caught.value.exceptions] == [esair.DeviceLostError]
     assert not wheels.is_open
-    assert wheels.commands == [0.0]
+    assert wheels.commands == [0.0, 0.0]
 
 
 @pytest.mark.promise("RES-2")

@@ -39,7 +39,7 @@ async def commands(reactions: list[Says], values: list[float]) -> list[Any]:
         for value in values:
             sensor.feed(value)
             await asyncio.sleep(0.05)
-    return motor.commands[1:-1]
+    return motor.commands[1:-2]  # at the stop: at once, and once more
 
 
 def orders(make: Any) -> list[list[Says]]:

@@ -1,9 +1,11 @@
 """The only way of data between actions and resources."""
 
-from esair.connections._actuator_channel import ActuatorChannel, LastCommand
+from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
+from esair.connections._actuator_device import LastCommand
+from esair.connections._call import Call, Calls
 from esair.connections._command_check import CommandCheck, check_declaration
-from esair.connections._driver import Driver, is_drivers, is_loss, translate
+from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._halt import HALT, Halt, Halting, Stopped
 from esair.connections._registrations import Registration, Registrations
 from esair.connections._sensor_channel import READ_TIMEOUT, Follower, SensorChannel
@@ -14,19 +16,21 @@ __all__ = [
     "READ_TIMEOUT",
     "ActuatorChannel",
     "ActuatorConnection",
+    "Call",
+    "Calls",
     "CommandCheck",
     "Driver",
     "Follower",
     "Halt",
     "Halting",
     "LastCommand",
+    "Method",
     "Registration",
     "Registrations",
     "SensorChannel",
     "SensorConnection",
     "Stopped",
     "check_declaration",
-    "is_drivers",
     "is_loss",
     "translate",
 ]

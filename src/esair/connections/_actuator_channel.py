@@ -1,88 +1,57 @@
-"""The way of commands to one actuator: who holds it, and its safe command."""
+"""The way of commands to one actuator: who holds it, and what leaves."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
 import math
-from collections.abc import Callable, Coroutine
-from typing import Any, NamedTuple
+from collections.abc import Callable, Generator
+from typing import Any
 
+from esair.connections._actuator_device import ActuatorDevice
+from esair.connections._answers import rule_of, why, withdrawn
+from esair.connections._call import Call, End
 from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
-from esair.connections._driver import Driver, Guard, is_drivers, translate
+from esair.connections._driver import Guard
 from esair.connections._halt import HALT, HALT_PRIORITY, Halt
 from esair.connections._registrations import Registration, Registrations
+from esair.connections._waiting_writes import Sent, WaitingWrites
 from esair.exceptions import (
-    BusyError,
     DeviceLostError,
-    DriverStuckError,
     EsairError,
-    ResourceRemovedError,
     StoppingError,
-    describe,
 )
 from esair.journal import Kind
-from esair.loop import CallRefused, Suspended, clock_of, finish, first_step, spawn
+from esair.loop import CallRefused
 from esair.messages import Answer, Refused, ResourceState, Why, Written
 from esair.resources import Actuator
 
-WAITING_LIMIT = 256
-"""How many writes may wait for one actuator at a time."""
-
-SAFE_TRIES = 3
-"""How often the safe command is tried before the actuator counts as unsafe."""
-
-TURN_WITHIN = 0.3
-"""How long the safe command waits at most for a write in flight, in seconds."""
-
 _EARLY = 1e-6  # timers may fire a hair early
 
-_log = logging.getLogger("esair")
 
+class _Sending:
+    """A write that waits for the device: await it for its outcome."""
 
-class LastCommand(NamedTuple):
-    """What an actuator was told last.
-
-    Attributes:
-        resource: The name of the actuator.
-        command: The last command that was handed to its driver.
-        safe: Whether that was its safe command.
-        answered: Whether the driver took it without an error.
-        error: The error of the driver, in words; empty if it took it.
-    """
-
-    resource: str
-    command: object
-    safe: bool
-    answered: bool
-    error: str = ""
-
-    def __str__(self) -> str:
-        answer = "answered" if self.answered else f"NOT ANSWERED ({self.error})"
-        return (
-            f"{self.resource}: {'safe ' if self.safe else ''}{self.command!r}: {answer}"
-        )
-
-
-class _Waiting:
-    """A write, or something of the channel itself, that waits until it may look again."""
-
-    __slots__ = ("registration", "withdrawn", "woken")
+    __slots__ = ("call", "channel", "command", "halts", "registration")
 
     def __init__(
-        self, registration: Registration | None, woken: asyncio.Future[None]
+        self,
+        channel: ActuatorChannel,
+        call: Call,
+        registration: Registration,
+        command: Any,
     ) -> None:
+        self.channel = channel
+        self.call = call
         self.registration = registration
-        self.woken = woken
-        self.withdrawn = False
+        self.command = command
+        self.halts = channel.halts
 
-    def wake(self) -> None:
-        if not self.woken.done():
-            self.woken.set_result(None)
+    def __await__(self) -> Generator[Any, Any, Written[Any] | Refused]:
+        return self.channel.finish(self).__await__()
 
 
-class ActuatorChannel:
+class ActuatorChannel(ActuatorDevice):
     """Sends the commands of whoever holds the actuator, and the safe command.
 
     Every check and the call of the driver happen in one block without an await
@@ -92,41 +61,21 @@ class ActuatorChannel:
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
         "_accepts",
+        "_begin_call",
         "_blocks",
-        "_busy",
-        "_call",
         "_check",
         "_checked",
         "_dead_man",
+        "_deadline",
         "_halts",
-        "_journal",
-        "_last_moment",
         "_last_write",
-        "_loop",
-        "_on_error",
-        "_opening",
-        "_safe_again",
-        "_safe_task",
         "_slews",
-        "_take_over_turn",
-        "_time",
-        "_told",
-        "_told_error",
-        "_told_safe",
-        "_waiters",
+        "_waiting",
         "_writer",
-        "actuator",
-        "command_timeout",
         "decision",
-        "driver",
-        "error",
         "holder",
-        "latched",
-        "name",
         "refusals",
-        "registrations",
         "since",
-        "state",
         "timeouts",
         "until",
         "writes",
@@ -138,14 +87,8 @@ class ActuatorChannel:
         registrations: Registrations,
         loop: asyncio.AbstractEventLoop,
         on_error: Callable[[Exception], None],
+        left: set[Call] | None = None,
     ) -> None:
-        self.name = actuator.name
-        self.state = ResourceState.CLOSED
-        self.error: EsairError | None = None
-        self._last_moment = math.inf
-        """Until when the stop of the robot waits for the safe command."""
-        self.latched = False
-        """Set when the robot stops: from then on only the safe command leaves."""
         self.holder: Registration | None = None
         self.since = 0.0
         self.until = 0.0
@@ -153,60 +96,40 @@ class ActuatorChannel:
         self.refusals = 0
         self.timeouts = 0
         """How often the safe command was sent because nobody wrote."""
-        self.registrations = registrations
-        self._journal = registrations.journal
-        self._loop = loop
-        self._time = clock_of(loop)
-        self._on_error = on_error
-        self.decision = Decision(self, loop)
-        """What reactions want of it in this turn."""
         self._writer: Registration | None = None
         self._last_write = 0.0
         self._accepts = False
-        self._busy = False
-        self._waiters: list[_Waiting] = []
+        self._waiting = WaitingWrites(actuator.name, loop)
         self._dead_man: asyncio.TimerHandle | None = None
-        self._safe_task: asyncio.Task[bool] | None = None
-        self._safe_again = False
-        self._take_over_turn: asyncio.Future[None] | None = None
         self._halts = 0
         """Grows with each halt: a command from before is never sent after it."""
-        self._opening = 0
-        """Grows when the device is gone: what it answers after that is no news."""
-        self._told: Any = None
-        self._told_safe = False
-        self._told_error = "it was never told anything"
-        self.attach(actuator)
+        self.decision = Decision(self, loop)
+        """What reactions want of it in this turn."""
+        super().__init__(actuator, registrations, loop, on_error, left)
 
     def attach(self, actuator: Actuator[Any]) -> None:
         """Write to this actuator from now on; it is not ready yet."""
-        self.actuator = actuator
-        self.driver = Driver(actuator)
-        self._blocks = self.driver.blocks("write")
-        self._call = self.driver.call("write")
-        self.configured()
+        super().attach(actuator)
+        self._blocks = self._write.executor is not None
+        self._begin_call = self.calls.begin
 
     def configured(self) -> None:
         """Take over changed limits and time-outs."""
+        super().configured()
+        self._deadline = self.actuator.deadline
         self._check = CommandCheck(self.actuator)
         self._checked = self._check.checked
         self._slews = self._check.slews
-        self.command_timeout = float(self.actuator.command_timeout)
-
-    @property
-    def _patience(self) -> float:
-        """How long to wait for the safe command, in seconds."""
-        return self.actuator.deadline + self._turn_within + 0.1
-
-    @property
-    def _turn_within(self) -> float:
-        """How long the safe command waits for a write in flight, in seconds."""
-        return min(self.actuator.deadline, self.command_timeout, TURN_WITHIN)
 
     @property
     def successes(self) -> int:
         """How many commands the device has taken."""
         return self.writes
+
+    @property
+    def halts(self) -> int:
+        """How often it was halted."""
+        return self._halts
 
     def counts(self) -> dict[str, int]:
         """Return the counters, by name."""
@@ -214,22 +137,24 @@ class ActuatorChannel:
             "writes": self.writes,
             "refusals": self.refusals,
             "timeouts": self.timeouts,
+            "abandoned": self.calls.abandoned,
+            "late": self.calls.late,
         }
 
     # State, told by the supervisor.
 
     def up(self) -> None:
         """The device is open and was told its safe command: writes may begin."""
-        self.state = ResourceState.READY
-        self.error = None
+        super().up()
         self._accepts = not self.latched and self.registrations.halt is None
 
     def latch(self) -> None:
         """Let nothing but safe commands leave from now on: the robot stops."""
         self.latched = True
         self._accepts = False
-        self._last_moment = self._time() + self._patience
-        self._wake()
+        patience = self._turn_within + self.actuator.deadline + 0.1
+        self._last_moment = self._time() + patience
+        self._look()
         if self.state is ResourceState.READY and not self.is_safe:
             self.make_safe()
 
@@ -241,7 +166,7 @@ class ActuatorChannel:
     def halt(self) -> None:
         """Send the safe command, and nothing but it until `resume`."""
         self.bar()
-        self._wake()
+        self._look()
         if self.state is ResourceState.READY:
             self.make_safe()
 
@@ -254,25 +179,13 @@ class ActuatorChannel:
         """The device is about to go: only its safe command may leave, no write that waits."""
         self.error = error
         self._accepts = False
-        self._wake()
+        self._look()
 
     def down(self, state: ResourceState, error: EsairError) -> None:
         """The device is gone: forget who held it and what it was told."""
-        self.state = state
-        self.error = error
         self._accepts = False
-        self._opening += 1
         self._disarm()
-        self._wake()
-
-    def closed(self) -> None:
-        """Nobody waits for the safe command any more; a thread that has it goes on."""
-        if self._safe_task is not None:
-            self._safe_task.cancel()
-
-    def removed(self) -> None:
-        """The user took the actuator away."""
-        self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
+        super().down(state, error)
 
     def _disarm(self) -> None:
         self.holder = self._writer = None
@@ -284,11 +197,11 @@ class ActuatorChannel:
 
     def begin(
         self, registration: Registration, command: Any, hold: float | None
-    ) -> Written[Any] | Refused | Coroutine[Any, Any, Written[Any] | Refused]:
+    ) -> Sent:
         """Check everything and send a command, without a wait if the driver has none.
 
         Returns:
-            The outcome, or the rest of the work, to be awaited in the same task.
+            The outcome, or what to await for it.
 
         Raises:
             NotRegisteredError: The registration is not valid (any more).
@@ -333,28 +246,24 @@ class ActuatorChannel:
         self._busy = True
         if journal.heard:
             journal.publish(Kind.SENT, self.name, registration.behavior, command)
-        call = (
-            self._call(command, guard=self._guard(registration))
-            if self._blocks
-            else self._call(command)
-        )
+        guard = self._guard(registration) if self._blocks else None
         try:
-            waits_for = call.send(None)
-        except StopIteration as stop:  # it is done: most drivers need not wait
-            self._busy = False
-            self.writes += 1
-            self._told_error = ""
-            applied = command if stop.value is None else stop.value
-            if journal.heard:
-                journal.publish(Kind.APPLIED, self.name, registration.behavior, applied)
-            return Written(applied)
-        except BaseException as error:
-            self._busy = False
-            if not is_drivers(error):
-                raise
-            raise self._interrupted(error, command, self._opening) from error
-        self._told_error = "it has not answered yet"
-        return self._finish(Suspended(call, waits_for), registration, command)
+            sent = self._begin_call(
+                "write", self._write, (command,), self._deadline, self._ended, guard
+            )
+        except Exception as error:
+            self._busy = self._lane is not None or self._safe_task is not None
+            raise self._interrupted(error, command) from error
+        if type(sent) is Call:
+            sent.owner = registration
+            self._lane = sent
+            self._told_error = "it has not answered yet"
+            return _Sending(self, sent, registration, command)
+        # Done: most drivers need not wait.
+        self._busy = self._safe_task is not None
+        self.writes += 1
+        self._told_error = ""
+        return self._applied(registration, command, sent)
 
     def lost(
         self, registration: Registration, command: Any, winner: Registration
@@ -369,7 +278,7 @@ class ActuatorChannel:
     def _refused(self, registration: Registration, holder: Registration) -> Refused:
         self.refusals += 1
         refused = Refused(
-            holder.behavior, holder.priority, _rule(holder), self.since, self.until
+            holder.behavior, holder.priority, rule_of(holder), self.since, self.until
         )
         if self._journal.heard:
             self._journal.publish(
@@ -379,40 +288,45 @@ class ActuatorChannel:
 
     def _guard(self, registration: Registration) -> Guard:
         """Return the checks that a thread makes when the turn of a command comes."""
-        opening, halts = self._opening, self._halts
+        calls, opening, halts = self.calls, self.calls.opening, self._halts
         return lambda: (
             registration.usable
             and self._accepts
-            and opening == self._opening
+            and opening == calls.opening
             and halts == self._halts
         )
 
-    async def _finish(
-        self, suspended: Suspended, registration: Registration, command: Any
-    ) -> Written[Any] | Refused:
-        actuator = self.actuator
-        opening, halts = self._opening, self._halts
+    def _ended(self, call: Call, end: End) -> None:
+        """Apply the outcome of a write that has waited for the device."""
+        if end.error is None:
+            self.writes += 1
+            if self._writer is call.owner:
+                self._last_write = self._time()
+            if not self._told_safe:
+                self._told_error = ""
+        elif not (call.cancelled or isinstance(end.error, CallRefused)):
+            self._failed(end.error, "write")
+        if call.ended is not None:  # else its driver still has the device
+            self._lane_free(call)
+
+    async def finish(self, sending: _Sending) -> Written[Any] | Refused:
+        """Wait for the outcome of a write that is on its way."""
+        registration, command = sending.registration, sending.command
         try:
-            applied = await finish(suspended, actuator.deadline)
+            applied = await self.calls.outcome(sending.call)
         except CallRefused:
-            return self._turned_away(registration, command, halts)
-        except TimeoutError as error:
-            if isinstance(error, DriverStuckError):
-                stuck = error
-            else:
-                stuck = DriverStuckError(self.name, "write", actuator.deadline)
-            raise self._failed(stuck, opening) from error
-        except BaseException as error:
-            if not is_drivers(error):
-                raise
-            raise self._interrupted(error, command, opening) from error
-        finally:
-            self._idle()
-        self.writes += 1
-        if self._writer is registration:
-            self._last_write = self._time()
-        if not self._told_safe:
-            self._told_error = ""
+            return self._turned_away(registration, command, sending.halts)
+        except Exception as error:
+            raise self._in_doubt(self._translated(error), command) from error
+        return self._applied(registration, command, applied)
+
+    def _applied(
+        self, registration: Registration, command: Any, applied: Any
+    ) -> Written[Any] | Refused:
+        if isinstance(applied, Refused):
+            return applied  # the device itself has said no
+        if isinstance(applied, Written):
+            applied = applied.command
         if applied is None:
             applied = command
         if self._journal.heard:
@@ -463,74 +377,58 @@ class ActuatorChannel:
     async def _when_idle(
         self, registration: Registration, command: Any, hold: float | None
     ) -> Written[Any] | Refused:
-        if len(self._waiters) >= WAITING_LIMIT:
-            raise BusyError(self.name, "number of waiting writes", WAITING_LIMIT)
-        halts = self._halts
-        waiting = _Waiting(registration, self._loop.create_future())
-        self._waiters.append(waiting)
-        try:
-            while (
-                self._busy
-                and self._accepts
-                and halts == self._halts
-                and registration.usable
-                and not waiting.withdrawn
-            ):
-                if waiting.woken.done():
-                    waiting.woken = self._loop.create_future()
-                await waiting.woken
-        finally:
-            self._waiters.remove(waiting)
-        if waiting.withdrawn and registration.usable:
-            return _withdrawn(registration, self._time())
-        if halts != self._halts:
-            return self._turned_away(registration, command, halts)
-        outcome = self.begin(registration, command, hold)
-        return outcome if isinstance(outcome, Answer) else await outcome
+        sent = await self._waiting.turn(registration, command, hold, self._halts)
+        return sent if isinstance(sent, Answer) else await sent
 
     def _idle(self) -> None:
-        turn = self._take_over_turn
-        if turn is not None and not turn.done():
-            turn.set_result(None)  # the safe command is next, before any waiter
-            return
-        if self._safe_again:
-            # This command may have overtaken the safe command: repeat that one.
-            self._safe_again = False
-            self._busy = False
-            self.make_safe()
-            self._wake()
-            return
-        self._busy = False
-        self._wake()
+        super()._idle()
+        self._look()
 
-    def _wake(self) -> None:
-        """Let those that wait look again whether they may go on."""
-        for waiting in self._waiters:
-            waiting.wake()
+    def _look(self) -> None:
+        """Give those that wait their turn: the highest priority first, then the oldest.
+
+        Whoever loses to it is refused, and never sent.
+        """
+        waiting = self._waiting
+        if not waiting:
+            return
+        for write in waiting:
+            accepts = self._accepts and write.halts == self._halts
+            if not (write.registration.usable and accepts):
+                waiting.remove(write)
+                try:
+                    write.end(
+                        self._turned_away(
+                            write.registration, write.command, write.halts
+                        )
+                    )
+                except EsairError as error:
+                    write.end(error)
+        while waiting and not self._busy:
+            write = waiting.first()
+            if write.turn.done():
+                continue
+            try:
+                write.end(self.begin(write.registration, write.command, write.hold))
+            except Exception as error:
+                write.end(error)
 
     def _withdraw(self, registration: Registration) -> None:
         """Have the waiting writes of a registration end without a command."""
-        for waiting in self._waiters:
-            if waiting.registration is registration:
-                waiting.withdrawn = True
-                waiting.wake()
-
-    def _failed(self, error: BaseException, opening: int) -> Exception:
-        translated = translate(self.name, error)
-        if opening == self._opening:
-            self._told_error = describe(translated)
-            if self._journal.heard:
-                self._journal.publish(
-                    Kind.UNANSWERED, self.name, "", self._told, self._told_error
+        for write in self._waiting:
+            if write.registration is registration:
+                self._waiting.remove(write)
+                write.end(
+                    withdrawn(registration, self._time())
+                    if registration.usable
+                    else self._refusal(registration)
                 )
-            self._on_error(translated)
-        return translated
 
-    def _interrupted(
-        self, error: BaseException, command: Any, opening: int
-    ) -> Exception:
+    def _interrupted(self, error: Exception, command: Any) -> Exception:
         """Make the error for a command whose driver call has ended in an error."""
-        failed = self._failed(error, opening)
+        return self._in_doubt(self._failed(error, "write"), command)
+
+    def _in_doubt(self, failed: Exception, command: Any) -> Exception:
         if not isinstance(failed, DeviceLostError):
             return failed
         doubt = f"it is unknown whether {command!r:.80} was applied, it is not repeated"
@@ -570,87 +468,7 @@ class ActuatorChannel:
             The sending; its result tells whether the device took it.
         """
         self._disarm()
-        task = self._safe_task
-        if task is None:
-            if self._busy:
-                # From this moment on the end of the write in flight is its turn.
-                self._take_over_turn = self._loop.create_future()
-            self._busy = True
-            task = self._safe_task = spawn(
-                self._loop,
-                self._send_safe(self._take_over_turn),
-                name=f"{self.name} safe",
-            )
-        return task
-
-    async def safe_now(self) -> None:
-        """Wait until a safe command on its way is the last thing sent; bounded."""
-        give_up = min(self._time() + self._patience, self._last_moment)
-        while (self._safe_task or self._safe_again) and self._time() < give_up:
-            if self._safe_task is not None:
-                seconds = max(0.0, give_up - self._time())
-                await asyncio.wait({self._safe_task}, timeout=seconds)
-            else:  # the safe command has overtaken a write, and is repeated after it
-                await self._look_again(give_up)
-
-    async def _send_safe(self, turn: asyncio.Future[None] | None) -> bool:
-        mine = turn is None or await self._take_over(turn)
-        try:
-            for attempt in range(SAFE_TRIES):
-                if self.state is not ResourceState.READY:
-                    self._told_error = describe(
-                        self.error or DeviceLostError(self.name)
-                    )
-                    return False
-                if await self._try_safe():
-                    return True
-                await asyncio.sleep(0.01 * attempt)
-            _log.critical(
-                "%s: UNSAFE: it did not take %r", self.name, self.actuator.safe
-            )
-            if self.state is ResourceState.READY:
-                # It comes back when it takes its safe command after an opening.
-                self._on_error(
-                    DeviceLostError(self.name, "it does not take its safe command")
-                )
-            return False
-        finally:
-            self._safe_task = None
-            if mine:
-                self._idle()
-            elif self._busy:
-                self._safe_again = True
-
-    async def _take_over(self, turn: asyncio.Future[None]) -> bool:
-        """Wait until the write in flight has ended, but not for ever."""
-        try:
-            await asyncio.wait({turn}, timeout=self._turn_within)
-        finally:
-            self._take_over_turn = None
-        return turn.done()
-
-    async def _try_safe(self) -> bool:
-        opening = self._opening
-        try:
-            await self._tell_safe()
-        except BaseException as error:
-            if not is_drivers(error):
-                raise
-            self._failed(error, opening)
-            return False
-        return True
-
-    async def _tell_safe(self) -> None:
-        actuator = self.actuator
-        self._told = actuator.safe
-        self._told_safe = True
-        self._told_error = "it has not answered yet"
-        applied = first_step(self._call(actuator.safe))
-        if type(applied) is Suspended:
-            await finish(applied, actuator.deadline)
-        self._told_error = ""
-        if self._journal.heard:
-            self._journal.publish(Kind.SAFE, self.name, "", actuator.safe)
+        return super().make_safe()
 
     def _nobody_wrote(self) -> None:
         self._dead_man = None
@@ -664,110 +482,8 @@ class ActuatorChannel:
         if holder is not None and self._time() + _EARLY < until:
             self.holder = holder  # a longer hold keeps lower priorities away
 
-    async def open_safe(self) -> None:
-        """Send the safe command to a device that was just opened.
-
-        Raises:
-            DeviceLostError: The device is gone again.
-            DeviceFaultError: It does not take its safe command.
-        """
-        try:
-            await self._tell_safe()
-        except BaseException as error:
-            self._told_error = describe(error)
-            raise
-
-    async def quiet(self) -> None:
-        """Wait until no call from before a loss is in flight any more; bounded.
-
-        What such a call still sends would come after the safe command of the opening.
-        """
-        give_up = self._time() + self.actuator.deadline + 0.1
-        while self._busy and self._time() < give_up:
-            await self._look_again(give_up)
-
-    async def _look_again(self, give_up: float) -> None:
-        """Wait until something has ended, or until a moment."""
-        waiting = _Waiting(None, self._loop.create_future())
-        self._waiters.append(waiting)
-        try:
-            await asyncio.wait(
-                {waiting.woken}, timeout=max(0.0, give_up - self._time())
-            )
-        finally:
-            self._waiters.remove(waiting)
-
     # What people ask.
-
-    @property
-    def is_safe(self) -> bool:
-        """Whether the device was told its safe command last, and took it."""
-        return self._told_safe and not self._told_error
-
-    def not_told(self, error: BaseException) -> None:
-        """Take note that the device could not be told its safe command."""
-        self._told_error = describe(error)
-
-    def told(self) -> LastCommand:
-        """Tell what the device was told last."""
-        return LastCommand(
-            self.name,
-            self._told,
-            self._told_safe,
-            not self._told_error,
-            self._told_error,
-        )
 
     def why(self) -> Why:
         """Tell who holds the actuator, by which rule, and what would free it."""
-        holder = self.holder
-        halt = self.registrations.halt
-        if halt is not None:
-            return Why(
-                self.name,
-                self.state,
-                HALT,
-                HALT_PRIORITY,
-                halt.reason,
-                halt.since,
-                math.inf,
-                "robot.resume(), by the user",
-                self._told,
-            )
-        if holder is None or self._time() >= self.until:
-            rule = (
-                "it was told its safe command"
-                if self.is_safe
-                else "no hold is in force"
-            )
-            return Why(self.name, self.state, rule=rule, last=self._told)
-        return Why(
-            self.name,
-            self.state,
-            holder.behavior,
-            holder.priority,
-            _rule(holder),
-            self.since,
-            self.until,
-            f"a write with a priority above {holder.priority}, a release by "
-            f"{holder.behavior}, or {self.until - self._time():.3g} s without its writes",
-            self._told,
-        )
-
-
-def _rule(holder: Registration) -> str:
-    return (
-        f"priority {holder.priority} of {holder.behavior!r} holds until it has not "
-        "written for its hold; only a higher priority gets through"
-    )
-
-
-def _withdrawn(registration: Registration, now: float) -> Refused:
-    """Answer a write whose own sender gave the actuator back before its turn came."""
-    return Refused(
-        registration.behavior,
-        registration.priority,
-        f"{registration.behavior!r} gave it back before the turn of this command came",
-        now,
-        now,
-    )
+        return why(self, self._time())

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import functools
 import inspect
 from collections.abc import Callable, Coroutine
-from typing import Any
+from typing import Any, NamedTuple
 
 from esair.exceptions import (
     DeviceFaultError,
@@ -23,6 +24,22 @@ _GONE = frozenset(
 )
 
 Guard = Callable[[], bool]
+
+
+class Method(NamedTuple):
+    """A method of a driver, and where it is called.
+
+    Attributes:
+        function: What is called; a coroutine function if there is no executor.
+        executor: Returns the thread that calls it; None if it is called in the loop.
+    """
+
+    function: Callable[..., Any]
+    executor: Callable[[], Executor] | None
+
+    def bound(self, **options: Any) -> Method:
+        """Return the same with keyword arguments."""
+        return Method(functools.partial(self.function, **options), self.executor)
 
 
 class Driver:
@@ -84,6 +101,14 @@ class Driver:
     def blocks(self, method: str) -> bool:
         """Tell whether a method is a plain function, which may block."""
         return not inspect.iscoroutinefunction(getattr(self.resource, method))
+
+    def method(self, name: str) -> Method:
+        """Return a method, to be called where it belongs."""
+        function = getattr(self.resource, name)
+        return Method(function, self._get_executor if self.blocks(name) else None)
+
+    def _get_executor(self) -> Executor:
+        return self.executor
 
     def call(
         self, method: str, *, timeout: float | None = None

@@ -9,7 +9,7 @@ from collections.abc import Generator, Iterable
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 if TYPE_CHECKING:
-    from esair.connections._actuator_channel import LastCommand
+    from esair.connections._actuator_device import LastCommand
 
 HALT = "halt"
 """Who holds every actuator of a robot that is halted."""

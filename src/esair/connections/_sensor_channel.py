@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import contextvars
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from typing import Any, Protocol
 
-from esair.connections._driver import Driver, is_drivers, translate
+from esair.connections._call import Call, Calls, End
+from esair.connections._driver import Driver, Method, translate
 from esair.connections._registrations import Registration, Registrations
 from esair.exceptions import (
     BadValueError,
@@ -21,17 +23,7 @@ from esair.exceptions import (
     StaleReadingError,
 )
 from esair.journal import Kind
-from esair.loop import (
-    Deadlines,
-    Job,
-    Order,
-    Scheduler,
-    Suspended,
-    clock_of,
-    finish,
-    first_step,
-    spawn,
-)
+from esair.loop import Deadlines, Job, Order, Scheduler, clock_of
 from esair.messages import Reading, ResourceState
 from esair.resources import Sensor
 from esair.values import checked_class, passes_as, type_name
@@ -69,6 +61,7 @@ class SensorChannel:
         registrations: Registrations,
         loop: asyncio.AbstractEventLoop,
         on_error: Callable[[Exception], None],
+        left: set[Call] | None = None,
     ) -> None:
         self.name = sensor.name
         self.state = ResourceState.CLOSED
@@ -101,23 +94,31 @@ class SensorChannel:
         self._last: Any = None
         self._repeats = 0
         """How many times in a row the device has given the last value."""
-        self._asking = False
-        self._asked: asyncio.Task[None] | None = None
-        self._polled: asyncio.Task[Any] | None = None
-        self._pump: asyncio.Task[None] | None = None
+        self._left: set[Call] = set() if left is None else left
+        self._asking: Call | bool = False
+        """The question that waits for its answer: there is one at a time."""
+        self._asks: asyncio.Handle | None = None
+        """Asks the device in the next turn, for all who have asked in this one."""
         self.attach(sensor)
 
     def attach(self, sensor: Sensor[Any]) -> None:
         """Read this sensor from now on; it is not ready yet."""
         self.sensor = sensor
         self.driver = Driver(sensor)
+        self.calls = Calls(
+            self.driver,
+            self._loop,
+            on_late=self._late,
+            on_stuck=self._stuck,
+            left=self._left,
+        )
         self._history: collections.deque[Reading[Any]] = collections.deque(
             maxlen=sensor.history_size
         )
         self._wanted = checked_class(sensor.value_type)
         self._max_repeat = sensor.max_repeat
         if sensor.can_be_asked:
-            self._ask_device = self.driver.call("read")
+            self._read = self.driver.method("read")
         self.configured()
 
     def configured(self) -> None:
@@ -140,6 +141,8 @@ class SensorChannel:
             "transactions": self.transactions,
             "missed": self.missed,
             "dropped": self.dropped,
+            "abandoned": self.calls.abandoned,
+            "late": self.calls.late,
         }
 
     # State, told by the supervisor.
@@ -150,7 +153,7 @@ class SensorChannel:
         self.error = None
         self._repeats = 0
         if self.sensor.pushes:
-            self._pump = spawn(self._loop, self._listen(), name=f"{self.name} stream")
+            self.calls.begin("stream", Method(self._listen, None), (), None)
         self._start_polling()
         for follower in self._followers:
             follower.changed(None)
@@ -161,10 +164,10 @@ class SensorChannel:
         self.error = error
         self.newest = None
         self._stop_polling()
-        for task in (self._pump, self._asked, self._polled):
-            if task is not None:
-                task.cancel()
-        self._pump = self._asked = self._polled = None
+        self.calls.next_opening(error)
+        if self._asks is not None:
+            self._asks.cancel()
+            self._asks = None
         self._asking = False
         self.awaited_in = 0
         waiters, self._waiters = self._waiters, []
@@ -307,88 +310,64 @@ class SensorChannel:
             self.missed += 1
             return None
         self._polled_in = turn
-        rest = self._begin()
-        if rest is not None:
+        self._begin()
+        if self._asking:
             self.awaited_in = turn
             self._begun = now
-        return rest
+        return None
 
     def _ask(self) -> None:
         if (
             self.sensor.can_be_asked
             and not self._asking
-            and self._asked is None
+            and self._asks is None
             and self.state is ResourceState.READY
         ):
-            self._asked = spawn(self._loop, self._transact(), name=f"{self.name} read")
+            self._asks = self._loop.call_soon(
+                self._ask_now, context=contextvars.Context()
+            )
 
-    async def _transact(self) -> None:
-        try:
-            rest = None if self._asking else self._begin()
-            if rest is not None:
-                await rest
-        finally:
-            if self._asked is asyncio.current_task():
-                self._asked = None
-                if self._waiters:
-                    self._ask()
+    def _ask_now(self) -> None:
+        self._asks = None
+        if self._waiters and not self._asking:
+            self._begin()
 
-    def _begin(self) -> Awaitable[None] | None:
+    def _begin(self) -> None:
         self._asking = True
         self.transactions += 1
         number = self.transactions
+        opening = self.calls.opening
         try:
-            value = first_step(self._ask_device())
-        except BaseException as error:  # the driver's: nobody can cancel a first step
+            value = self.calls.begin(
+                "read", self._read, (), self.sensor.deadline, self._read_ended
+            )
+        except Exception as error:
             self._asking = False
-            self._fail(error, number)
-            return None
-        if type(value) is Suspended:
-            return self._finish(value, number)
-        self._asking = False
-        self.publish(value, number)
-        return None
-
-    async def _finish(self, suspended: Suspended, number: int) -> None:
-        sensor = self.sensor
-        task = asyncio.current_task()
-        if task is not self._asked:
-            self._polled = task
-        try:
-            value = await finish(suspended, sensor.deadline)
-        except TimeoutError as error:
-            if isinstance(error, DriverStuckError):
-                stuck = error
-            else:
-                stuck = DriverStuckError(self.name, "read", sensor.deadline)
-                stuck.__cause__ = error
-            self._ended(sensor, number, error=stuck)
-        except BaseException as error:
-            if not is_drivers(error):
-                raise
-            self._ended(sensor, number, error=error)
+            if opening == self.calls.opening:
+                self._fail(error, number)
         else:
-            self._ended(sensor, number, value=value)
+            if type(value) is Call:
+                self._asking = value
+                return
+            self._asking = False
+            if opening == self.calls.opening:
+                self.publish(value, number)
+            else:  # its device was lost by this very call
+                self.calls.late += 1
+        if self._waiters:
+            self._ask()
 
-    def _ended(
-        self,
-        sensor: Sensor[Any],
-        number: int,
-        *,
-        value: Any = None,
-        error: BaseException | None = None,
-    ) -> None:
-        if self.sensor is not sensor or number != self.transactions or not self._asking:
-            return  # it came after the device was closed
-        self._asking = False
-        self._polled = None
+    def _read_ended(self, call: Call, end: End) -> None:
+        """Apply the outcome of a question that has waited for the device."""
+        if call.ended is not None:  # else its driver still has the device
+            self._asking = False
         polled, self.awaited_in = self.awaited_in, 0
         if polled:
             self.latency = max(self.time() - self._begun, 0.75 * self.latency)
-        if error is not None:
-            self._fail(error, number)
+        if end.error is None:
+            self.publish(end.value, self.transactions)
         else:
-            self.publish(value, number)
+            self._fail(end.error, self.transactions)
         if polled:
             self._answered()
         if self._waiters:
@@ -403,34 +382,60 @@ class SensorChannel:
         for function in awaiting:
             function()
 
+    def _late(self, call: Call) -> None:
+        if call is self._asking:
+            self._asking = False
+            if self._waiters:
+                self._ask()
+
+    def _stuck(self, call: Call) -> None:
+        self._on_error(
+            DeviceLostError(self.name, f"{call} was given up and does not end")
+        )
+
     async def _listen(self) -> None:
-        sensor = self.sensor
+        sensor, opening = self.sensor, self.calls.opening
         while True:
             try:
                 stream = sensor.stream()
                 if isinstance(stream, AsyncIterator):
                     async for value in stream:
-                        self.publish(value, math.inf)
-                else:
-                    await self._listen_blocking(iter(stream))
-            except BaseException as error:
-                if not is_drivers(error):
+                        if not self._heard(value, opening):
+                            return
+                elif not await self._listen_blocking(iter(stream), opening):
+                    return
+            except asyncio.CancelledError as error:
+                if opening != self.calls.opening:
                     raise
+                self._fail(error, math.inf)  # the driver's own
+            except BaseException as error:  # a driver may raise anything
+                if opening != self.calls.opening:
+                    return
                 self._fail(error, math.inf)
             else:
                 self._fail(DeviceLostError(self.name, "its stream has ended"), math.inf)
-            if self._pump is not asyncio.current_task():
+            if opening != self.calls.opening:
                 return  # the device is gone; its next opening begins anew
             await asyncio.sleep(LISTEN_AGAIN)
 
-    async def _listen_blocking(self, values: Iterator[Any]) -> None:
+    async def _listen_blocking(self, values: Iterator[Any], opening: int) -> bool:
         # A thread of its own: waiting for the next value must not block the bus.
         executor = await self.driver.stream_executor()
         end = object()
         while (
             value := await executor.call(next, values, end, timeout=math.inf)
         ) is not end:
-            self.publish(value, math.inf)
+            if not self._heard(value, opening):
+                return False
+        return True
+
+    def _heard(self, value: Any, opening: int) -> bool:
+        """Publish what the device has pushed, unless its opening is over."""
+        if opening != self.calls.opening:
+            self.calls.late += 1
+            return False
+        self.publish(value, math.inf)
+        return opening == self.calls.opening
 
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""
@@ -486,6 +491,10 @@ class SensorChannel:
                 self._waiters.append(waiter)
 
     def _fail(self, error: BaseException, number: float) -> None:
+        if isinstance(error, TimeoutError) and not isinstance(error, EsairError):
+            stuck = DriverStuckError(self.name, "read", self.sensor.deadline)
+            stuck.__cause__ = error
+            error = stuck
         translated = translate(self.name, error)
         waiters, self._waiters = self._waiters, []
         for waiter in waiters:

@@ -4,6 +4,7 @@ from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._garbage import freeze_garbage, unfreeze_garbage
+from esair.loop._light_task import WAITS, LightTask
 from esair.loop._ownership import (
     OwnedTasks,
     Owner,
@@ -15,18 +16,19 @@ from esair.loop._portal import Portal, portal
 from esair.loop._rate_group import Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
 from esair.loop._signals import ProcessWatch, SignalWatch
-from esair.loop._stepping import Suspended, finish, first_step
 from esair.loop._suspend import GLANCE, SuspendWatch
 from esair.loop._timer import clock_of
 
 __all__ = [
     "GLANCE",
+    "WAITS",
     "CallRefused",
     "Deadline",
     "Deadlines",
     "Every",
     "Executor",
     "Job",
+    "LightTask",
     "OneShot",
     "Order",
     "OwnedTasks",
@@ -37,12 +39,9 @@ __all__ = [
     "SignalWatch",
     "Step",
     "SuspendWatch",
-    "Suspended",
     "clock_of",
     "current_owner",
     "every",
-    "finish",
-    "first_step",
     "freeze_garbage",
     "portal",
     "spawn",

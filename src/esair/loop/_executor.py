@@ -8,7 +8,7 @@ import math
 import queue
 import threading
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from esair.exceptions import BusyError, DriverStuckError
 from esair.loop._deadlines import Deadlines
@@ -18,6 +18,19 @@ T = TypeVar("T")
 
 class CallRefused(Exception):  # noqa: N818 - an answer of the guard, not a fault
     """The guard of a call said no; the function was not called."""
+
+
+class Outcome(Protocol):
+    """Gets what a function has returned or raised, in the loop; a future is one."""
+
+    def done(self) -> bool:
+        """Whether nobody wants it any more."""
+
+    def set_result(self, result: Any, /) -> None:
+        """Take what it returned."""
+
+    def set_exception(self, error: BaseException, /) -> None:
+        """Take what it raised."""
 
 
 class Call:
@@ -30,7 +43,7 @@ class Call:
         function: Callable[..., Any],
         args: tuple[Any, ...],
         guard: Callable[[], bool] | None,
-        future: asyncio.Future[Any],
+        future: Outcome,
     ) -> None:
         self.function = function
         self.args = args
@@ -94,24 +107,45 @@ class Executor:
             DriverStuckError: It did not return in time.
             CallRefused: The guard said no.
         """
-        if bounded and self._jobs.qsize() >= self.limit:
-            raise BusyError(
-                f"executor {self.name}", "number of waiting calls", self.limit
-            )
         loop = asyncio.get_running_loop()
         future: asyncio.Future[T] = loop.create_future()
-        self._start(loop)
-        in_flight(loop, +1)
-        self._jobs.put(Call(function, args, guard, future))
+        self.submit(loop, future, function, *args, guard=guard, bounded=bounded)
         if timeout == math.inf:
             return await future
         deadline = Deadlines.of(loop).after(
-            timeout, self._expire, loop, future, function, timeout
+            timeout, self._expire, future, function, timeout
         )
         try:
             return await future
         finally:
             deadline.cancel()
+
+    def submit(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        outcome: Outcome,
+        function: Callable[..., Any],
+        *args: Any,
+        guard: Callable[[], bool] | None = None,
+        bounded: bool = True,
+    ) -> None:
+        """Have a blocking function called; its outcome comes in the loop, however late.
+
+        Raises:
+            BusyError: Too many calls wait, or there can be no more threads.
+        """
+        if bounded and self._jobs.qsize() >= self.limit:
+            raise BusyError(
+                f"executor {self.name}", "number of waiting calls", self.limit
+            )
+        self._start(loop)
+        in_flight(loop, +1)
+        self._jobs.put(Call(function, args, guard, outcome))
+
+    def expired(self) -> None:
+        """Take note that a call has not returned within its deadline."""
+        if self.stuck_since is None:
+            self.stuck_since = asyncio.get_running_loop().time()
 
     def close(self) -> None:
         """End the thread once the calls that it has are done."""
@@ -163,15 +197,13 @@ class Executor:
 
     def _expire(
         self,
-        loop: asyncio.AbstractEventLoop,
         future: asyncio.Future[Any],
         function: Callable[..., Any],
         timeout: float,
     ) -> None:
         if future.done():
             return
-        if self.stuck_since is None:
-            self.stuck_since = loop.time()
+        self.expired()
         # Not repr(): it is the driver's own code, may fail, and is long for a partial.
         call = getattr(function, "__qualname__", type(function).__qualname__)
         future.set_exception(DriverStuckError(self.name, call, timeout))
@@ -187,14 +219,12 @@ class Results:
     def __init__(self, executor: Executor, loop: asyncio.AbstractEventLoop) -> None:
         self._executor = executor
         self._loop = loop
-        self._done: collections.deque[
-            tuple[asyncio.Future[Any], Any, BaseException | None]
-        ] = collections.deque()
+        self._done: collections.deque[tuple[Outcome, Any, BaseException | None]] = (
+            collections.deque()
+        )
         self._wakes = False
 
-    def add(
-        self, future: asyncio.Future[Any], result: Any, error: BaseException | None
-    ) -> None:
+    def add(self, future: Outcome, result: Any, error: BaseException | None) -> None:
         """Hand over a result, from the thread."""
         self._done.append((future, result, error))
         if not self._wakes:

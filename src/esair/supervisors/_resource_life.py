@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from esair.connections import (
     ActuatorChannel,
+    Call,
+    Method,
     SensorChannel,
-    is_drivers,
     is_loss,
     translate,
 )
@@ -73,8 +74,10 @@ class ResourceLife:
         self._successes = 0
         self._is_open = False
         self._over = False
-        self._applying: asyncio.Timeout | None = None
-        """Bounds the call that applies changed settings, while there is one."""
+        # Its own: the channel goes on with those of a successor.
+        self._driver = channel.driver
+        self._calls = channel.calls
+        self._calls.on_late_open = self._opened_late
         self._identity: Any = resource.identity
         """What the device answered when it was asked for the first time who it is."""
         self._task: asyncio.Task[None]
@@ -119,15 +122,11 @@ class ResourceLife:
         before = {name: resource.settings[name] for name in changes}
         try:
             await self._apply(changes)
-        except BaseException as error:
-            if not is_drivers(error):
-                raise
+        except Exception as error:
             self._check_ready(error)
             try:
                 await self._apply(before)
-            except BaseException as second:
-                if not is_drivers(second):
-                    raise
+            except Exception as second:
                 # Nobody knows its settings now: close it and begin anew.
                 unknown = f"its settings are unknown: {describe(second)}"
                 self._hear(DeviceLostError(resource.name, unknown))
@@ -138,16 +137,7 @@ class ResourceLife:
         self.channel.configured()
 
     async def _apply(self, changes: dict[str, Any]) -> None:
-        limit = max(self.resource.deadline, 1.0)
-        try:
-            async with asyncio.timeout(limit) as self._applying:
-                await self.channel.driver.call("apply")(**changes)
-        except DriverStuckError:
-            raise
-        except TimeoutError as error:
-            raise DriverStuckError(self.resource.name, "apply", limit) from error
-        finally:
-            self._applying = None
+        await self._call("apply", **changes)
 
     def _check_ready(self, cause: BaseException | None) -> None:
         if self._over or self.channel.state is not ResourceState.READY:
@@ -156,62 +146,78 @@ class ResourceLife:
             )
             raise lost from cause
 
-    async def last_try(self) -> None:
-        """Open a device that is not there once more, for its safe command alone."""
+    async def last_try(self, until: float) -> None:
+        """Open a device that is not there once more, for its safe command alone.
+
+        Args:
+            until: When to give up, on the loop's clock.
+        """
         name, channel = self.resource.name, self.channel
         assert isinstance(channel, ActuatorChannel)
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=LAST_TRY)
-        stuck = DriverStuckError(name, "open", LAST_TRY)
-        if not self._task.done():
-            channel.not_told(stuck)
-            return
         trying = spawn(self._loop, self._open_once(), name=f"{name} last try")
-        self._task = trying  # whatever becomes of it, the stop waits and closes
-        await asyncio.wait({trying}, timeout=LAST_TRY)
+        self._task = trying
+        seconds = min(LAST_TRY, max(0.0, until - self._loop.time()))
+        await asyncio.wait({trying}, timeout=seconds)
         if not trying.done():
             trying.cancel()
-            channel.not_told(stuck)
+            channel.not_told(DriverStuckError(name, "open", seconds))
         elif self._error_of_try is not None:
             channel.not_told(self._error_of_try)
 
     async def _open_once(self) -> None:
         await self._close()
         self._error_of_try = await self._try_to_open()
-        if self._over:  # its opening has ignored that it was cancelled
-            await self._close()
 
-    async def stop(self, timeout: float) -> None:
-        """Close the device, whatever it is doing."""
+    async def stop(self, until: float) -> None:
+        """Close the device, whatever it is doing.
+
+        Args:
+            until: When to give up, on the loop's clock; what goes on then is fenced.
+        """
         self._over = True
         for forget in self._forget_bus:
             forget()
         self.resource._listener = None  # noqa: SLF001 - the resource's own supervisor
-        self._interrupt()
         self._task.cancel()
-        await asyncio.wait({self._task}, timeout=timeout)
+        await asyncio.wait({self._task}, timeout=LAST_TRY)
         if not self.tried.done():
-            self.tried.cancel()
-        if self._is_open:
-            closing = spawn(
-                self._loop, self._close(), name=f"{self.resource.name} close"
+            self.tried.set_exception(
+                self.channel.error or DeviceLostError(self.resource.name, "closed")
             )
-            stuck = self.channel.driver.is_stuck
-            await asyncio.wait({closing}, timeout=0.1 if stuck else timeout)
-            closing.cancel()
-        if not await self.channel.driver.end_executors(timeout=0.1):
+            self.tried.exception()  # nobody may wait for it
+        self._calls.next_opening(DeviceLostError(self.resource.name, "it was closed"))
+        if self._is_open:
+            await self._calls.quiet(until)
+            stuck = self._driver.is_stuck
+            await self._close(0.1 if stuck else max(0.1, until - self._loop.time()))
+        if not await self._driver.end_executors(timeout=0.1):
             _log.warning(
                 "%s: a driver call is stuck; its thread is left", self.resource.name
             )
+
+    def _opened_late(self, _call: Call) -> None:
+        """An opening has ended that was given up: the device must not stay open."""
+        self._is_open = True
+        if self._over:
+            spawn(self._loop, self._close(), name=f"{self.resource.name} close")
 
     def _told(self, error: BaseException | None) -> None:
         """Hear from a driver or a bus, on any thread."""
         if threading.current_thread() is self._thread:
             self._hear(error)
         else:
-            self._loop.call_soon_threadsafe(self._hear, error)
+            opening = self._calls.opening
+            self._loop.call_soon_threadsafe(self._hear_of, opening, error)
+
+    def _hear_of(self, opening: int, error: BaseException | None) -> None:
+        if error is None or opening == self._calls.opening:
+            self._hear(error)  # the loss of an earlier opening is no news
 
     def _hear(self, error: BaseException | None) -> None:
+        if self._over:
+            return
         if self._news is None or self._news.done():
             if error is None:
                 self._arrived = True
@@ -228,13 +234,11 @@ class ResourceLife:
         delay = FIRST_DELAY
         while True:
             self.channel.state = ResourceState.OPENING
+            await self._close()  # what was opened late
             self._lost, self._arrived = None, False
             error = await self._try_to_open()
             absent = _is_absence(error)
             error = error or self._lost
-            if self._over:  # its opening has ignored that it was cancelled
-                await self._close()
-                return
             if error is None:
                 up_since = self._loop.time()
                 self._up()
@@ -290,34 +294,30 @@ class ResourceLife:
     async def _try_to_open(self) -> BaseException | None:
         try:
             # A change of settings that the loss has interrupted has to be over.
-            await self._in_time("apply", self.configuring.acquire())
-            try:
+            async with self.configuring:
                 await self._open()
-            finally:
-                self.configuring.release()
-        except BaseException as error:
-            if not is_drivers(error):
-                raise
+        except Exception as error:
             return error
         return None
 
     async def _open(self) -> None:
-        resource, driver = self.resource, self.channel.driver
-        if isinstance(self.channel, ActuatorChannel):
-            await self.channel.quiet()
+        resource = self.resource
+        self._calls.next_opening(DeviceLostError(resource.name, "it is opened again"))
+        # What a call from before a loss still sends must not come after the safe command.
+        await self._calls.quiet(self._loop.time() + resource.deadline + 0.1)
         if resource.bus is not None:
-            await self._in_time("open the bus", resource.bus.open())
+            await self._run("open the bus", Method(resource.bus.open, None))
         self._is_open = True
-        await self._in_time("open", driver.call("open")())
+        await self._call("open")
         if resource.identifies:
-            self._identify(await self._in_time("identify", driver.call("identify")()))
+            self._identify(await self._call("identify"))
         changes = {
             name: value
             for name, value in resource.settings.items()
             if value != settings_of(type(resource))[name].default
         }
         if changes:
-            await self._in_time("apply", driver.call("apply")(**changes))
+            await self._call("apply", **changes)
         if isinstance(self.channel, ActuatorChannel):
             await self.channel.open_safe()
 
@@ -332,15 +332,21 @@ class ResourceLife:
                 "plug in the right device, or replace the resource",
             )
 
-    async def _in_time(self, call: str, work: Awaitable[Any]) -> Any:
-        limit = max(self.resource.deadline, 1.0)
+    async def _call(self, kind: str, **options: Any) -> Any:
+        return await self._run(kind, self._driver.method(kind), **options)
+
+    async def _run(
+        self, kind: str, method: Method, limit: float | None = None, **options: Any
+    ) -> Any:
+        limit = max(self.resource.deadline, 1.0) if limit is None else limit
+        if options:
+            method = method.bound(**options)
         try:
-            async with asyncio.timeout(limit):
-                return await work
-        except DriverStuckError:
+            return await self._calls.run(kind, method, limit=limit)
+        except EsairError:
             raise
         except TimeoutError as error:
-            raise DriverStuckError(self.resource.name, call, limit) from error
+            raise DriverStuckError(self.resource.name, kind, limit) from error
 
     def _up(self) -> None:
         self._faults_in_row = 0
@@ -350,7 +356,6 @@ class ResourceLife:
             _log.info("%s: back", self.resource.name)
 
     def _down(self, error: BaseException) -> None:
-        self._interrupt()
         if self.channel.state is ResourceState.LOST:
             return
         before = self.channel.error
@@ -370,21 +375,14 @@ class ResourceLife:
         elif type(error) is _AnotherDeviceError and type(before) is not type(error):
             _log.warning("%s: still lost: %s", self.resource.name, describe(error))
 
-    def _interrupt(self) -> None:
-        """Give up a change of settings: the device is gone."""
-        if self._applying is not None and not self._applying.expired():
-            self._applying.reschedule(self._loop.time())
-
-    async def _close(self) -> None:
+    async def _close(self, limit: float | None = None) -> None:
         if not self._is_open:
             return
-        try:
-            await self._in_time("close", self.channel.driver.call("close")())
-        except BaseException as error:
-            if not is_drivers(error):
-                raise  # the stop closes it again
-            _log.debug("%s: close: %s", self.resource.name, describe(error))
         self._is_open = False
+        try:
+            await self._run("close", self._driver.method("close"), limit)
+        except Exception as error:
+            _log.debug("%s: close: %s", self.resource.name, describe(error))
 
 
 class _AnotherDeviceError(DeviceFaultError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from esair import abc, minimal
 from esair.connections import (
     ActuatorChannel,
     ActuatorConnection,
+    Call,
     LastCommand,
     Registration,
     Registrations,
@@ -80,6 +82,7 @@ class ResourceSupervisor(abc.Supervisor):
         self._command_queue = CommandQueue("resources", asleep=True)
         self._lives: dict[str, ResourceLife] = {}
         self._leaving: set[str] = set()
+        self._left: set[Call] = set()
         self.buses: list[Bus] = []
         """Every bus that a resource of this robot is or was on."""
         self.journal = registrations.journal
@@ -122,6 +125,10 @@ class ResourceSupervisor(abc.Supervisor):
             ),
             dict(life.resource.settings),
         )
+
+    def abandoned(self) -> tuple[Call, ...]:
+        """Return the driver calls that were given up, and whose code still runs."""
+        return tuple(sorted(self._left, key=lambda call: call.begun))
 
     def why(self, name: str) -> Why:
         """Tell who holds an actuator, by which rule, since when, what would free it.
@@ -166,7 +173,8 @@ class ResourceSupervisor(abc.Supervisor):
             try:
                 await self._lives[resource.name].tried
             except BaseException:
-                await self._undeploy(resource.name, ResourceState.REMOVED)
+                until = self._loop_time() + self._grace
+                await self._undeploy(resource.name, ResourceState.REMOVED, until)
                 raise
             self.journal.publish(Kind.ADDED, resource.name, "resource")
 
@@ -190,8 +198,9 @@ class ResourceSupervisor(abc.Supervisor):
                 self._registrations.revoke(
                     registration, lambda: ResourceRemovedError(name)
                 )
-            await self._make_safe(name)
-            await self._undeploy(name, ResourceState.REMOVED)
+            until = self._loop_time() + self._grace
+            await self._make_safe(name, until)
+            await self._undeploy(name, ResourceState.REMOVED, until)
             self._leaving.discard(name)
             self.journal.publish(Kind.REMOVED, name, "resource")
 
@@ -231,12 +240,13 @@ class ResourceSupervisor(abc.Supervisor):
             error = DeviceLostError(name, "it is being replaced")
             if keep and isinstance(channel, ActuatorChannel):
                 channel.leaving(error)
-            await self._make_safe(name)
+            until = self._loop_time() + self._grace
+            await self._make_safe(name, until)
             if keep:
                 channel.down(ResourceState.LOST, error)
             else:
                 channel.removed()
-            await life.stop(self._grace)
+            await life.stop(until)
             if keep:
                 channel.attach(resource)  # type: ignore[arg-type]
                 self._deploy(resource, channel)
@@ -441,7 +451,7 @@ class ResourceSupervisor(abc.Supervisor):
                 actuator.make_safe()
 
     async def make_safe(self) -> list[LastCommand]:
-        """Make every actuator safe, all at the same time.
+        """Send every actuator its safe command, whatever was sent before.
 
         Returns:
             What each actuator was told, and whether it answered.
@@ -454,11 +464,17 @@ class ResourceSupervisor(abc.Supervisor):
     async def stop(self) -> None:
         """Close every device, all at the same time; each has a deadline."""
         await self._command_queue.close()
+        until = self._loop_time() + self._grace
+        closed = ResourceState.CLOSED
         await asyncio.gather(
-            *(self._undeploy(name, ResourceState.CLOSED) for name in tuple(self._lives))
+            *(self._undeploy(name, closed, until) for name in tuple(self._lives))
         )
 
     # Inside.
+
+    @staticmethod
+    def _loop_time() -> float:
+        return asyncio.get_running_loop().time()
 
     def _counted(self) -> Iterator[tuple[str, Mapping[str, int]]]:
         for name, life in self._lives.items():
@@ -499,11 +515,15 @@ class ResourceSupervisor(abc.Supervisor):
             self.buses.append(resource.bus)
         if channel is None:
             if isinstance(resource, Actuator):
-                channel = ActuatorChannel(resource, self._registrations, loop, on_error)
+                channel = ActuatorChannel(
+                    resource, self._registrations, loop, on_error, self._left
+                )
                 self._actuators.channels[resource.name] = channel
             else:
                 assert isinstance(resource, Sensor)
-                channel = SensorChannel(resource, self._registrations, loop, on_error)
+                channel = SensorChannel(
+                    resource, self._registrations, loop, on_error, self._left
+                )
                 self._sensors.channels[resource.name] = channel
         life = ResourceLife(
             resource, channel, restart if isinstance(restart, Restart) else Restart()
@@ -511,25 +531,23 @@ class ResourceSupervisor(abc.Supervisor):
         self._lives[resource.name] = life
         life.start()
 
-    async def _make_safe(self, name: str) -> None:
+    async def _make_safe(self, name: str, until: float = math.inf) -> None:
         channel = self._actuators.channels.get(name)
         if channel is None:
             return
         if channel.state is not ResourceState.READY:
-            await self._lives[name].last_try()
-            return
-        if channel.is_safe and channel.holder is None:
+            await self._lives[name].last_try(until)
             return
         channel.make_safe()
-        await channel.safe_now()
+        await channel.safe_now(until)
 
-    async def _undeploy(self, name: str, state: ResourceState) -> None:
+    async def _undeploy(self, name: str, state: ResourceState, until: float) -> None:
         life = self._lives[name]
         if state is ResourceState.REMOVED:
             life.channel.removed()
         else:
             life.channel.down(state, StoppingError(name, "closed"))
-        await life.stop(self._grace)
+        await life.stop(until)
         if isinstance(life.channel, ActuatorChannel):
             life.channel.closed()
         self._forget(name, state)

@@ -1,0 +1,374 @@
+"""One actuator's device: its state, what it was told, and its safe command."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from esair.connections._call import Call, Calls
+from esair.connections._driver import Driver, translate
+from esair.connections._registrations import Registrations
+from esair.exceptions import (
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    ResourceRemovedError,
+    describe,
+)
+from esair.journal import Kind
+from esair.loop import clock_of, spawn
+from esair.messages import ResourceState
+from esair.resources import Actuator
+
+SAFE_TRIES = 3
+"""How often the safe command is tried before the actuator counts as unsafe."""
+
+TURN_WITHIN = 0.3
+"""How long the safe command waits at most for a write in flight, in seconds."""
+
+_log = logging.getLogger("esair")
+
+
+class LastCommand(NamedTuple):
+    """What an actuator was told last.
+
+    Attributes:
+        resource: The name of the actuator.
+        command: The last command that was handed to its driver.
+        safe: Whether that was its safe command.
+        answered: Whether the driver took it without an error, and no call from before
+            is alive that could undo it.
+        error: Why not, in words; empty if it did.
+    """
+
+    resource: str
+    command: object
+    safe: bool
+    answered: bool
+    error: str = ""
+
+    def __str__(self) -> str:
+        answer = "answered" if self.answered else f"NOT ANSWERED ({self.error})"
+        return (
+            f"{self.resource}: {'safe ' if self.safe else ''}{self.command!r}: {answer}"
+        )
+
+
+class ActuatorDevice:
+    """Makes one actuator safe, and knows whether it is.
+
+    The safe command is the last thing on the wire: nothing begins while it is on its
+    way, and it is sent again when a motion ends that was begun before it.
+    """
+
+    __slots__ = (
+        "_again",
+        "_busy",
+        "_journal",
+        "_lane",
+        "_last_moment",
+        "_left",
+        "_loop",
+        "_on_error",
+        "_pulses",
+        "_safe_number",
+        "_safe_task",
+        "_time",
+        "_told",
+        "_told_error",
+        "_told_safe",
+        "_write",
+        "actuator",
+        "calls",
+        "command_timeout",
+        "driver",
+        "error",
+        "latched",
+        "name",
+        "registrations",
+        "state",
+    )
+
+    def __init__(
+        self,
+        actuator: Actuator[Any],
+        registrations: Registrations,
+        loop: asyncio.AbstractEventLoop,
+        on_error: Callable[[Exception], None],
+        left: set[Call] | None = None,
+    ) -> None:
+        self.name = actuator.name
+        self.state = ResourceState.CLOSED
+        self.error: EsairError | None = None
+        self.latched = False
+        """Set when the robot stops: from then on only the safe command leaves."""
+        self.registrations = registrations
+        self._journal = registrations.journal
+        self._loop = loop
+        self._time = clock_of(loop)
+        self._on_error = on_error
+        self._left: set[Call] = set() if left is None else left
+        self._last_moment = math.inf
+        """Until when the stop of the robot waits for the safe command."""
+        self._lane: Call | None = None
+        """The write that waits for the device: there is one at a time."""
+        self._busy = False
+        """A write, or the safe command, is on its way."""
+        self._safe_task: asyncio.Task[bool] | None = None
+        self._pulses: list[asyncio.Future[None]] = []
+        self.command_timeout = 0.0
+        self.attach(actuator)
+
+    def attach(self, actuator: Actuator[Any]) -> None:
+        """Write to this actuator from now on; it is not ready yet, and was told nothing."""
+        self.actuator = actuator
+        self.driver = Driver(actuator)
+        self.calls = Calls(
+            self.driver,
+            self._loop,
+            on_late=self._late,
+            on_stuck=self._stuck,
+            left=self._left,
+        )
+        self._write = self.driver.method("write")
+        self._again = False
+        self._safe_number = 0
+        """The number of the newest call with the safe command."""
+        self._told: Any = None
+        self._told_safe = False
+        self._told_error = "it was never told anything"
+        self.configured()
+
+    def configured(self) -> None:
+        """Take over changed limits and time-outs."""
+        self.command_timeout = float(self.actuator.command_timeout)
+
+    # State, told by the supervisor.
+
+    def up(self) -> None:
+        """The device is open and was told its safe command."""
+        self.state = ResourceState.READY
+        self.error = None
+        if self._again:
+            self.make_safe()
+
+    def down(self, state: ResourceState, error: EsairError) -> None:
+        """The device is gone: what its calls still do is fenced."""
+        self.state = state
+        self.error = error
+        if self._told_error == "":
+            self._told_error = f"it is {state.value}"
+        self._lane = None
+        self.calls.next_opening(error)
+        self._idle()
+
+    def closed(self) -> None:
+        """Nobody waits for the safe command any more; a thread that has it goes on."""
+        if self._safe_task is not None:
+            self._safe_task.cancel()
+
+    def removed(self) -> None:
+        """The user took the actuator away."""
+        self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
+
+    # Calls that waited.
+
+    def _late(self, call: Call) -> None:
+        """A call has ended whose outcome was out before: who knows what it did."""
+        if call is self._lane:
+            self._lane_free(call)
+        elif call.kind == "write":
+            self._repeat_safe()
+        self._pulse()
+
+    def _stuck(self, call: Call) -> None:
+        self._on_error(
+            DeviceLostError(self.name, f"{call} was given up and does not end")
+        )
+
+    def _lane_free(self, call: Call) -> None:
+        if call is self._lane:
+            self._lane = None
+        if call.number < self._safe_number:
+            self._repeat_safe()  # the safe command has overtaken it
+        self._idle()
+
+    def _idle(self) -> None:
+        """Something has ended: let those that wait look again."""
+        self._busy = self._lane is not None or self._safe_task is not None
+        self._pulse()
+
+    def _pulse(self) -> None:
+        pulses, self._pulses = self._pulses, []
+        for pulse in pulses:
+            if not pulse.done():
+                pulse.set_result(None)
+
+    def _failed(self, error: BaseException, kind: str) -> EsairError:
+        """Take note of what the driver has raised; returns what its caller gets."""
+        translated = self._translated(error, kind)
+        self._told_error = describe(translated)
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.UNANSWERED, self.name, "", self._told, self._told_error
+            )
+        self._on_error(translated)
+        return translated
+
+    def _translated(self, error: BaseException, kind: str = "write") -> EsairError:
+        if isinstance(error, TimeoutError) and not isinstance(error, EsairError):
+            stuck = DriverStuckError(self.name, kind, self.actuator.deadline)
+            stuck.__cause__ = error
+            return stuck
+        return translate(self.name, error)
+
+    # The safe command.
+
+    def make_safe(self) -> asyncio.Task[bool]:
+        """Send the safe command, before anything else.
+
+        Returns:
+            The sending; its result tells whether the device took it.
+        """
+        task = self._safe_task
+        if task is None:
+            self._busy = True
+            task = self._safe_task = spawn(
+                self._loop, self._send_safe(), name=f"{self.name} safe"
+            )
+            # A task that is cancelled before its first step runs none of its code.
+            task.add_done_callback(self._safe_over)
+        return task
+
+    async def safe_now(self, until: float = math.inf) -> None:
+        """Wait until the safe command is the last thing on the wire; bounded.
+
+        Args:
+            until: When to give up, on the loop's clock; sooner if the device's own
+                deadline is.
+        """
+        turn = self._turn_within + self.actuator.deadline + 0.1
+        give_up = min(self._time() + turn, self._last_moment, until)
+        while self._safe_task is not None or (
+            self.state is ResourceState.READY and self._unsettled()
+        ):
+            seconds = give_up - self._time()
+            if seconds <= 0.0:
+                return
+            pulse: asyncio.Future[None] = self._loop.create_future()
+            self._pulses.append(pulse)
+            await asyncio.wait({pulse}, timeout=seconds)
+
+    @property
+    def _turn_within(self) -> float:
+        """How long the safe command waits for a write in flight, in seconds."""
+        return min(self.actuator.deadline, self.command_timeout, TURN_WITHIN)
+
+    def _unsettled(self) -> Call | None:
+        """Return a motion that is alive, and may still undo the safe command."""
+        for calls in (self.calls.alive.values(), self._left):
+            for call in calls:
+                if call.kind == "write" and call.resource == self.name:
+                    return call
+        return None
+
+    def _repeat_safe(self) -> None:
+        if self._safe_task is not None or self.state is not ResourceState.READY:
+            self._again = True
+        else:
+            self.make_safe()
+
+    async def _send_safe(self) -> bool:
+        try:
+            until = self._time() + self._turn_within
+            while self._lane is not None and self._time() < until:
+                await self.calls.next_end(until)
+            while True:
+                self._again = False
+                took = await self._try_safe()
+                if not (took and self._again):
+                    return took
+        finally:
+            me = asyncio.current_task()
+            if me is not None and me is self._safe_task:
+                self._safe_over(me)
+
+    def _safe_over(self, task: asyncio.Task[bool]) -> None:
+        if self._safe_task is task:
+            self._safe_task = None
+            self._idle()
+
+    async def _try_safe(self) -> bool:
+        error: EsairError | None = None
+        for attempt in range(SAFE_TRIES):
+            if self.state is not ResourceState.READY:
+                self._told_error = describe(self.error or DeviceLostError(self.name))
+                break
+            opening = self.calls.opening
+            try:
+                await self._tell_safe()
+            except Exception as raised:
+                if opening == self.calls.opening:
+                    error = self._failed(raised, "safe")
+            else:
+                return True
+            await asyncio.sleep(0.01 * attempt)
+        if self.state is ResourceState.READY or isinstance(error, DriverStuckError):
+            _log.critical(
+                "%s: UNSAFE: it did not take %r", self.name, self.actuator.safe
+            )
+        if self.state is ResourceState.READY:
+            # It comes back when it takes its safe command after an opening.
+            self._on_error(
+                DeviceLostError(self.name, "it does not take its safe command")
+            )
+        return False
+
+    async def _tell_safe(self) -> None:
+        actuator, calls = self.actuator, self.calls
+        self._told = actuator.safe
+        self._told_safe = True
+        self._told_error = "it has not answered yet"
+        self._safe_number = calls.number + 1
+        opening = calls.opening
+        await calls.run("safe", self._write, actuator.safe, limit=actuator.deadline)
+        if opening == calls.opening and calls is self.calls:
+            self._told_error = ""
+            if self._journal.heard:
+                self._journal.publish(Kind.SAFE, self.name, "", actuator.safe)
+
+    async def open_safe(self) -> None:
+        """Send the safe command to a device that was just opened.
+
+        Raises:
+            DeviceLostError: The device is gone again.
+            DeviceFaultError: It does not take its safe command.
+        """
+        self._again = False  # what has ended until now, it is sent after
+        try:
+            await self._tell_safe()
+        except BaseException as error:
+            self._told_error = describe(error)
+            raise
+
+    # What people ask.
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether the device was told its safe command last, took it, and is settled."""
+        return self._told_safe and not self._told_error and self._unsettled() is None
+
+    def not_told(self, error: BaseException) -> None:
+        """Take note that the device could not be told its safe command."""
+        self._told_error = describe(error)
+
+    def told(self) -> LastCommand:
+        """Tell what the device was told last."""
+        error = self._told_error
+        earlier = self._unsettled()
+        if earlier is not None:
+            error = f"{earlier}, begun before it, has not ended"
+        return LastCommand(self.name, self._told, self._told_safe, not error, error)

@@ -1,0 +1,67 @@
+"""Who holds an actuator, and why a command was not sent, in words."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from esair.connections._halt import HALT, HALT_PRIORITY
+from esair.connections._registrations import Registration
+from esair.messages import Refused, Why
+
+if TYPE_CHECKING:
+    from esair.connections._actuator_channel import ActuatorChannel
+
+
+def why(channel: ActuatorChannel, now: float) -> Why:
+    """Tell who holds an actuator, by which rule, and what would free it."""
+    holder = channel.holder
+    halt = channel.registrations.halt
+    if halt is not None:
+        return Why(
+            channel.name,
+            channel.state,
+            HALT,
+            HALT_PRIORITY,
+            halt.reason,
+            halt.since,
+            math.inf,
+            "robot.resume(), by the user",
+            channel.told().command,
+        )
+    if holder is None or now >= channel.until:
+        rule = (
+            "it was told its safe command" if channel.is_safe else "no hold is in force"
+        )
+        return Why(channel.name, channel.state, rule=rule, last=channel.told().command)
+    return Why(
+        channel.name,
+        channel.state,
+        holder.behavior,
+        holder.priority,
+        rule_of(holder),
+        channel.since,
+        channel.until,
+        f"a write with a priority above {holder.priority}, a release by "
+        f"{holder.behavior}, or {channel.until - now:.3g} s without its writes",
+        channel.told().command,
+    )
+
+
+def rule_of(holder: Registration) -> str:
+    """Say by which rule somebody holds an actuator."""
+    return (
+        f"priority {holder.priority} of {holder.behavior!r} holds until it has not "
+        "written for its hold; only a higher priority gets through"
+    )
+
+
+def withdrawn(registration: Registration, now: float) -> Refused:
+    """Answer a write whose own sender gave the actuator back before its turn came."""
+    return Refused(
+        registration.behavior,
+        registration.priority,
+        f"{registration.behavior!r} gave it back before the turn of this command came",
+        now,
+        now,
+    )

@@ -1,0 +1,464 @@
+"""Every call of a driver: its number, its opening, its deadline, and its end."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from esair.connections._driver import Driver, Guard, Method
+from esair.exceptions import DeviceFaultError, DriverStuckError, describe
+from esair.loop import WAITS, Deadlines, LightTask, clock_of
+
+UNWIND = 0.1
+"""How long a call that was given up may take to end, before its device is closed, in s."""
+
+ABANDONED_LIMIT = 8
+"""How many abandoned calls of one device may be alive; with more, none is begun."""
+
+
+class End(NamedTuple):
+    """What came of a call: a value, or an error."""
+
+    value: Any
+    error: BaseException | None
+
+
+Apply = Callable[["Call", End], None]
+
+
+class Call:
+    """One call of a driver that waits; one that ends in its first step is over at once.
+
+    Attributes:
+        resource: The name of the resource.
+        kind: What was called: read, write, safe, open, close, apply, identify, ...
+        opening: The opening of the device that it belongs to.
+        number: Higher than that of all calls of this driver before.
+        args: What the driver was called with.
+        begun: When, on the loop's clock.
+        ended: When the driver's code has ended; None while it is alive.
+        outcome: What its caller was told; None while nobody was told anything.
+        owner: The right by which it was begun, if it needs one.
+        cancelled: Its caller has gone; what it still does is nobody's fault.
+    """
+
+    __slots__ = (
+        "apply",
+        "args",
+        "begun",
+        "cancelled",
+        "deadline",
+        "ended",
+        "engine",
+        "kind",
+        "number",
+        "opening",
+        "outcome",
+        "owner",
+        "resource",
+        "waiters",
+    )
+
+    def __init__(
+        self,
+        resource: str,
+        kind: str,
+        opening: int,
+        number: int,
+        args: tuple[Any, ...],
+        begun: float,
+        apply: Apply | None,
+    ) -> None:
+        self.resource = resource
+        self.kind = kind
+        self.opening = opening
+        self.number = number
+        self.args = args
+        self.begun = begun
+        self.apply = apply
+        self.ended: float | None = None
+        self.outcome: End | None = None
+        self.cancelled = False
+        self.owner: object = None
+        self.engine: LightTask | _Threaded | None = None
+        self.deadline: Any = None
+        self.waiters: list[asyncio.Future[None]] = []
+
+    @property
+    def is_abandoned(self) -> bool:
+        """Whether its caller was told an outcome while it is still alive."""
+        return self.ended is None and self.outcome is not None
+
+    def cancel(self) -> None:
+        """Ask the driver to end it; a thread cannot be asked."""
+        self.cancelled = True
+        if self.engine is not None:
+            self.engine.cancel()
+
+    def __str__(self) -> str:
+        what = ", ".join(f"{each!r:.40}" for each in self.args)
+        return f"{self.kind} {self.number} ({what})" if what else self._short
+
+    @property
+    def _short(self) -> str:
+        return f"{self.kind} {self.number}"
+
+    def __repr__(self) -> str:
+        alive = "alive" if self.ended is None else "ended"
+        return f"<{self.resource}: {self}, opening {self.opening}, {alive}>"
+
+
+class Calls:
+    """The calls of one driver. Their numbers, and those of the openings, only grow.
+
+    A call has one outcome, within its deadline, whatever the driver does with a
+    cancellation: then it is abandoned, listed and counted, and nothing that it does
+    later has an effect, but that whoever owns it hears of its end (``on_late``).
+
+    Args:
+        driver: Whose methods are called.
+        loop: The event loop.
+        on_late: Told of the end of a call that was abandoned before.
+        on_stuck: Told of a call that was given up, and does not end.
+        left: Gets each abandoned call while it is alive; shared by a whole robot.
+    """
+
+    __slots__ = (
+        "_deadlines",
+        "_left",
+        "_loop",
+        "_on_late",
+        "_on_stuck",
+        "_spare",
+        "_task_name",
+        "_time",
+        "abandoned",
+        "alive",
+        "driver",
+        "late",
+        "number",
+        "on_late_open",
+        "opening",
+        "resource",
+    )
+
+    def __init__(
+        self,
+        driver: Driver,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        on_late: Callable[[Call], None],
+        on_stuck: Callable[[Call], None],
+        left: set[Call],
+    ) -> None:
+        self.driver = driver
+        self.resource = driver.resource.name
+        self.opening = 0
+        self.number = 0
+        self.alive: dict[int, Call] = {}
+        """The calls whose driver's code has not ended, by number."""
+        self.abandoned = 0
+        """How many calls have had their outcome before they ended."""
+        self.late = 0
+        """How many of them have ended since, without an effect."""
+        self.on_late_open: Callable[[Call], None] | None = None
+        """Told of an opening that has ended after it was given up."""
+        self._loop = loop
+        self._time = clock_of(loop)
+        self._deadlines = Deadlines.of(loop)
+        self._on_late = on_late
+        self._on_stuck = on_stuck
+        self._left = left
+        self._task_name = f"{self.resource} driver"
+        self._spare: LightTask | None = None
+
+    def begin(
+        self,
+        kind: str,
+        method: Method,
+        args: tuple[Any, ...],
+        limit: float | None,
+        apply: Apply | None = None,
+        guard: Guard | None = None,
+    ) -> Any:
+        """Call a method of the driver, now.
+
+        Args:
+            kind: What it is called for.
+            method: What is called.
+            args: What with.
+            limit: The deadline, in seconds; None for a stream, which has none.
+            apply: Told the outcome of a call that waits, before anybody else.
+            guard: Asked on a thread immediately before the call.
+
+        Returns:
+            What the driver returned; or a `Call`, which waits.
+
+        Raises:
+            DriverStuckError: Too many abandoned calls are alive.
+            BusyError: Too many calls wait for the thread.
+            Exception: Whatever the driver has raised in its first step.
+        """
+        self.number += 1
+        if self.alive and len(self.alive) > ABANDONED_LIMIT:
+            self._check_abandoned(kind)
+        if method.executor is not None:
+            call = self._track(kind, args, limit, apply)
+            threaded = _Threaded(self, call, method, guard)
+            call.engine = threaded
+            try:
+                threaded.submit(self._loop)
+            except BaseException:
+                self._forget(call)
+                raise
+            return call
+        light = self._spare or LightTask(self._loop, self._task_name)
+        self._spare = None
+        try:
+            value = light.begin(method.function(*args))
+        except BaseException as error:
+            raise self._contained(error) from error.__cause__
+        finally:
+            if not light.is_spent:
+                self._spare = light
+        if value is not WAITS:
+            return value
+        call = self._track(kind, args, limit, apply)
+        call.engine = light
+        light.then(lambda value, error: self.ended(call, End(value, error)))
+        return call
+
+    async def run(
+        self, kind: str, method: Method, *args: Any, limit: float | None
+    ) -> Any:
+        """Call a method of the driver and wait for its outcome.
+
+        Raises:
+            DriverStuckError: It did not end in time.
+            Exception: Whatever the driver has raised.
+        """
+        value = self.begin(kind, method, args, limit)
+        return await self.outcome(value) if type(value) is Call else value
+
+    async def outcome(self, call: Call) -> Any:
+        """Wait for the outcome of a call; whoever is cancelled here cancels it."""
+        if call.outcome is None:
+            waiter: asyncio.Future[None] = self._loop.create_future()
+            call.waiters.append(waiter)
+            try:
+                await waiter
+            except asyncio.CancelledError:
+                if call.ended is None:
+                    call.cancel()
+                raise
+        outcome = call.outcome
+        assert outcome is not None
+        if outcome.error is not None:
+            raise outcome.error
+        return outcome.value
+
+    def ended(self, call: Call, end: End) -> None:
+        """Apply the end of a call: the one place where it takes effect, in the loop.
+
+        Every way that a call can end comes here: its coroutine, its thread. If the
+        outcome is out already (the deadline is over, the device was closed, another
+        driver has its place), the end is counted and told to ``on_late``, and that is
+        all.
+        """
+        if self.alive.pop(call.number, None) is None:
+            return
+        call.ended = self._time()
+        call.engine = None
+        if call.outcome is not None:
+            self._left.discard(call)
+            if call.kind != "stream":
+                self.late += 1
+            if call.kind == "open" and end.error is None and self.on_late_open:
+                self.on_late_open(call)
+            self._on_late(call)
+            waiters, call.waiters = call.waiters, []
+            _wake(waiters)
+            return
+        if call.deadline is not None:
+            call.deadline.cancel()
+        if end.error is not None:
+            end = End(None, self._contained(end.error))
+        self._tell(call, end)
+
+    def next_opening(self, error: BaseException) -> None:
+        """Fence every call that is alive: they belong to an opening that is over.
+
+        Args:
+            error: What those are told that wait for them.
+        """
+        self.opening += 1
+        for call in tuple(self.alive.values()):
+            if call.outcome is None:
+                self._abandon(call, error)
+
+    async def quiet(self, until: float) -> bool:
+        """Wait until no call is alive, or until a moment; tells whether none is."""
+        while self.alive and self._time() < until:
+            await self.next_end(until)
+        return not self.alive
+
+    async def next_end(self, until: float) -> None:
+        """Wait until some call that is alive has its outcome or its end, or a moment."""
+        waiter: asyncio.Future[None] = self._loop.create_future()
+        calls = tuple(self.alive.values())
+        for call in calls:
+            call.waiters.append(waiter)
+        deadline = self._deadlines.after(
+            max(0.0, until - self._time()), _wake, [waiter]
+        )
+        try:
+            await waiter
+        finally:
+            deadline.cancel()
+            for call in calls:
+                if waiter in call.waiters:
+                    call.waiters.remove(waiter)
+
+    # Inside.
+
+    def _track(
+        self, kind: str, args: tuple[Any, ...], limit: float | None, apply: Apply | None
+    ) -> Call:
+        number = self.number
+        call = Call(
+            self.resource, kind, self.opening, number, args, self._time(), apply
+        )
+        self.alive[number] = call
+        if limit is not None:
+            call.deadline = self._deadlines.after(limit, self._expire, call, limit)
+        return call
+
+    def _forget(self, call: Call) -> None:
+        del self.alive[call.number]
+        if call.deadline is not None:
+            call.deadline.cancel()
+
+    def _expire(self, call: Call, limit: float) -> None:
+        if call.outcome is None:
+            self._abandon(call, DriverStuckError(self.resource, call.kind, limit))
+
+    def _abandon(self, call: Call, error: BaseException) -> None:
+        if call.kind != "stream":  # nobody waits for the end of a stream
+            self.abandoned += 1
+        self._left.add(call)
+        if call.deadline is not None:
+            call.deadline.cancel()
+        if type(call.engine) is _Threaded:
+            call.engine.expired()
+        current = call.opening == self.opening
+        if current:
+            self._deadlines.after(UNWIND, self._give_up, call)
+        self._tell(call, End(None, error), current=current)
+        if call.engine is not None:
+            call.engine.cancel()
+
+    def _give_up(self, call: Call) -> None:
+        if call.ended is None and call.opening == self.opening:
+            self._on_stuck(call)
+
+    def _tell(self, call: Call, end: End, *, current: bool = True) -> None:
+        call.outcome = end
+        if current and call.apply is not None:
+            call.apply(call, end)
+        waiters, call.waiters = call.waiters, []
+        _wake(waiters)
+
+    def _contained(self, error: BaseException) -> Exception:
+        """Make an error that may be raised in any task of what the driver has raised."""
+        if isinstance(error, Exception) and not isinstance(error, StopIteration):
+            return error
+        fault = DeviceFaultError(self.resource, describe(error))
+        fault.__cause__ = error
+        return fault
+
+    def _check_abandoned(self, kind: str) -> None:
+        if kind in {"safe", "close"}:
+            return
+        alive = sum(1 for call in self.alive.values() if call.is_abandoned)
+        if alive >= ABANDONED_LIMIT:
+            raise DriverStuckError(
+                self.resource, f"{kind}: {alive} calls have not ended; one call", UNWIND
+            )
+
+
+class _Threaded:
+    """A call on a worker thread; what the function returns may have to be awaited."""
+
+    __slots__ = (
+        "_call",
+        "_calls",
+        "_function",
+        "_guard",
+        "_rest",
+        "_wanted",
+        "executor",
+    )
+
+    def __init__(
+        self, calls: Calls, call: Call, method: Method, guard: Guard | None
+    ) -> None:
+        assert method.executor is not None
+        self.executor = method.executor()
+        self._calls = calls
+        self._call = call
+        self._function = method.function
+        self._guard = guard
+        self._wanted = True
+        self._rest: LightTask | None = None
+
+    def submit(self, loop: asyncio.AbstractEventLoop) -> None:
+        guard = None if self._guard is None else self._may_begin
+        self.executor.submit(loop, self, self._function, *self._call.args, guard=guard)
+
+    def _may_begin(self) -> bool:
+        return self._wanted and (self._guard is None or self._guard())
+
+    def cancel(self) -> None:
+        self._wanted = False
+        if self._rest is not None:
+            self._rest.cancel()
+
+    def expired(self) -> None:
+        if self._rest is None:
+            self.executor.expired()
+
+    # The outcome of the executor.
+
+    def done(self) -> bool:
+        return False  # its end is wanted, however late
+
+    def set_result(self, result: Any, /) -> None:
+        if not hasattr(result, "__await__"):
+            self._calls.ended(self._call, End(result, None))
+            return
+        rest = self._rest = LightTask(asyncio.get_running_loop(), str(self._call))
+        try:
+            value = rest.begin(_awaited(result))
+        except BaseException as error:  # contained: it is the driver's
+            self.set_exception(error)
+            return
+        if value is WAITS:
+            rest.then(
+                lambda value, error: self._calls.ended(self._call, End(value, error))
+            )
+        else:
+            self._calls.ended(self._call, End(value, None))
+
+    def set_exception(self, error: BaseException, /) -> None:
+        self._calls.ended(self._call, End(None, error))
+
+
+async def _awaited(awaitable: Any) -> Any:
+    return await awaitable
+
+
+def _wake(waiters: list[asyncio.Future[None]]) -> None:
+    for waiter in waiters:
+        if not waiter.done():
+            waiter.set_result(None)

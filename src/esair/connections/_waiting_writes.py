@@ -1,0 +1,109 @@
+"""The writes that wait until a busy device can take them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Iterator
+from typing import Any
+
+from esair.connections._registrations import Registration
+from esair.exceptions import BusyError
+from esair.messages import Refused, Written
+
+WAITING_LIMIT = 256
+"""How many writes may wait for one actuator at a time."""
+
+Sent = Written[Any] | Refused | Awaitable[Written[Any] | Refused]
+"""What comes of a write: its outcome, or what to await for it."""
+
+
+class WaitingWrite:
+    """A write that waits for its turn."""
+
+    __slots__ = ("command", "halts", "hold", "registration", "turn")
+
+    def __init__(
+        self,
+        registration: Registration,
+        command: Any,
+        hold: float | None,
+        halts: int,
+        turn: asyncio.Future[Sent],
+    ) -> None:
+        self.registration = registration
+        self.command = command
+        self.hold = hold
+        self.halts = halts
+        self.turn = turn
+
+    def end(self, end: Sent | Exception) -> None:
+        """Tell the writer what has become of it."""
+        if self.turn.done():
+            return
+        if isinstance(end, Exception):
+            self.turn.set_exception(end)
+            self.turn.exception()  # its writer may be cancelled in this moment
+        else:
+            self.turn.set_result(end)
+
+
+class WaitingWrites:
+    """Keeps writes in order: the highest priority goes first, then the oldest.
+
+    Args:
+        name: The name of the actuator.
+        loop: The event loop.
+    """
+
+    __slots__ = ("_loop", "_name", "_writes")
+
+    def __init__(self, name: str, loop: asyncio.AbstractEventLoop) -> None:
+        self._name = name
+        self._loop = loop
+        self._writes: list[WaitingWrite] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._writes)
+
+    def __iter__(self) -> Iterator[WaitingWrite]:
+        return iter(tuple(self._writes))
+
+    async def turn(
+        self, registration: Registration, command: Any, hold: float | None, halts: int
+    ) -> Sent:
+        """Wait until somebody has said what becomes of a write.
+
+        Raises:
+            BusyError: Too many wait.
+        """
+        if len(self._writes) >= WAITING_LIMIT:
+            raise BusyError(self._name, "number of waiting writes", WAITING_LIMIT)
+        turn: asyncio.Future[Sent] = self._loop.create_future()
+        write = WaitingWrite(registration, command, hold, halts, turn)
+        self._writes.append(write)
+        try:
+            return await turn
+        except asyncio.CancelledError:
+            if turn.done() and not turn.cancelled() and turn.exception() is None:
+                sent = turn.result()  # its turn came in the same tick
+                call = getattr(sent, "call", None)
+                if call is not None:
+                    call.cancel()
+            raise
+        finally:
+            self.remove(write)
+
+    def first(self) -> WaitingWrite:
+        """Take out the one whose turn it is."""
+        first = max(self._writes, key=_priority)
+        self._writes.remove(first)
+        return first
+
+    def remove(self, write: WaitingWrite) -> None:
+        """Take one out, if it still waits."""
+        if write in self._writes:
+            self._writes.remove(write)
+
+
+def _priority(write: WaitingWrite) -> int:
+    return write.registration.priority

@@ -1,0 +1,191 @@
+"""A coroutine that is driven by what it waits for, from its first step on.
+
+Most driver calls end in their first step: a frame is handed to a socket, and that is
+all. A task would cost several times the call itself, and make it wait for a turn of the
+loop. What waits after all is gone on with by the very future that it waits for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import enum
+from asyncio.tasks import (
+    _enter_task,  # noqa: PLC2701 - documented, for third-party tasks
+    _leave_task,  # noqa: PLC2701 - documented, for third-party tasks
+)
+from collections.abc import Callable, Coroutine
+from typing import Any, Final
+
+
+class _Mark(enum.Enum):
+    WAITS = enum.auto()
+
+
+WAITS: Final = _Mark.WAITS
+"""What `LightTask.begin` returns for a coroutine that has not ended yet."""
+
+
+class LightTask(asyncio.Future[None]):
+    """Runs one coroutine after the other, each from its first step on.
+
+    Inside, it is what `asyncio.current_task` returns, with the methods of a task that
+    `asyncio.timeout`, `asyncio.TaskGroup` and anyio need: the third-party task of
+    asyncio's page on extending it. Whoever began it is never waited with: a coroutine
+    that swallows its cancellation holds nobody up. It has a context of its own, so that
+    what it starts belongs to nobody.
+
+    Args:
+        loop: The event loop.
+        name: The name of the task.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, name: str) -> None:
+        super().__init__(loop=loop)
+        self._running_on = loop
+        self._name = name
+        self._context = contextvars.Context()
+        self._coroutine: Coroutine[Any, Any, Any] | None = None
+        self._ended: Callable[[Any, BaseException | None], None] | None = None
+        # These three have the names that anyio looks at.
+        self._fut_waiter: asyncio.Future[Any] | None = None
+        self._must_cancel = False
+        self._num_cancels_requested = 0
+
+    def begin(
+        self,
+        coroutine: Coroutine[Any, Any, Any],
+    ) -> Any:
+        """Run a coroutine to its end or its first wait, now.
+
+        Returns:
+            Its result; or `WAITS`, and then `then` has to be called at once.
+
+        Raises:
+            BaseException: Whatever the coroutine raises in its first step.
+        """
+        loop = self._running_on
+        caller = asyncio.current_task(loop)
+        if caller is not None:
+            _leave_task(loop, caller)
+        _enter_task(loop, self)  # type: ignore[arg-type]
+        try:
+            waits_for = self._context.run(coroutine.send, None)
+        except StopIteration as stop:
+            return stop.value
+        finally:
+            _leave_task(loop, self)  # type: ignore[arg-type]
+            if caller is not None:
+                _enter_task(loop, caller)
+        self._coroutine = coroutine
+        self._wait_for(waits_for)
+        return WAITS
+
+    def then(self, ended: Callable[[Any, BaseException | None], None]) -> None:
+        """Say what gets the result or the error of the coroutine, in the loop."""
+        self._ended = ended
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether it cannot run another coroutine."""
+        return (
+            self._coroutine is not None
+            or self.done()
+            or self._must_cancel
+            or self._num_cancels_requested > 0
+        )
+
+    # What a task has.
+
+    def cancel(self, msg: Any | None = None) -> bool:
+        """Throw a `CancelledError` into the coroutine; it may go on all the same."""
+        if self.done():
+            return False
+        self._num_cancels_requested += 1
+        if self._fut_waiter is not None and self._fut_waiter.cancel(msg):
+            return True
+        self._must_cancel = True
+        self._cancel_message = msg
+        return True
+
+    def cancelling(self) -> int:
+        """Tell how many cancellations are pending."""
+        return self._num_cancels_requested
+
+    def uncancel(self) -> int:
+        """Take one cancellation back; tells how many are left."""
+        if self._num_cancels_requested > 0:
+            self._num_cancels_requested -= 1
+            if self._num_cancels_requested == 0:
+                self._must_cancel = False
+        return self._num_cancels_requested
+
+    def get_name(self) -> str:
+        """Return the name."""
+        return self._name
+
+    def set_name(self, value: object) -> None:
+        """Change the name."""
+        self._name = str(value)
+
+    def get_coro(self) -> Coroutine[Any, Any, Any] | None:
+        """Return the coroutine; None while the first step runs."""
+        return self._coroutine
+
+    def get_context(self) -> contextvars.Context:
+        """Return the context that the coroutine runs in."""
+        return self._context
+
+    # Steps after the first one.
+
+    def _step(self, error: BaseException | None = None) -> None:
+        coroutine, loop = self._coroutine, self._running_on
+        assert coroutine is not None
+        if self._must_cancel:
+            self._must_cancel = False
+            if not isinstance(error, asyncio.CancelledError):
+                message = self._cancel_message
+                error = asyncio.CancelledError(*(() if message is None else (message,)))
+        self._fut_waiter = None
+        _enter_task(loop, self)  # type: ignore[arg-type]
+        try:
+            waits_for = (
+                coroutine.send(None) if error is None else coroutine.throw(error)
+            )
+        except StopIteration as stop:
+            end: tuple[Any, BaseException | None] = (stop.value, None)
+        except BaseException as raised:  # contained: it is the coroutine's own
+            end = (None, raised)
+        else:
+            self._wait_for(waits_for)
+            return
+        finally:
+            _leave_task(loop, self)  # type: ignore[arg-type]
+        self._coroutine = None
+        self.set_result(None)
+        ended, self._ended = self._ended, None
+        assert ended is not None
+        ended(*end)
+
+    def _wait_for(self, waits_for: Any) -> None:
+        if waits_for is None:  # ``sleep(0)``
+            self._running_on.call_soon(self._step, context=self._context)
+        elif getattr(waits_for, "_asyncio_future_blocking", None):
+            waits_for._asyncio_future_blocking = False  # noqa: SLF001 - the protocol of tasks
+            waits_for.add_done_callback(self._wake_up, context=self._context)
+            self._fut_waiter = waits_for
+            if self._must_cancel and waits_for.cancel(self._cancel_message):
+                self._must_cancel = False
+        else:
+            error = RuntimeError(
+                f"{self._name} waits for {waits_for!r:.80}, which is nothing of asyncio"
+            )
+            self._running_on.call_soon(self._step, error, context=self._context)
+
+    def _wake_up(self, future: asyncio.Future[Any]) -> None:
+        try:
+            future.result()
+        except BaseException as error:  # the coroutine's to see
+            self._step(error)
+        else:
+            self._step()

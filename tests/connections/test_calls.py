@@ -1,0 +1,396 @@
+"""Driver calls: one outcome in time, whatever the driver does; safe lands last."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+import esair
+from esair import ResourceState
+
+pytestmark = pytest.mark.virtual_clock
+
+
+def now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+class Motor(esair.Actuator[float]):
+    """Writes down when a command lands, not when its call begins."""
+
+    safe = 0.0
+
+    def __init__(self, takes: float, *, deaf: bool = False, **options: Any) -> None:
+        super().__init__(**options)
+        self.takes = takes
+        self.deaf = deaf
+        self.landed: list[float] = []
+
+    async def write(self, command: float) -> None:
+        until = now() + (self.takes if command else 0.0)
+        while (left := until - now()) > 1e-9:
+            try:
+                await asyncio.sleep(left)
+            except asyncio.CancelledError:
+                if not self.deaf:
+                    raise
+        self.landed.append(command)
+
+
+async def until_landed(motor: Motor, command: float) -> None:
+    while command not in motor.landed:  # noqa: ASYNC110 - the device tells nobody
+        await asyncio.sleep(0.01)
+
+
+@pytest.mark.promise("CALL-2", "AC-4")
+async def test_a_slow_motion_is_followed_by_safe_even_if_safe_was_sent_before(
+    user_of: Any,
+) -> None:
+    """The motion lands at 0.5 s, after the safe command of the command time-out."""
+    motor, user = Motor(0.5), user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        writing = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.45)
+        assert motor.landed == [0.0, 0.0]  # safe has overtaken the motion
+        await until_landed(motor, 1.0)
+        await asyncio.sleep(0.01)
+        assert motor.landed[-1] == 0.0
+        await asyncio.wait({writing})
+
+
+@pytest.mark.promise("CALL-2")
+async def test_a_stop_waits_for_a_motion_that_is_on_its_way(user_of: Any) -> None:
+    """It says "answered" because the last thing that has landed is safe."""
+    motor, user = Motor(0.5), user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        writing = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.01)
+    await asyncio.wait({writing})
+    await asyncio.sleep(1.0)
+
+    assert robot.stopped[0].answered
+    assert motor.landed[motor.landed.index(1.0) + 1] == motor.landed[-1] == 0.0
+
+
+@pytest.mark.promise("CALL-1", "CALL-2")
+async def test_a_stop_names_the_motion_that_it_could_not_wait_for(user_of: Any) -> None:
+    """While a call from before safe is alive, nobody says that safe was answered."""
+    motor = Motor(30.0, deaf=True)
+    user = user_of("user", motor=esair.writes(float))
+    began = now()
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        writing = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.01)
+    assert now() - began < 5.0
+    (told,) = robot.stopped
+    assert told.safe
+    assert not told.answered
+    assert "write" in told.error
+    assert "1.0" in told.error
+    assert [str(call) for call in robot.resources.abandoned()] == ["write 3 (1.0)"]
+    await asyncio.wait({writing})
+    await asyncio.sleep(40.0)
+    assert robot.resources.abandoned() == ()
+
+
+@pytest.mark.promise("CALL-1")
+async def test_a_writer_gets_its_outcome_at_the_deadline(user_of: Any) -> None:
+    """Though the driver swallows its cancellation, and goes on for a minute."""
+    motor = Motor(60.0, deaf=True)
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        began = now()
+        with pytest.raises(esair.DriverStuckError):
+            await user.motor.write(1.0)
+        assert now() - began == pytest.approx(1.0, abs=0.01)
+        motor.takes = 0.0
+        await asyncio.sleep(3.0)
+        began = now()
+        assert await user.motor.write(2.0)
+        assert now() - began < 0.1
+        assert robot.journal.counts()["motor"]["abandoned"] == 1
+
+
+@pytest.mark.promise("CALL-2")
+async def test_an_abandoned_motion_that_lands_late_is_followed_by_safe(
+    user_of: Any,
+) -> None:
+    """Also if others have written since: who knows which of them was the last."""
+    motor = Motor(6.0, deaf=True)
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        with pytest.raises(esair.DriverStuckError):
+            await user.motor.write(1.0)
+        motor.takes = 0.0
+        await asyncio.sleep(3.0)
+        while 1.0 not in motor.landed:
+            await user.motor.write(2.0)
+            await asyncio.sleep(0.05)
+        landed = motor.landed[motor.landed.index(1.0) :]
+        assert landed[:2] == [1.0, 0.0]
+
+
+@pytest.mark.promise("CALL-2", "CALL-3")
+async def test_no_motion_begins_while_a_safe_command_is_in_flight(user_of: Any) -> None:
+    """A write waits for the safe command, though the one it overtook has ended."""
+    begun: list[tuple[str, float]] = []
+
+    class Slow(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = 0.05
+
+        async def write(self, command: float) -> None:
+            begun.append(("begin", command))
+            await asyncio.sleep(0.08 if command else 0.3)
+            begun.append(("land", command))
+
+    user = user_of("user", slow=esair.writes(float))
+    async with esair.Robot(resources=[Slow()], behaviors=[user]):
+        writes = []
+        for command in (1.0, 2.0, 3.0):
+            writes.append(asyncio.create_task(user.slow.write(command)))
+            await asyncio.sleep(0.07)
+        await asyncio.sleep(3.0)
+        await asyncio.wait(writes)
+
+    open_safes = 0
+    for what, command in begun:
+        if command == 0.0:
+            open_safes += 1 if what == "begin" else -1
+        elif what == "begin":
+            assert open_safes == 0, begun
+
+
+@pytest.mark.promise("CALL-3", "AC-2")
+async def test_a_loser_of_the_arbitration_is_never_sent(user_of: Any) -> None:
+    """Of those that wait for a busy device the highest priority goes first."""
+    motor = Motor(0.1, name="motor")
+    low = user_of("low", motor=esair.writes(float, priority=1))
+    high = user_of("high", motor=esair.writes(float, priority=9))
+    async with esair.Robot(resources=[motor], behaviors=[low, high]):
+        first = asyncio.create_task(low.motor.write(1.0))
+        await asyncio.sleep(0.01)
+        loser = asyncio.create_task(low.motor.write(2.0))
+        await asyncio.sleep(0.01)
+        winner = asyncio.create_task(high.motor.write(3.0))
+        await asyncio.sleep(0.5)
+        assert first.result()
+        assert winner.result()
+        assert not loser.result()
+        assert 2.0 not in motor.landed
+
+
+@pytest.mark.promise("CALL-1", "ROB-2")
+@pytest.mark.parametrize("swallows", [1, 1000])
+async def test_a_robot_starts_though_an_opening_swallows_its_cancellation(
+    swallows: int,
+) -> None:
+    """The device is LOST; everything else runs."""
+    left = swallows
+
+    class Deaf(esair.Sensor[float]):
+        async def open(self) -> None:
+            nonlocal left
+            while True:
+                try:
+                    await asyncio.sleep(50.0)
+                except asyncio.CancelledError:
+                    left -= 1
+                    if left < 0:
+                        raise
+                else:
+                    return
+
+        async def read(self) -> float:
+            return 1.0
+
+    began = now()
+    async with esair.Robot(resources=[Deaf()]) as robot:
+        assert now() - began < 2.0
+        assert robot.resources.query("deaf").state is ResourceState.LOST
+        began = now()
+    assert now() - began < 2.0
+
+
+@pytest.mark.promise("CALL-1", "SC-3")
+async def test_a_sensor_that_hangs_does_not_stay_ready(user_of: Any) -> None:
+    """Nothing drives on its last reading: it is LOST when its call does not end."""
+
+    class Deaf(esair.Sensor[float]):
+        hangs = False
+
+        async def read(self) -> float:
+            while self.hangs:
+                try:
+                    await asyncio.sleep(100.0)
+                except asyncio.CancelledError:
+                    continue
+            return 1.0
+
+    deaf, user = Deaf(rate=20.0), user_of("user", deaf=esair.reads(float))
+    async with esair.Robot(resources=[deaf], behaviors=[user]) as robot:
+        assert await user.deaf.read() == 1.0
+        deaf.hangs = True
+        with pytest.raises((esair.StaleReadingError, esair.DriverStuckError)):
+            await user.deaf.read(fresh=True, timeout=5.0)
+        await asyncio.sleep(0.2)
+        assert robot.resources.query("deaf").state is not ResourceState.READY
+        with pytest.raises(ConnectionError):
+            await user.deaf.read()
+
+
+@pytest.mark.promise("CALL-1", "SC-3")
+async def test_what_an_earlier_opening_answers_is_never_a_reading(user_of: Any) -> None:
+    """A value that comes after the loss of the device is counted, and that is all."""
+    values = [1.0, 2.0, 3.0, 4.0]
+
+    class Slow(esair.Sensor[float]):
+        async def read(self) -> float:
+            value = values.pop(0)
+            try:
+                await asyncio.sleep(0.3)
+            except asyncio.CancelledError:
+                await asyncio.sleep(0.3)
+            return value
+
+    slow, user = Slow(), user_of("user", slow=esair.reads(float))
+    async with esair.Robot(resources=[slow], behaviors=[user]) as robot:
+        asking = asyncio.create_task(user.slow.read())
+        await asyncio.sleep(0.1)
+        slow.report_lost()
+        with pytest.raises(esair.DeviceLostError):
+            await asking
+        await asyncio.sleep(1.0)
+        assert robot.sensors.channels["slow"].newest is None
+        assert await user.slow.read() == 2.0
+        assert robot.journal.counts()["slow"]["late"] == 1
+
+
+@pytest.mark.promise("CALL-1")
+async def test_a_stream_that_goes_on_after_the_loss_is_not_heard(user_of: Any) -> None:
+    """It swallows its end and yields; only the stream of the new opening counts."""
+    streams = 0
+
+    class Bumper(esair.Sensor[int]):
+        async def stream(self) -> AsyncIterator[int]:
+            nonlocal streams
+            streams += 1
+            mine = streams
+            while True:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(0.05)
+                yield mine
+
+    bumper, user = Bumper(), user_of("user", bumper=esair.reads(int))
+    async with esair.Robot(resources=[bumper], behaviors=[user]):
+        await asyncio.sleep(0.2)
+        bumper.report_lost()
+        await asyncio.sleep(1.0)
+        seen = {reading.value for reading in user.bumper.history(3)}
+        assert seen == {2}
+
+
+@pytest.mark.promise("CALL-1")
+async def test_the_life_of_a_replaced_device_leaves_its_successor_alone(
+    fake_actuator: Any,
+) -> None:
+    """What it still opens late is its own, and closed; the new one hears nothing."""
+    go = asyncio.Event()
+
+    class Deaf(esair.Actuator[float]):
+        safe = 0.0
+
+        def __init__(self) -> None:
+            super().__init__(name="wheels")
+            self.log: list[str] = []
+
+        async def open(self) -> None:
+            while not go.is_set():
+                try:
+                    await go.wait()
+                except asyncio.CancelledError:
+                    continue
+            self.log.append("open")
+
+        async def close(self) -> None:
+            self.log.append("close")
+
+        async def write(self, command: float) -> None:
+            self.log.append(f"write {command}")
+
+    old, new = Deaf(), fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[old]) as robot:
+        await robot.resources.replace("wheels", new)
+        assert (new.opened, new.is_open) == (1, True)
+        go.set()
+        await asyncio.sleep(2.0)
+        assert (new.opened, new.is_open) == (1, True)
+        assert robot.resources.query("wheels").state is ResourceState.READY
+    assert old.log[-2:] == ["open", "close"]
+    assert "write 0.0" not in old.log
+
+
+@pytest.mark.promise("CALL-1", "CALL-2")
+async def test_a_replaced_actuator_that_heard_nothing_has_not_answered(
+    fake_actuator: Any,
+) -> None:
+    """What the old one was told says nothing of the new one."""
+    old, new = fake_actuator("wheels", safe=0.0), fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[old]) as robot:
+        new.unplug()
+        await robot.resources.replace("wheels", new)
+        assert new.commands == []
+        assert not robot.actuators.channels["wheels"].told().answered
+    assert not robot.stopped[0].answered
+
+
+@pytest.mark.promise("CALL-1")
+async def test_the_end_of_a_safe_task_by_a_stranger_does_not_spin(
+    fake_actuator: Any,
+) -> None:
+    """Whoever waits for the safe command goes on; it is sent again by the stop."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels]) as robot:
+        channel = robot.actuators.channels["wheels"]
+        channel.make_safe().cancel()
+        async with asyncio.timeout(1.0):
+            await channel.safe_now()
+    assert robot.stopped[0].answered
+
+
+@pytest.mark.promise("CALL-2")
+@pytest.mark.real_clock
+async def test_a_motion_that_a_thread_lands_late_is_followed_by_safe() -> None:
+    """A blocking driver cannot be cancelled: its end is heard of, and safe sent again."""
+    go, landed = threading.Event(), []
+
+    class Blocking(esair.Actuator[float]):
+        safe = 0.0
+        deadline = 0.2
+
+        def write(self, command: float) -> None:
+            if command:
+                go.wait(10.0)
+            landed.append(command)
+
+    user = esair.Behavior(name="user", writes={"blocking": esair.writes(float)})
+    async with esair.Robot(resources=[Blocking()], behaviors=[user]) as robot:
+        with pytest.raises(esair.DriverStuckError):
+            await user.blocking.write(1.0)  # type: ignore[attr-defined]
+        await asyncio.sleep(0.2)
+        assert robot.resources.query("blocking").state is ResourceState.LOST
+        assert not robot.actuators.channels["blocking"].told().answered
+        go.set()
+        for _ in range(300):
+            if robot.resources.query("blocking").state is ResourceState.READY:
+                break
+            await asyncio.sleep(0.01)
+        assert robot.resources.query("blocking").state is ResourceState.READY
+    assert 1.0 in landed
+    assert landed[-1] == 0.0
+    assert robot.stopped[0].answered
