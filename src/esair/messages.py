@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Generic, NamedTuple, TypeVar
 
 import attrs
@@ -290,3 +291,32 @@ class Policy:
 
     def _mistake(self, field: str, message: str) -> ConfigError:
         return ConfigError(f"policy of {self.resource!r}", field, message)
+
+
+@attrs.frozen
+class Recording:
+    """What a robot records, and within which bounds.
+
+    Attributes:
+        path: The file; a directory gets one named by robot and time.
+        max_bytes: How many bytes all segments may have; the oldest goes.
+        min_free: How many bytes stay free on the disk; the oldest segment goes first.
+        segment: How many bytes one segment may have.
+    """
+
+    path: Path = attrs.field(converter=Path)
+    max_bytes: int = attrs.field(default=1 << 30, kw_only=True)
+    min_free: int = attrs.field(default=1 << 28, kw_only=True)
+    segment: int = attrs.field(default=1 << 26, kw_only=True)
+
+    def __attrs_post_init__(self) -> None:
+        for name in ("max_bytes", "min_free", "segment"):
+            value = getattr(self, name)
+            if (
+                type(value) is not int
+                or value < 0
+                or (name != "min_free" and not value)
+            ):
+                raise ConfigError(
+                    "recording", name, f"expected a number of bytes, not {value!r:.80}"
+                )

@@ -25,6 +25,7 @@ from esair.exceptions import (
     ConfigError,
     EsairError,
     NameTakenError,
+    RecordingError,
     StoppingError,
     describe,
 )
@@ -39,7 +40,7 @@ from esair.loop import (
     spawn,
     unfreeze_garbage,
 )
-from esair.messages import Policy
+from esair.messages import Policy, Recording
 from esair.resources import Resource, adapt_resource
 from esair.supervisors import BehaviorSupervisor, Halts, ResourceSupervisor
 from esair.values import check_name, check_seconds
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from esair.buses import Bus
+    from esair.recording import Recorder
 
 BUS_TIMEOUT = 2.0
 """How long a bus may take to open or to close, in seconds."""
@@ -69,6 +71,7 @@ class Robot:
         behaviors: The behaviors and reactions to deploy.
         policies: Who may do what with which resource.
         grace: How long a component may take to end when it is removed, in seconds.
+        record: Where to keep what happens; needs ``esair[record]``.
 
     Attributes:
         resources: The resource supervisor (RS).
@@ -90,8 +93,11 @@ class Robot:
         behaviors: Iterable[Behavior | Reaction | minimal.Reaction] = (),
         policies: Iterable[Policy] = (),
         grace: float = 1.0,
+        record: Recording | None = None,
     ) -> None:
         self.name = check_name("robot", name)
+        self._recording = record
+        self._recorder: Recorder | None = None
         self._grace = check_seconds(f"robot {name!r}", "grace", grace)
         # What was written for a microcontroller runs here as well, in an adapter.
         self._list_of_resources: list[Any] = [adapt_resource(r) for r in resources]
@@ -174,6 +180,8 @@ class Robot:
         self.behaviors.wake()
         loop = asyncio.get_running_loop()
         self._host = asyncio.current_task()
+        if self._recording is not None:
+            self._recorder = self._start_recorder(self._recording, loop)
         self.journal.start(loop)
         self._halts.start(loop)
         self._log_lines = LogLines(self.journal)
@@ -314,6 +322,26 @@ class Robot:
         if found:
             raise ExceptionGroup(f"robot {self.name!r} cannot start", found)
 
+    def _start_recorder(
+        self, recording: Recording, loop: asyncio.AbstractEventLoop
+    ) -> Recorder | None:
+        from esair.recording import Recorder, facts_about
+
+        components = [*self._list_of_resources, *self._list_of_behaviors]
+        try:
+            recorder = Recorder(
+                recording,
+                self.journal,
+                name=self.name,
+                facts=facts_about(self.name, components),
+            )
+        except RecordingError as error:
+            _log.error("%s; the robot starts without it", error)
+            return None
+        self.journal.count("recording", lambda: [("recording", recorder.counts())])
+        recorder.start(loop.time())
+        return recorder
+
     async def _open_buses(self) -> None:
         for resource in self._list_of_resources:
             if resource.bus is not None and resource.bus not in self._buses:
@@ -386,6 +414,8 @@ class Robot:
             if self._log_lines is not None:
                 self._log_lines.stop()
             self.journal.close()
+            if self._recorder is not None:
+                await asyncio.to_thread(self._recorder.close)
 
     async def _close_buses(self) -> None:
         buses = {*self._buses, *self.resources.buses}

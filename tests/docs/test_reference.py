@@ -24,6 +24,7 @@ BESIDE = [
     "esair.framing",
     "esair.journal",
     "esair.minimal",
+    "esair.recording",
     "esair.sim",
     "esair.testing",
     "esair.watchdog",

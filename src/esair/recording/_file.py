@@ -1,0 +1,136 @@
+"""One segment of a recording: an MCAP file that survives the end of its process."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from esair.exceptions import RecordingError
+from esair.recording._plain import schema_of
+
+CHUNK = 1 << 20
+"""The largest chunk in bytes; time ends it earlier (`Segment.flush`)."""
+
+
+class _Out:
+    """What the writer writes to; it keeps the error that the writer would hide."""
+
+    def __init__(self, path: Path) -> None:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        self._file = os.fdopen(descriptor, "w+b")
+        self.size = 0
+        self.error: OSError | None = None
+
+    def write(self, data: bytes) -> int:
+        try:
+            written = self._file.write(data)
+        except OSError as error:
+            self.error = error
+            raise
+        self.size = max(self.size, self._file.tell())
+        return written
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._file.seek(offset, whence)
+
+    def flush(self) -> None:
+        try:
+            self._file.flush()
+        except OSError as error:
+            self.error = error
+            raise
+
+    def sync(self) -> None:
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class Segment:
+    """Writes messages to one file.
+
+    Args:
+        path: Where; it must not exist.
+
+    Raises:
+        RecordingError: It cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        import foxglove
+        from foxglove.mcap import MCAPWriteOptions
+
+        self.path = path
+        self.messages = 0
+        """How many messages were handed to the file."""
+        try:
+            self._out = _Out(path)
+        except OSError as error:
+            raise RecordingError(str(path), error.strerror or str(error)) from error
+        self._channel_of = foxglove.Channel
+        # Held here: channels of a context that nobody holds are closed silently.
+        self._context = foxglove.Context()
+        self._channels: dict[str, Any] = {}
+        self._writer = foxglove.open_mcap(
+            self._out,  # type: ignore[arg-type]
+            context=self._context,
+            writer_options=MCAPWriteOptions(
+                profile="esair", chunk_size=CHUNK, compression_threads=0
+            ),
+        )
+
+    @property
+    def size(self) -> int:
+        """How many bytes the file has."""
+        return self._out.size
+
+    def note(self, name: str, facts: Mapping[str, str]) -> None:
+        """Write facts about the whole recording."""
+        self._guarded(self._writer.write_metadata, name, dict(facts))
+
+    def write(self, topic: str, schema: str, message: Any, when: float) -> None:
+        """Write a message.
+
+        Args:
+            topic: Its topic.
+            schema: The name of its kind; the first of a topic counts.
+            message: Plain values.
+            when: The wall clock, in seconds.
+        """
+        data = json.dumps(message, allow_nan=False).encode()
+        channel = self._channels.get(topic)
+        if channel is None:
+            shape = {"title": schema, **schema_of(message)}
+            channel = self._channels[topic] = self._channel_of(
+                topic, schema=shape, message_encoding="json", context=self._context
+            )
+        self._guarded(channel.log, data, log_time=int(when * 1e9))
+        self.messages += 1
+
+    def flush(self) -> None:
+        """End the chunk, so that what was written survives the process."""
+        self._guarded(self._writer.flush)
+
+    def sync(self) -> None:
+        """Have the file survive the loss of power too."""
+        self._guarded(self._out.sync)
+
+    def close(self) -> None:
+        """Write the index and close the file."""
+        try:
+            self._guarded(self._writer.close)
+        finally:
+            self._out.close()
+
+    def _guarded(self, call: Any, *args: Any, **options: Any) -> None:
+        try:
+            call(*args, **options)
+        except (OSError, RuntimeError) as error:
+            cause = self._out.error or error
+            raise RecordingError(str(self.path), str(cause)) from error
+        if self._out.error is not None:  # the writer logs it and goes on
+            raise RecordingError(str(self.path), str(self._out.error))

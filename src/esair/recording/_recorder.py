@@ -1,0 +1,337 @@
+"""The recorder: it hears the journal and writes what it hears, in a thread of its own."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import hashlib
+import inspect
+import logging
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from esair.exceptions import RecordingError, describe
+from esair.journal import Event, Journal, Kind
+from esair.messages import Recording
+from esair.recording._file import Segment
+from esair.recording._plain import plain
+from esair.recording._recover import RECOVERED, is_whole
+from esair.recording._schemas import known, log_line
+
+BACKLOG = 65_536
+"""How many events may wait to be written; the oldest are dropped, and counted."""
+
+FLUSH = 0.2
+"""How often what was written is made to survive the process, in seconds."""
+
+SYNC = 1.0
+"""How often it is made to survive the loss of power, in seconds."""
+
+OLD_FILES = 16
+"""How many recordings beside the new one are looked at, whether they were cut."""
+
+EVENT = "esair.Event"
+"""The name of the kind of all messages that viewers know no better name for."""
+
+SLICE = 16
+"""How many events are written at once: a thread that computes holds up the loop."""
+
+VALUE_LIMIT = 1 << 20
+"""The greatest size of a message in bytes; a larger value is left out, and told once."""
+
+_PAUSE = 0.001
+
+_EXCHANGE = {Kind.PUT, Kind.GOT, Kind.ASKED, Kind.ANSWERED}
+_COMMANDS = {
+    Kind.COMMAND,
+    Kind.REFUSED,
+    Kind.SENT,
+    Kind.APPLIED,
+    Kind.SAFE,
+    Kind.UNANSWERED,
+}
+
+_log = logging.getLogger("esair")
+
+
+class Recorder:
+    """Writes the journal of one robot to a file, until it is closed or cannot.
+
+    Recording changes nothing: the recorder hears, and its thread writes.
+
+    Args:
+        recording: Where, and within which bounds.
+        journal: What it hears.
+        name: The name of the robot.
+        facts: What else is written: versions, configuration, seed.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        journal: Journal,
+        *,
+        name: str = "robot",
+        facts: Iterable[tuple[str, dict[str, str]]] = (),
+    ) -> None:
+        self.recording = recording
+        self.written = 0
+        """How many events are in the file."""
+        self.dropped = 0
+        """How many were not written: too many waited."""
+        self.left_out = 0
+        """How many values could not be encoded, or were too large."""
+        self.error: RecordingError | None = None
+        """Why the recording has ended early; None if it has not."""
+        self.path = _place(recording.path, name)
+        self._journal = journal
+        self._facts = [*facts]
+        self._segments: collections.deque[Path] = collections.deque()
+        self._number = 0
+        self._waiting: collections.deque[Event] = collections.deque()
+        self._told_once: set[str] = set()
+        self._offset = 0.0
+        self._over = threading.Event()
+        self._segment = self._next_segment()
+        self._thread = threading.Thread(
+            target=self._work, name="esair-recorder", daemon=True
+        )
+        self._listener = journal.listen(self._hear, backlog=BACKLOG)
+
+    def start(self, now: float) -> None:
+        """Begin to write.
+
+        Args:
+            now: The robot's clock at this moment, to tell wall time from it.
+        """
+        self._offset = time.time() - now
+        facts = {"offset": repr(self._offset), "python": sys.version.split()[0]}
+        self._facts.append(("clock", facts))
+        self._thread.start()
+
+    def close(self, timeout: float = 2.0) -> bool:
+        """Write what waits, and the index; tells whether that was done in time."""
+        self._listener.stop()
+        self._over.set()
+        if self._thread.ident is None:
+            return True
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        return {
+            "written": self.written,
+            "dropped": self.dropped + self._listener.dropped,
+            "left_out": self.left_out,
+        }
+
+    # In the loop.
+
+    def _hear(self, event: Event) -> None:
+        if len(self._waiting) >= BACKLOG:
+            self.dropped += 1
+        else:
+            self._waiting.append(event)
+
+    # In the thread.
+
+    def _work(self) -> None:
+        try:
+            self._write_all()
+        except RecordingError as error:
+            self.error = error
+            self._listener.stop()
+            with contextlib.suppress(RecordingError):
+                self._segment.close()
+            self._waiting.clear()
+            _log.error("%s; the robot goes on without it", error)
+
+    def _recover_old(self) -> None:
+        """Have a process make whole what an earlier robot has left cut."""
+        near = sorted(self.path.parent.glob("*.mcap"))[-OLD_FILES:]
+        cut = [
+            str(path)
+            for path in near
+            if path not in self._segments
+            and not path.with_stem(f"{path.stem}{RECOVERED}").exists()
+            and not is_whole(path)
+        ]
+        if cut:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "esair.recording", *cut],
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+            threading.Thread(
+                target=process.wait, name="esair-recover", daemon=True
+            ).start()
+
+    def _write_all(self) -> None:
+        self._recover_old()
+        for name, facts in self._facts:
+            self._segment.note(name, facts)
+        flushed = synced = time.monotonic()
+        while True:
+            over = self._over.is_set()
+            wrote = 0
+            while self._waiting and wrote < SLICE:
+                self._write(self._waiting.popleft())
+                wrote += 1
+            now = time.monotonic()
+            if now - flushed >= FLUSH:
+                flushed = now
+                self._segment.flush()
+            if now - synced >= SYNC:
+                synced = now
+                self._segment.sync()
+                self._make_room()
+            if over and not self._waiting:
+                self._segment.note("end", {k: str(v) for k, v in self.counts().items()})
+                self._segment.close()
+                return
+            time.sleep(_PAUSE if wrote else 0.02)
+
+    def _write(self, event: Event) -> None:
+        when = event.time + self._offset
+        try:
+            topic, schema, message = self._message(event, when)
+            self._segment.write(topic, schema, message, when)
+            self.written += 1
+        except RecordingError:
+            raise
+        except Exception as error:  # a value may be an object of any class
+            self._leave_out(event, describe(error))
+            return
+        if self._segment.size >= self.recording.segment:
+            self._segment.close()
+            self._segment = self._next_segment()
+            for name, facts in self._facts:
+                self._segment.note(name, facts)
+            self._make_room()
+
+    def _message(self, event: Event, when: float) -> tuple[str, str, dict[str, Any]]:
+        kind = event.kind
+        envelope = {
+            "number": event.number,
+            "time": event.time,
+            "kind": str(kind),
+            "component": event.component,
+            "peer": event.peer,
+            "text": event.text,
+        }
+        if kind is Kind.LOG:
+            line = log_line(event.component, event.peer, event.text, when)
+            return "/log", "foxglove.Log", {**line, "esair": envelope}
+        value = event.value
+        if kind is Kind.READING:
+            topic = f"/sensor/{event.component}"
+            envelope["sequence"] = value.sequence
+            seen = known(value.value, value.time + self._offset)
+            value = self._bounded(event, value.value)
+            if seen is not None:
+                return (
+                    topic,
+                    seen[0],
+                    {**seen[1], "esair": {**envelope, "value": value}},
+                )
+            return topic, EVENT, {**envelope, "value": value}
+        envelope["value"] = self._bounded(event, value)
+        if kind in _COMMANDS:
+            return f"/actuator/{event.component}", EVENT, envelope
+        if kind in _EXCHANGE:
+            return "/exchange", EVENT, envelope
+        if kind is Kind.OPERATOR:
+            return "/operator", EVENT, envelope
+        return "/state", EVENT, envelope
+
+    def _bounded(self, event: Event, value: Any) -> Any:
+        size = getattr(value, "nbytes", None)
+        if size is None and isinstance(value, bytes | str):
+            size = len(value)
+        if isinstance(size, int) and size > VALUE_LIMIT:
+            self._leave_out(event, f"{size} bytes, at most {VALUE_LIMIT} are recorded")
+            return None
+        return plain(value)
+
+    def _leave_out(self, event: Event, why: str) -> None:
+        self.left_out += 1
+        if event.component not in self._told_once:
+            self._told_once.add(event.component)
+            _log.warning(
+                "recording: a value of %s is left out: %s", event.component, why
+            )
+
+    # Segments.
+
+    def _next_segment(self) -> Segment:
+        self._number += 1
+        path = self.path
+        if self._number > 1:
+            path = path.with_stem(f"{path.stem}.{self._number}")
+        segment = Segment(path)
+        self._segments.append(path)
+        return segment
+
+    def _make_room(self) -> None:
+        """Let the oldest segments go while there are too many bytes, or too few free."""
+        while len(self._segments) > 1:
+            total = sum(path.stat().st_size for path in self._segments if path.exists())
+            if total <= self.recording.max_bytes and not self._is_full():
+                return
+            oldest = self._segments.popleft()
+            oldest.unlink(missing_ok=True)
+            _log.info("recording: %s was deleted to make room", oldest.name)
+        if self._is_full():
+            raise RecordingError(
+                str(self._segment.path),
+                f"less than {self.recording.min_free} bytes are free on the disk",
+            )
+
+    def _is_full(self) -> bool:
+        state = os.statvfs(self.path.parent)
+        return state.f_bavail * state.f_frsize < self.recording.min_free
+
+
+def _place(path: Path, name: str) -> Path:
+    """Return a file that is not there yet."""
+    if path.is_dir():
+        path /= time.strftime(f"{name}-%Y%m%d-%H%M%S.mcap")
+    place, number = path, 1
+    while place.exists():
+        number += 1
+        place = path.with_stem(f"{path.stem}-{number}")
+    return place
+
+
+def facts_about(
+    robot: str, components: Iterable[object], configuration: str = "", seed: str = ""
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield what a recording has to say about its robot: versions, code, settings.
+
+    Args:
+        robot: Its name.
+        components: Its resources and behaviors; the hashes of their code are told.
+        configuration: The text of its robot.toml.
+        seed: The seed of its random numbers.
+    """
+    from importlib.metadata import version
+
+    yield "robot", {"name": robot, "seed": seed, "robot.toml": configuration}
+    yield "versions", {"esair": version("esair"), "python": sys.version.split()[0]}
+    code: dict[str, str] = {}
+    for component in components:
+        kind = type(component)
+        try:
+            source = inspect.getsource(kind)
+        except (OSError, TypeError):
+            continue
+        name = f"{kind.__module__}.{kind.__qualname__}"
+        code[name] = hashlib.sha256(source.encode()).hexdigest()[:16]
+    yield "code", code

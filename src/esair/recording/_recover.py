@@ -1,0 +1,106 @@
+"""A cut recording made whole: everything that is readable, with an index."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from esair.exceptions import RecordingBrokenError
+from esair.recording._reading import records_of
+
+RECOVERED = "-recovered"
+"""What the name of a recovered file has more than that of the original."""
+
+
+class Recovered(NamedTuple):
+    """What was recovered.
+
+    Attributes:
+        path: The new file.
+        messages: How many messages it has.
+        was_whole: Whether the original had its end already.
+    """
+
+    path: Path
+    messages: int
+    was_whole: bool
+
+
+def is_whole(path: Path) -> bool:
+    """Tell whether a recording was closed in order: it ends as MCAP files end."""
+    with path.open("rb") as file, contextlib.suppress(OSError):
+        file.seek(-8, os.SEEK_END)
+        return file.read() == b"\x89MCAP0\r\n"
+    return False
+
+
+def recover(path: str | Path, target: str | Path | None = None) -> Recovered:
+    """Write an indexed file with all that is readable; the original is untouched.
+
+    Args:
+        path: A recording, cut anywhere.
+        target: The new file; beside the original, with ``-recovered`` in its name,
+            unless given.
+
+    Raises:
+        RecordingBrokenError: Not even its beginning is there.
+    """
+    from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+    from mcap.writer import CompressionType, Writer
+
+    path = Path(path)
+    new = Path(target) if target else path.with_stem(f"{path.stem}{RECOVERED}")
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, int] = {}
+    messages = 0
+    begun = False
+    partial = new.with_suffix(".part")
+    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        for record in records_of(path):
+            if isinstance(record, Header):
+                writer.start(record.profile, "esair recover")
+                begun = True
+            elif not begun:
+                break
+            elif isinstance(record, Schema):
+                schemas[record.id] = writer.register_schema(
+                    record.name, record.encoding, record.data
+                )
+            elif isinstance(record, Channel) and record.id not in channels:
+                channels[record.id] = writer.register_channel(
+                    record.topic,
+                    record.message_encoding,
+                    schemas.get(record.schema_id, 0),
+                    dict(record.metadata),
+                )
+            elif isinstance(record, Message) and record.channel_id in channels:
+                writer.add_message(
+                    channels[record.channel_id],
+                    record.log_time,
+                    record.data,
+                    record.publish_time,
+                    record.sequence,
+                )
+                messages += 1
+            elif isinstance(record, Metadata):
+                writer.add_metadata(record.name, dict(record.metadata))
+            elif isinstance(record, Attachment):
+                writer.add_attachment(
+                    record.create_time,
+                    record.log_time,
+                    record.name,
+                    record.media_type,
+                    record.data,
+                )
+        if begun:
+            finish: Any = writer.finish  # it says no types
+            finish()
+    if not begun:
+        partial.unlink()
+        raise RecordingBrokenError(str(path), "not even its beginning is there")
+    partial.replace(new)
+    return Recovered(new, messages, is_whole(path))

@@ -1,0 +1,136 @@
+"""A recording that was cut: whatever is readable is there."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import esair
+from esair.journal import Journal, Kind
+from esair.recording import Recorder, events_of, is_whole, recover
+
+pytest.importorskip("foxglove", reason="needs esair[record]")
+
+
+def write(path: Path, count: int) -> None:
+    """Write a whole recording of some events."""
+
+    async def main() -> None:
+        journal = Journal()
+        recorder = Recorder(esair.Recording(path), journal)
+        loop = asyncio.get_running_loop()
+        recorder.start(loop.time())
+        journal.start(loop)
+        for number in range(count):
+            journal.publish(Kind.PUT, "guest", "host", {"n": number, "text": "x" * 50})
+            if number % 20 == 19:
+                await asyncio.to_thread(time.sleep, 0.25)  # a chunk of its own
+        journal.close()
+        await asyncio.to_thread(recorder.close)
+
+    asyncio.run(main())
+
+
+@pytest.mark.promise("REC-3")
+@pytest.mark.real_clock
+def test_any_cut_at_any_byte_is_readable(tmp_path: Path) -> None:
+    """No exception, and more bytes never give fewer messages."""
+    path = tmp_path / "run.mcap"
+    write(path, 60)
+    data = path.read_bytes()
+    counts = []
+    for size in range(0, len(data) + 1, 13):
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(data[:size])
+        try:
+            counts.append(len(list(events_of(cut))))
+        except esair.RecordingBrokenError:
+            assert size < 100
+            counts.append(0)
+    assert counts == sorted(counts)
+    assert counts[-1] == 60
+
+
+@pytest.mark.promise("REC-3")
+@pytest.mark.real_clock
+def test_what_is_recovered_has_an_index_and_the_original_stays(tmp_path: Path) -> None:
+    """Another program's reader takes it; the cut file has not changed."""
+    from mcap.reader import SeekingReader
+
+    path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
+    write(path, 60)
+    cut.write_bytes(path.read_bytes()[:-700])
+    before = cut.read_bytes()
+    found = recover(cut)
+    assert not found.was_whole
+    assert cut.read_bytes() == before
+    assert is_whole(found.path)
+    with found.path.open("rb") as file:
+        messages = list(SeekingReader(file).iter_messages())
+    assert len(messages) == found.messages == len(list(events_of(cut)))
+
+
+DRIVER = """
+import asyncio, sys, time
+import esair
+from esair.journal import Journal, Kind
+from esair.recording import Recorder
+
+async def main():
+    journal = Journal()
+    recorder = Recorder(esair.Recording(sys.argv[1]), journal)
+    loop = asyncio.get_running_loop()
+    recorder.start(loop.time())
+    journal.start(loop)
+    number = 0
+    while True:
+        journal.publish(Kind.PUT, "guest", "host", number)
+        print(number, time.monotonic(), flush=True)
+        number += 1
+        await asyncio.sleep(0.002)
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.promise("REC-3")
+@pytest.mark.real_clock
+def test_after_a_kill_all_but_half_a_second_is_there(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """Killed at a random moment; two hundred times with --esair-soak."""
+    for number in range(200 if request.config.getoption("--esair-soak") else 2):
+        path = tmp_path / f"run{number}.mcap"
+        process = subprocess.Popen(
+            [sys.executable, "-c", DRIVER, str(path)], stdout=subprocess.PIPE, text=True
+        )
+        time.sleep(1.3 + 0.037 * (number % 20))
+        os.kill(process.pid, signal.SIGKILL)
+        killed = time.monotonic()
+        lines, _ = process.communicate()
+        told = [line.split() for line in lines.splitlines()]
+        before = [int(n) for n, when in told[:-1] if float(when) < killed - 0.5]
+        there = {event.value for event in events_of(path)}
+        assert set(before) <= there, f"{len(set(before) - there)} are missing"
+
+
+@pytest.mark.real_clock
+def test_the_next_start_makes_whole_what_was_cut(tmp_path: Path) -> None:
+    """By itself, in a process of its own."""
+    path = tmp_path / "run.mcap"
+    write(path, 40)
+    path.write_bytes(path.read_bytes()[:-700])
+    write(tmp_path / "next.mcap", 1)
+    new = tmp_path / "run-recovered.mcap"
+    end = time.monotonic() + 20.0
+    while not new.exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert is_whole(new)
+    assert not is_whole(path)
