@@ -145,3 +145,17 @@ def check_seconds(component: str, field: str, value: object) -> float:
     raise ConfigError(
         component, field, f"expected a number of seconds > 0, not {value!r:.80}"
     )
+
+
+def printable(text: str) -> str:
+    """Return a text from outside so that a terminal or a log can show it.
+
+    Line ends, escapes, and what turns the direction of writing are shown as their
+    numbers: nothing that a device, a file or a client says can forge a line.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode("ascii")
+        for each in text
+    )

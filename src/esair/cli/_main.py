@@ -92,8 +92,10 @@ def make_app() -> App:
     from esair.cli._check import check
     from esair.cli._demo import demo
     from esair.cli._devices import devices
+    from esair.cli._log_file import log, recover
     from esair.cli._min import minimal
     from esair.cli._new import new
+    from esair.cli._plot import plot
     from esair.cli._run import run
     from esair.cli._sim import sim
 
@@ -102,7 +104,7 @@ def make_app() -> App:
         help="Robots that must not hurt anyone, lose data, or stop for a loose cable.",
         version=importlib.metadata.version("esair"),
     )
-    for verb in (demo, new, check, devices, sim, run):
+    for verb in (demo, new, check, devices, sim, run, log, plot, recover):
         app.command(verb)
     app.command(minimal)
     return app

@@ -1,0 +1,94 @@
+"""``esair log`` and ``esair recover``: what is in a recording, as text; a whole one."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from esair.cli._errors import CANNOT_USE, missing_extra, tell
+from esair.exceptions import RecordingBrokenError, RecordingError, describe
+from esair.values import printable
+
+
+def log(
+    file: Path,
+    /,
+    *,
+    component: Annotated[
+        list[str] | None, Parameter(name=["--component", "-c"])
+    ] = None,
+    kind: Annotated[list[str] | None, Parameter(name=["--kind", "-k"])] = None,
+    machine: Annotated[bool, Parameter(name="--json", negative=())] = False,
+) -> int:
+    """Print what is in a recording, a line for each event.
+
+    Args:
+        file: A recording; also one that was cut.
+        component: Only events of these components.
+        kind: Only events of these kinds, such as refused or crashed.
+        machine: Lines of JSON, for other programs.
+    """
+    try:
+        from esair.recording import events_of, facts_of
+
+        offset = float(facts_of(file).get("clock", {}).get("offset", 0.0))
+        for event in events_of(file):
+            if component and not {event.component, event.peer} & set(component):
+                continue
+            if kind and event.kind not in kind:
+                continue
+            if machine:
+                print(json.dumps(event._asdict()))  # noqa: T201 - this is the output
+                continue
+            when = event.time + offset
+            clock = time.strftime("%H:%M:%S", time.localtime(when))
+            who = f"{event.peer} > " if event.peer else ""
+            value = "" if event.value is None else json.dumps(event.value)
+            line = " ".join(part for part in (value, event.text) if part)
+            print(  # noqa: T201 - this is the output
+                f"{clock}.{int(when % 1 * 1000):03} {event.kind:<10} "
+                f"{printable(who + event.component)} {printable(line)}".rstrip()
+            )
+    except ModuleNotFoundError as error:
+        return _missing(error)
+    except (RecordingBrokenError, OSError) as error:
+        tell(describe(error))
+        return CANNOT_USE
+    return 0
+
+
+def recover(
+    file: Path,
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
+) -> int:
+    """Write a whole, indexed recording with all that is readable of a cut one.
+
+    Args:
+        file: A recording that was cut; it stays as it is.
+        out: The new file; beside the old one unless given.
+    """
+    try:
+        from esair.recording import recover as make_whole
+
+        found = make_whole(file, out)
+    except ModuleNotFoundError as error:
+        return _missing(error)
+    except (RecordingBrokenError, RecordingError, OSError) as error:
+        tell(describe(error))
+        return CANNOT_USE
+    state = "it was whole" if found.was_whole else "it was cut"
+    print(f"{found.path}: {found.messages} messages; {state}")  # noqa: T201 - the output
+    return 0
+
+
+def _missing(error: ModuleNotFoundError) -> int:
+    code = missing_extra(error, "record")
+    if code is None:
+        raise error
+    return code

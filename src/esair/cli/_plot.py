@@ -1,0 +1,143 @@
+"""``esair plot``: a recording as a picture of tracks, holders and events."""
+
+from __future__ import annotations
+
+import collections
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from esair.cli._errors import CANNOT_USE, missing_extra, tell
+from esair.exceptions import RecordingBrokenError, describe
+
+if TYPE_CHECKING:
+    from esair.recording import Recorded
+
+TRACKS = 24
+"""How many tracks one picture has; what comes later in the alphabet is left out."""
+
+_MARKED = {
+    "down": "tab:red",
+    "crashed": "tab:red",
+    "failed": "tab:red",
+    "halted": "black",
+    "resumed": "tab:green",
+    "up": "tab:green",
+    "unanswered": "tab:orange",
+}
+
+
+def plot(
+    file: Path,
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
+    component: Annotated[
+        list[str] | None, Parameter(name=["--component", "-c"])
+    ] = None,
+) -> int:
+    """Draw a recording: values over time, who held which actuator, what happened.
+
+    Args:
+        file: A recording; also one that was cut.
+        out: The picture (PNG); beside the recording unless given.
+        component: Only these sensors and actuators.
+    """
+    target = out or file.with_suffix(".png")
+    try:
+        from esair.recording import events_of
+
+        events = list(events_of(file))
+        if not events:
+            tell(f"{file}: there is no event in it")
+            return CANNOT_USE
+        _draw(events, target, component)
+    except ModuleNotFoundError as error:
+        extra = "record" if error.name == "mcap" else "sim"
+        code = missing_extra(error, extra)
+        if code is None:
+            raise
+        return code
+    except (RecordingBrokenError, OSError) as error:
+        tell(describe(error))
+        return CANNOT_USE
+    print(target)  # noqa: T201 - this is the output
+    return 0
+
+
+def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
+    """Yield the numbers in a plain value, by their full names."""
+    if isinstance(value, bool | int | float):
+        yield name, float(value)
+    elif isinstance(value, dict):
+        for field, part in value.items():
+            yield from _numbers(f"{name}.{field}", part)
+    elif isinstance(value, list) and len(value) <= 8:
+        for place, part in enumerate(value):
+            yield from _numbers(f"{name}[{place}]", part)
+
+
+def _draw(events: list[Recorded], target: Path, wanted: list[str] | None) -> None:
+    from matplotlib.figure import Figure
+
+    begin = events[0].time
+    tracks: dict[str, list[tuple[float, float]]] = collections.defaultdict(list)
+    holders: dict[str, list[tuple[float, str]]] = collections.defaultdict(list)
+    marks = []
+    for event in events:
+        if wanted and event.component not in wanted and event.kind not in _MARKED:
+            continue
+        when = event.time - begin
+        if event.kind in {"reading", "sent", "safe"}:
+            for name, number in _numbers(event.component, event.value):
+                tracks[name].append((when, number))
+        if event.kind in {"sent", "safe"}:
+            who = event.peer if event.kind == "sent" else "safe"
+            if not holders[event.component] or holders[event.component][-1][1] != who:
+                holders[event.component].append((when, who))
+        if event.kind in _MARKED:
+            marks.append((when, event))
+    names = sorted(tracks)[:TRACKS]
+    rows = len(names) + bool(holders)
+    figure = Figure(figsize=(12, 1.2 + 1.1 * max(rows, 1)), layout="constrained")
+    axes = figure.subplots(max(rows, 1), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, name in zip(axes, names, strict=False):
+        times, values = zip(*tracks[name], strict=True)
+        axis.plot(times, values, ".-", markersize=2, linewidth=0.8)
+        axis.set_ylabel(name, rotation=0, ha="right", fontsize=8)
+        axis.tick_params(labelsize=7)
+    if holders:
+        _draw_holders(axes[rows - 1], holders, events[-1].time - begin)
+    for axis in axes:
+        for when, event in marks:
+            axis.axvline(when, color=_MARKED[event.kind], linewidth=0.7, alpha=0.7)
+    for place, (when, event) in enumerate(marks[:40]):
+        axes[0].annotate(
+            f"{event.component} {event.kind}",
+            (when, 1.02 + 0.12 * (place % 3)),
+            xycoords=("data", "axes fraction"),
+            fontsize=6,
+            color=_MARKED[event.kind],
+        )
+    axes[-1].set_xlabel("s since the beginning of the recording", fontsize=8)
+    figure.savefig(target, dpi=110)
+
+
+def _draw_holders(
+    axis: Any, holders: dict[str, list[tuple[float, str]]], end: float
+) -> None:
+    """Draw a bar for each actuator: who moved it, and when it was safe."""
+    colors: dict[str, str] = {"safe": "lightgray"}
+    for row, (name, changes) in enumerate(sorted(holders.items())):
+        ends = [when for when, _ in changes[1:]] + [end]
+        for (when, who), until in zip(changes, ends, strict=True):
+            color = colors.setdefault(who, f"C{len(colors) - 1}")
+            axis.barh(row, until - when, left=when, color=color, height=0.8)
+        axis.annotate(name, (0, row), fontsize=7, va="center")
+    for who, color in colors.items():
+        axis.plot([], [], color=color, linewidth=6, label=who)
+    axis.legend(fontsize=6, ncols=8, loc="upper right")
+    axis.set_yticks([])
+    axis.set_ylabel("moved by", rotation=0, ha="right", fontsize=8)

@@ -1,0 +1,100 @@
+"""``esair log``, ``plot`` and ``recover``: recordings for people."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+
+import pytest
+
+import esair
+from esair.cli import main
+from esair.journal import Journal, Kind
+from esair.messages import Reading
+from esair.recording import Recorder, is_whole
+
+pytest.importorskip("foxglove", reason="needs esair[record]")
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A small recording with a reading, a command, a loss and a forged line."""
+
+    async def record() -> None:
+        journal = Journal()
+        recorder = Recorder(esair.Recording(tmp_path / "run.mcap"), journal)
+        loop = asyncio.get_running_loop()
+        recorder.start(loop.time())
+        journal.start(loop)
+        for number in range(5):
+            reading = Reading(0.1 * number, loop.time(), number + 1)
+            journal.publish(Kind.READING, "sonar", "", reading)
+            journal.publish(Kind.SENT, "wheels", "wander", (0.3, 0.0))
+        journal.publish(Kind.DOWN, "sonar", "", None, "gone\n12:00:00 up sonar\x1b[2J")
+        journal.publish(Kind.SAFE, "wheels", "", (0.0, 0.0))
+        journal.close()
+        await asyncio.to_thread(recorder.close)
+
+    asyncio.run(record())
+    return tmp_path / "run.mcap"
+
+
+def run(*words: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    return int(ended.value.code or 0)
+
+
+@pytest.mark.promise("REC-6")
+def test_log_prints_a_line_for_each_event(recording: Path, capsys) -> None:
+    """What happened, to whom, by whom, with the value."""
+    assert run("log", recording) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 12
+    assert lines[1].endswith("sent       wander > wheels [0.3, 0.0]")
+
+
+@pytest.mark.promise("SEC-1")
+def test_nothing_in_a_recording_forges_a_line(recording: Path, capsys) -> None:
+    """Line ends and escapes of a device are shown as their numbers."""
+    assert run("log", recording, "--kind", "down") == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.endswith(r"gone\n12:00:00 up sonar\x1b[2J")
+
+
+def test_log_can_be_of_one_component_and_for_machines(recording: Path, capsys) -> None:
+    """Those of others are left out; each line is an object."""
+    assert run("log", recording, "-c", "sonar", "--json") == 0
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [each["kind"] for each in told] == ["reading"] * 5 + ["down"]
+
+
+@pytest.mark.promise("REC-6")
+def test_plot_draws_a_picture(recording: Path, capsys) -> None:
+    """A PNG beside the recording, not empty."""
+    pytest.importorskip("matplotlib", reason="needs esair[sim]")
+    assert run("plot", recording) == 0
+    picture = recording.with_suffix(".png")
+    assert capsys.readouterr().out.strip() == str(picture)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.stat().st_size > 10_000
+
+
+def test_recover_makes_a_cut_file_whole(recording: Path, capsys) -> None:
+    """The new file is named, the old one stays."""
+    cut = recording.with_name("cut.mcap")
+    cut.write_bytes(recording.read_bytes()[:-50])
+    assert run("recover", cut) == 0
+    assert "12 messages; it was cut" in capsys.readouterr().out
+    assert is_whole(cut.with_name("cut-recovered.mcap"))
+
+
+@pytest.mark.parametrize("verb", ["log", "plot", "recover"])
+def test_a_file_that_is_none_is_told(verb: str, tmp_path: Path, capsys) -> None:
+    """One line and exit code 2, no traceback."""
+    wrong = tmp_path / "wrong.mcap"
+    wrong.write_text("no recording")
+    assert run(verb, wrong) == 2
+    assert capsys.readouterr().err.startswith("esair: ")
+    assert run(verb, tmp_path / "nowhere.mcap") == 2
