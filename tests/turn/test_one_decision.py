@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import random
 from typing import Any
 
 import pytest
+from tests.turn import worlds
 
 import esair
 from esair.testing import FakeActuator, FakeSensor
@@ -108,3 +110,17 @@ async def test_losers_get_their_refused() -> None:
     refused = [event for event in heard if event.kind.name == "REFUSED"]
     assert len(refused) == refusals >= 2
     assert {event.value.holder for event in refused} == {"r2"}
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("TURN-2", "TURN-6")
+def test_any_order_of_components_gives_the_same(request: pytest.FixtureRequest) -> None:
+    """Random wirings, in several orders, with threads that take any time."""
+    soak = request.config.getoption("--esair-soak")
+    differ = []
+    for seed in range(1000, 1300 if soak else 1008):
+        told = worlds.play(seed)
+        orders = (random.Random(order) for order in range(3))
+        if any(worlds.play(seed, order) != told for order in orders):
+            differ.append(seed)
+    assert differ == []

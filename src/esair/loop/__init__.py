@@ -1,6 +1,7 @@
 """What the one event loop needs: a scheduler for time, threads for blocking code."""
 
 from esair.loop._deadlines import Deadline, Deadlines
+from esair.loop._door import Door, Entry
 from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._garbage import freeze_garbage, unfreeze_garbage
@@ -25,6 +26,8 @@ __all__ = [
     "CallRefused",
     "Deadline",
     "Deadlines",
+    "Door",
+    "Entry",
     "Every",
     "Executor",
     "Job",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import collections
 import math
 import queue
 import threading
@@ -12,6 +11,7 @@ from typing import Any, Protocol, TypeVar
 
 from esair.exceptions import BusyError, DriverStuckError
 from esair.loop._deadlines import Deadlines
+from esair.loop._door import Door
 
 T = TypeVar("T")
 
@@ -36,7 +36,7 @@ class Outcome(Protocol):
 class Call:
     """One call on an executor."""
 
-    __slots__ = ("args", "function", "future", "guard")
+    __slots__ = ("args", "function", "future", "guard", "work")
 
     def __init__(
         self,
@@ -49,6 +49,7 @@ class Call:
         self.args = args
         self.guard = guard
         self.future = future
+        self.work = 0
 
 
 class Executor:
@@ -138,9 +139,14 @@ class Executor:
             raise BusyError(
                 f"executor {self.name}", "number of waiting calls", self.limit
             )
-        self._start(loop)
-        in_flight(loop, +1)
-        self._jobs.put(Call(function, args, guard, outcome))
+        jobs = self._start(loop)
+        call = Call(function, args, guard, outcome)
+
+        def begin(work: int) -> None:
+            call.work = work
+            jobs.put(call)
+
+        Door.of(loop).give_out(begin)
 
     def expired(self) -> None:
         """Take note that a call has not returned within its deadline."""
@@ -175,7 +181,7 @@ class Executor:
         if results is self._results:
             self.stuck_since = None
 
-    def _start(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _start(self, loop: asyncio.AbstractEventLoop) -> queue.SimpleQueue[Call | None]:
         if self._thread is None:
             # A thread that was told to end may still work off its own queue.
             self._jobs = queue.SimpleQueue()
@@ -194,6 +200,7 @@ class Executor:
                     f"executor {self.name}", "the limit of threads", error
                 ) from None
             self._thread = thread
+        return self._jobs
 
     def _expire(
         self,
@@ -210,49 +217,38 @@ class Executor:
 
 
 class Results:
-    """What the thread of an executor has done, on its way into the event loop.
-
-    However many results there are, one wake-up of the loop is under way at a time:
-    what is done until the loop gets to it goes with it.
-    """
+    """What the thread of an executor has done, on its way into the event loop."""
 
     def __init__(self, executor: Executor, loop: asyncio.AbstractEventLoop) -> None:
         self._executor = executor
-        self._loop = loop
-        self._done: collections.deque[tuple[Outcome, Any, BaseException | None]] = (
-            collections.deque()
-        )
-        self._wakes = False
+        self._tag = (executor.name,)
+        self._door = Door.of(loop)
 
-    def add(self, future: Outcome, result: Any, error: BaseException | None) -> None:
+    def add(self, call: Call, result: Any, error: BaseException | None) -> None:
         """Hand over a result, from the thread."""
-        self._done.append((future, result, error))
-        if not self._wakes:
-            self._wakes = True
-            try:
-                self._loop.call_soon_threadsafe(self._deliver)
-            except RuntimeError:
-                return  # the loop is closed: what is queued (a safe command) still goes
+        try:
+            self._door.post(
+                call.work, self._tag, self._deliver, call.future, result, error
+            )
+        except RuntimeError:
+            return  # the loop is closed: what is queued (a safe command) still goes
 
-    def _deliver(self) -> None:
-        self._wakes = False  # before the look: what comes later wakes the loop again
+    def _deliver(
+        self, future: Outcome, result: Any, error: BaseException | None
+    ) -> None:
         self._executor.returned(self)
-        done = self._done
-        while done:
-            future, result, error = done.popleft()
-            in_flight(self._loop, -1)
-            if future.done():  # it came too late, or its caller has gone
-                continue
-            if isinstance(error, StopIteration) or (
-                error is not None and not isinstance(error, Exception)
-            ):  # raised in a task, it would end the task, or the process
-                wrapped = RuntimeError(f"the driver raised {type(error).__name__}")
-                wrapped.__cause__ = error
-                future.set_exception(wrapped)
-            elif error is not None:
-                future.set_exception(error)
-            else:
-                future.set_result(result)
+        if future.done():  # it came too late, or its caller has gone
+            return
+        if isinstance(error, StopIteration) or (
+            error is not None and not isinstance(error, Exception)
+        ):  # raised in a task, it would end the task, or the process
+            wrapped = RuntimeError(f"the driver raised {type(error).__name__}")
+            wrapped.__cause__ = error
+            future.set_exception(wrapped)
+        elif error is not None:
+            future.set_exception(error)
+        else:
+            future.set_result(result)
 
 
 def _work(calls: queue.SimpleQueue[Call | None], results: Results) -> None:
@@ -266,20 +262,9 @@ def _work(calls: queue.SimpleQueue[Call | None], results: Results) -> None:
                 result = call.function(*call.args)
         except BaseException as raised:  # a driver may raise anything
             error = raised
-        results.add(call.future, result, error)
+        results.add(call, result, error)
         del call, result, error  # nothing is kept alive while the executor is idle
 
 
 def _nothing() -> None:
     """Come after all calls that were made before."""
-
-
-def in_flight(loop: asyncio.AbstractEventLoop, change: int) -> None:
-    """Count the threads that work for a loop, for a clock that must wait for them.
-
-    A virtual clock must not jump while a thread computes; it keeps the count in
-    its attribute ``threads_in_flight``. On a real clock there is nothing to do.
-    """
-    count = getattr(loop, "threads_in_flight", None)
-    if count is not None:
-        loop.threads_in_flight = count + change  # type: ignore[attr-defined]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 from esair.exceptions import BehaviorRemovedError
-from esair.loop._executor import in_flight
+from esair.loop._door import Door
 from esair.loop._ownership import Owner, spawn
 
 T = TypeVar("T")
@@ -32,6 +32,7 @@ class Portal:
         self.name = name
         self._owner = owner
         self._loop = asyncio.get_running_loop()
+        self._door = Door.of(self._loop)
         self.closed = False
         self._calls: set[asyncio.Task[Any]] = set()
         self._home = threading.current_thread()
@@ -47,7 +48,6 @@ class Portal:
         ended: asyncio.Future[None] = loop.create_future()
 
         def finished(error: BaseException | None) -> None:
-            in_flight(loop, -1)
             owner.threads = tuple(t for t in owner.threads if t is not thread)
             if ended.done():
                 return
@@ -56,15 +56,18 @@ class Portal:
             else:
                 ended.set_exception(_raisable(error))
 
+        go: concurrent.futures.Future[int] = concurrent.futures.Future()
+
         def work() -> None:
             error: BaseException | None = None
             portal.set(self)
+            _work.number = go.result()
             try:
                 function()
             except BaseException as raised:  # contained, as in a task
                 error = raised
             try:
-                loop.call_soon_threadsafe(finished, error)
+                self._door.post(_work.number, (self.name,), finished, error)
             except RuntimeError:  # the loop is closed: nobody waits any more
                 return
 
@@ -72,12 +75,8 @@ class Portal:
         thread = threading.Thread(
             target=context.run, args=(work,), name=f"esair-{self.name}", daemon=True
         )
-        in_flight(loop, +1)
-        try:
-            thread.start()
-        except BaseException:
-            in_flight(loop, -1)
-            raise
+        thread.start()
+        self._door.give_out(go.set_result)
         owner.threads = (*owner.threads, thread)
         try:
             await asyncio.shield(ended)
@@ -110,32 +109,40 @@ class Portal:
                 "plain function, so its other methods must be plain functions too"
             )
         mine = portal.get(None)
-        if mine is not None and mine.closed:  # a thread that outlived its own run
-            raise BehaviorRemovedError(self.name)
         outcome: concurrent.futures.Future[T] = concurrent.futures.Future()
         context = contextvars.copy_context()  # what the thread does it for
+        counted = getattr(_work, "number", 0)
+
+        def go_on(settle: Callable[[Any], None], what: Any) -> None:
+            def begin(work: int) -> None:
+                next_work[0] = work
+                settle(what)
+
+            if counted:
+                self._door.give_out(begin)
+            else:  # a thread that the door knows nothing of
+                settle(what)
+
+        next_work = [0]
 
         def done(task: asyncio.Task[T]) -> None:
             self._calls.discard(task)
-            in_flight(self._loop, +1)  # the thread goes on
             if task.cancelled():
-                outcome.set_exception(BehaviorRemovedError(self.name))
+                go_on(outcome.set_exception, BehaviorRemovedError(self.name))
             elif (error := task.exception()) is not None:
-                outcome.set_exception(error)
+                go_on(outcome.set_exception, error)
             else:
-                outcome.set_result(task.result())
+                go_on(outcome.set_result, task.result())
 
         def begin() -> None:
-            in_flight(self._loop, -1)  # the thread waits
-            if self.closed:
-                in_flight(self._loop, +1)
-                outcome.set_exception(BehaviorRemovedError(self.name))
+            # Of a thread that outlived its own run, mine is closed.
+            if self.closed or (mine is not None and mine.closed):
+                go_on(outcome.set_exception, BehaviorRemovedError(self.name))
                 return
             try:
                 coroutine = function(*args, **options)
             except BaseException as error:  # such as an argument that it does not have
-                in_flight(self._loop, +1)
-                outcome.set_exception(error)
+                go_on(outcome.set_exception, error)
                 return
             task = spawn(
                 self._loop,
@@ -148,10 +155,14 @@ class Portal:
             task.add_done_callback(done)
 
         try:
-            self._loop.call_soon_threadsafe(begin)
+            self._door.post(counted, (self.name, "call"), begin)
         except RuntimeError:  # the loop is closed
             raise BehaviorRemovedError(self.name) from None
-        return outcome.result()
+        try:
+            return outcome.result()
+        finally:
+            if counted:
+                _work.number = next_work[0]
 
     def close(self) -> None:
         """Refuse every further call, and cancel those that run."""
@@ -175,3 +186,6 @@ def _look_at(ended: asyncio.Future[None]) -> None:
 
 portal: contextvars.ContextVar[Portal] = contextvars.ContextVar("esair_portal")
 """The portal of the thread that runs, if it is the thread of a plain behavior."""
+
+_work = threading.local()
+"""Its number is that of the work which the door has given to the thread that runs."""

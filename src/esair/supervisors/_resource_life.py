@@ -24,7 +24,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import spawn
+from esair.loop import Door, spawn
 from esair.messages import ResourceState, Restart
 from esair.resources import Resource, settings_of
 from esair.supervisors._restart_budget import RestartBudget
@@ -64,6 +64,7 @@ class ResourceLife:
         self._journal = channel.registrations.journal
         self._budget = RestartBudget(restart)
         self._loop = asyncio.get_running_loop()
+        self._door = Door.of(self._loop)
         self._thread = threading.current_thread()
         self._news: asyncio.Future[BaseException | None] | None = None
         self._lost: BaseException | None = None
@@ -209,7 +210,8 @@ class ResourceLife:
             self._hear(error)
         else:
             opening = self._calls.opening
-            self._loop.call_soon_threadsafe(self._hear_of, opening, error)
+            tag = (self.resource.name, "arrived" if error is None else "lost")
+            self._door.tell(tag, self._hear_of, opening, error)
 
     def _hear_of(self, opening: int, error: BaseException | None) -> None:
         if error is None or opening == self._calls.opening:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import concurrent.futures
 import heapq
 import math
 import random
 from collections.abc import Callable
 from typing import Any
+
+from esair.loop import Door
 
 STEP_BUDGET = 200_000
 """How many turns of the loop may pass without any time passing."""
@@ -39,9 +42,9 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     """
 
     virtual = True
+    takes_entries = True
 
     def __init__(self, *, seed: int | None = None, start: float = 0.0) -> None:
-        self.threads_in_flight = 0
         self.suspended = 0.0
         self._now = start
         self._random = random.Random(seed) if seed else None
@@ -60,13 +63,36 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         """Sleep as a computer does whose lid is closed: the clock stands still."""
         self.suspended += seconds
 
+    @property
+    def threads_in_flight(self) -> int:
+        """How many threads work for the loop; time stands still meanwhile."""
+        return Door.of(self).at_work
+
+    @threads_in_flight.setter
+    def threads_in_flight(self, count: int) -> None:
+        Door.of(self).at_work = count
+
     def run_in_executor(  # type: ignore[override]
         self, executor: Any, func: Callable[..., Any], *args: Any
     ) -> asyncio.Future[Any]:
         """Run a function in a thread; time stands still meanwhile."""
-        future = super().run_in_executor(executor, func, *args)
-        self.threads_in_flight += 1
-        future.add_done_callback(self._landed)
+        if executor is None:
+            executor = self._default_executor  # type: ignore[has-type]
+            if executor is None:
+                executor = concurrent.futures.ThreadPoolExecutor(
+                    thread_name_prefix="asyncio"
+                )
+                self._default_executor = executor
+        door = Door.of(self)
+        future: asyncio.Future[Any] = self.create_future()
+
+        def begin(work: int) -> None:
+            inner = executor.submit(func, *args)
+            inner.add_done_callback(
+                lambda _: door.post(work, ("run_in_executor",), _settle, future, inner)
+            )
+
+        door.give_out(begin)
         return future
 
     async def shutdown_default_executor(self, *args: Any, **options: Any) -> None:
@@ -77,16 +103,13 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         finally:
             self.threads_in_flight -= 1
 
-    def _landed(self, _future: object) -> None:
-        self.threads_in_flight -= 1
-
     def _run_once(self) -> None:
         ready, scheduled = self._ready, self._scheduled  # type: ignore[attr-defined]
         self._turns += 1
         if ready:
             if self._random is not None and len(ready) > 1:
                 self._shuffle(ready)
-        elif not self.threads_in_flight and not self._stopping:  # type: ignore[attr-defined]
+        elif self._door_is_quiet() and not self._stopping:  # type: ignore[attr-defined]
             while scheduled and scheduled[0]._cancelled:
                 heapq.heappop(scheduled)._scheduled = False
                 self._timer_cancelled_count = max(0, self._timer_cancelled_count - 1)  # type: ignore[has-type]
@@ -102,6 +125,19 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             self._turns = 0
             raise LivelockError(f"time does not pass:\n{self._tasks()}")
         super()._run_once()  # type: ignore[misc]
+
+    def _door_is_quiet(self) -> bool:
+        """Let threads begin, and what they have done come in when all have ended."""
+        door = Door.of(self)
+        while True:
+            door.let_go()
+            if door.at_work > 0:
+                return False
+            if not door.waiting:
+                return True
+            door.take(by_work=True)
+            if self._ready:  # type: ignore[attr-defined]
+                return False
 
     def _watches_nothing(self) -> bool:
         own = self._ssock.fileno()  # type: ignore[attr-defined]
@@ -125,3 +161,14 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def _tasks(self) -> str:
         tasks = sorted(asyncio.all_tasks(self), key=lambda task: task.get_name())
         return "\n".join(f"  {task!r}" for task in tasks) or "  (no tasks)"
+
+
+def _settle(future: asyncio.Future[Any], inner: concurrent.futures.Future[Any]) -> None:
+    if future.cancelled():
+        return
+    if inner.cancelled():
+        future.cancel()
+    elif (error := inner.exception()) is not None:
+        future.set_exception(error)
+    else:
+        future.set_result(inner.result())
