@@ -221,7 +221,7 @@ async def test_every_mistake_is_reported_at_once_before_anything_opens(
     text = "\n".join(map(str, caught.value.exceptions))
     for part in ("'sonar' is already there", "bare: safe", "inbox_size", "outbox_policy",
                  "lamp", "walk", "wrong_too: bares: no resource", "did you mean 'bare'",
-                 "declared as float", "'wrong_too' is already there",
+                 "it reads float, but 'sonar' gives str", "'wrong_too' is already there",
                  "policies: expected an esair.Policy", "did you mean 'sonar'",
                  "'wrong_too' may not READ 'sonar'"):  # fmt: skip
         assert part in text, part

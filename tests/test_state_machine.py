@@ -196,10 +196,13 @@ class SupervisorMachine(RuleBasedStateMachine):
     def add(self, name: str) -> None:
         worker = Worker(name, self.next())
         work = self.robot.behaviors.add(worker)
+        mistakes: list[type[Exception]] = []
+        if name in self.workers:
+            mistakes.append(esair.NameTakenError)
         if "wheels" not in self.resources:
-            self.refused(esair.UnknownNameError, work)
-        elif name in self.workers:
-            self.refused(esair.NameTakenError, work)
+            mistakes.append(esair.UnknownNameError)
+        if mistakes:  # all of them are told
+            self.refused(mistakes[0] if len(mistakes) == 1 else ExceptionGroup, work)
         else:
             self.run(work)
             self.workers[name] = worker

@@ -23,8 +23,6 @@ from esair.connections import (
 )
 from esair.exceptions import (
     ConfigError,
-    EsairError,
-    NameTakenError,
     RecordingError,
     StoppingError,
     describe,
@@ -41,6 +39,7 @@ from esair.loop import (
     unfreeze_garbage,
 )
 from esair.messages import Policy, Recording
+from esair.plan import Plan, errors_in, examine
 from esair.resources import Resource, adapt_resource
 from esair.supervisors import BehaviorSupervisor, Halts, ResourceSupervisor
 from esair.values import check_name, check_seconds
@@ -102,6 +101,7 @@ class Robot:
         # What was written for a microcontroller runs here as well, in an adapter.
         self._list_of_resources: list[Any] = [adapt_resource(r) for r in resources]
         self._list_of_behaviors: list[Any] = [adapt_action(b) for b in behaviors]
+        self._list_of_policies: list[Any] = list(policies)
         self.sensors = SensorConnection()
         self.actuators = ActuatorConnection()
         self.journal = Journal()
@@ -110,7 +110,7 @@ class Robot:
             self.sensors,
             self.actuators,
             registrations,
-            policies=policies,
+            policies=self._list_of_policies,
             declared=lambda behavior, resource: self.behaviors.declared(
                 behavior, resource
             ),
@@ -165,6 +165,16 @@ class Robot:
 
         return load_robot(path, cls, simulated=simulated)
 
+    @property
+    def plan(self) -> Plan:
+        """What this robot starts with, as the rulebook sees it."""
+        return Plan(
+            name=self.name,
+            resources=self._list_of_resources,
+            behaviors=self._list_of_behaviors,
+            policies=self._list_of_policies,
+        )
+
     async def __aenter__(self) -> Self:
         if self._entered:
             raise StoppingError(
@@ -174,7 +184,8 @@ class Robot:
             raise StoppingError(
                 f"robot {self.name!r}", f"stopped before its start: {self._reason}"
             )
-        self._refuse_mistakes()
+        if mistakes := errors_in(examine(self.plan)):
+            raise ExceptionGroup(f"robot {self.name!r} cannot start", mistakes)
         self._entered = True
         self.resources.wake()
         self.behaviors.wake()
@@ -303,24 +314,6 @@ class Robot:
         return self._halts.reason
 
     # Inside.
-
-    def _refuse_mistakes(self) -> None:
-        """Raise every mistake of the developer at once, before anything is opened."""
-        found: list[EsairError] = []
-        found.extend(self.resources.mistakes(self._list_of_resources))
-        found.extend(_repeated("resource", self._list_of_resources))
-        found.extend(_repeated("behavior", self._list_of_behaviors))
-        resources: dict[str, Resource] = {}
-        for resource in self._list_of_resources:
-            try:
-                resources[resource.name] = resource
-            except (EsairError, AttributeError):
-                continue  # reported above
-        found.extend(self.behaviors.mistakes(self._list_of_behaviors, resources))
-        names = [name for each in self._list_of_behaviors if (name := _name_of(each))]
-        found.extend(self.resources.rules.mistakes(resources, names))
-        if found:
-            raise ExceptionGroup(f"robot {self.name!r} cannot start", found)
 
     def _start_recorder(
         self, recording: Recording, loop: asyncio.AbstractEventLoop
@@ -511,28 +504,6 @@ def _reason_of(error: BaseException | None) -> str:
     return describe(error)
 
 
-def _repeated(
-    kind: str, components: Iterable[Resource | Behavior | Reaction]
-) -> list[EsairError]:
-    seen: set[str] = set()
-    found: list[EsairError] = []
-    for component in components:
-        name = _name_of(component)
-        if name is None:
-            continue
-        if name in seen:
-            found.append(NameTakenError(kind, name))
-        seen.add(name)
-    return found
-
-
 def _by_name(component: Any) -> str:
     """Order components: nothing depends on the order in which they were given."""
     return str(component.name)
-
-
-def _name_of(component: Resource | Behavior | Reaction) -> str | None:
-    try:
-        return component.name
-    except (EsairError, AttributeError):
-        return None  # reported elsewhere

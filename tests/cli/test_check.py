@@ -142,7 +142,7 @@ def test_needs_that_nobody_provides_are_found(findings) -> None:
     """A resource that is not there, and values of another type."""
     found = findings(SOUND + '[behavior.confused]\ndriver = "{m}:Confused"\n')
 
-    assert found["behavior.confused", "need"][0] == "error"
+    assert found["behavior.confused.number", "need"][0] == "error"
 
 
 def test_every_need_of_a_behavior_is_told(robot_file, esair_command, capsys) -> None:
@@ -153,7 +153,7 @@ def test_every_need_of_a_behavior_is_told(robot_file, esair_command, capsys) -> 
     told = [f["message"] for f in json.loads(capsys.readouterr().out)["findings"]]
     assert "it reads str, but 'number' gives float" in told
     assert "it writes bytes, but 'motor' takes float" in told
-    assert any(each.startswith("it writes 'lamp': there is no such") for each in told)
+    assert any(each.startswith("no resource is named 'lamp'") for each in told)
 
 
 def test_an_actuator_without_a_safe_command_is_found(
@@ -189,7 +189,7 @@ def test_behaviors_of_one_priority_can_starve_each_other(findings) -> None:
     """Whoever comes first keeps the actuator."""
     found = findings(SOUND + '[behavior.again]\ndriver = "{m}:Drive"\n')
 
-    severity, told = found["behavior.again", "starve"]
+    severity, told = found["behavior.again.motor", "starve"]
     assert severity == "warning"
     assert "'drive' and 'again' write 'motor' with the same priority (0)" in told
 
@@ -198,8 +198,8 @@ def test_a_behavior_above_others_can_starve_them(findings) -> None:
     """It need not pause, as a reaction without an opinion does."""
     found = findings(SOUND + '[behavior.push]\ndriver = "{m}:Push"\n')
 
-    assert found["behavior.push", "starve"][0] == "warning"
-    assert "above that of 'drive' (0)" in found["behavior.push", "starve"][1]
+    assert found["behavior.push.motor", "starve"][0] == "warning"
+    assert "above that of 'drive' (0)" in found["behavior.push.motor", "starve"][1]
 
 
 def test_a_reaction_above_others_is_fine(findings) -> None:
@@ -220,7 +220,7 @@ def test_a_right_that_is_denied_is_found(findings) -> None:
     found = findings(SOUND + '[access.motor]\ndrive = "write"\n')
 
     assert found["access.motor", "denied"][0] == "error"
-    assert 'add stop = "write"' in found["access.motor", "denied"][1]
+    assert "allow 'stop' WRITE there" in found["access.motor", "denied"][1]
 
 
 def test_two_writers_of_an_exclusive_actuator_are_found(findings) -> None:
@@ -235,7 +235,7 @@ def test_commands_that_end_before_the_next_are_found(findings) -> None:
     """A reaction that runs more rarely than its command is good for."""
     found = findings(SOUND + '[behavior.blink]\ndriver = "{m}:Blink"\n')
 
-    _, told = found["behavior.blink", "time"]
+    _, told = found["behavior.blink.motor", "time"]
     assert "every 0.5 s" in told
     assert "0.4 s" in told
 

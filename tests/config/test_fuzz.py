@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 
 from esair import config
 from esair.exceptions import ConfigError
+from esair.plan import errors_in, examine
 
 SOUND = {
     "robot": {"name": "rover", "grace": 1.0},
@@ -174,7 +175,7 @@ def loads_or_tells(project, text, *, simulated) -> None:
         told = getattr(error, "exceptions", [error])
     else:
         # What was accepted is a robot that the core accepts too.
-        config.build(described)._refuse_mistakes()
+        assert not errors_in(examine(config.build(described).plan))
         told = []
     for each in told:
         assert isinstance(each, config.ConfigFileError)

@@ -38,7 +38,7 @@ CASES = [
     ('"{m}:Sonar"', '"{m}:Broken"', "sensor.sonar", "the firmware is too old"),
     ('driver = "{m}:Sonar"', "", "sensor.sonar", "'driver' is missing"),
     ('driver = "{m}:Sonar"', "driver = 1", "sensor.sonar.driver", "expected a string"),
-    ("[sensor.sonar]", "[sensor.wheels]", "actuator.wheels", "is taken by sensor"),
+    ("[sensor.sonar]", "[sensor.wheels]", "actuator.wheels", "is already there"),
     (
         "linear = 0.0, angular",
         "linear = 5.0, angular",
@@ -77,12 +77,17 @@ CASES = [
         "access.wheels.exclusive",
         "true or",
     ),
-    ('wander = "write"', 'wander = "read"', "access.wheels", "'wander' needs write"),
+    (
+        'wander = "write"',
+        'wander = "read"',
+        "access.wheels",
+        "allow 'wander' WRITE there",
+    ),
     (
         'avoid = "',
         'max_priority.avoid = 3\navoid = "',
         "access.wheels.max_priority",
-        "3 is the most",
+        "priority 3 at most",
     ),
     (
         'avoid = "',
@@ -90,7 +95,12 @@ CASES = [
         "access.wheels.max_priority.avoid",
         "whole",
     ),
-    ("[sensor.sonar]", "[sensor.lidar]", "behavior.avoid", "it reads 'sonar'"),
+    (
+        "[sensor.sonar]",
+        "[sensor.lidar]",
+        "behavior.avoid.sonar",
+        "no resource is named 'sonar'",
+    ),
     ("[bus.front]", "bus.front = 3\n[bus.front2]", "robot.bus", "no such key"),
     ("[robot]", "sensor.x = 3\n[robot]", "sensor.x", "expected a table [sensor.NAME]"),
 ]
@@ -260,7 +270,7 @@ def test_readings_fresher_than_the_period_are_refused_with_both_numbers(
     """A reaction that would be parked between any two readings."""
     project.changed("rate = 20", "rate = 1")
 
-    told = project.mistakes()["behavior.avoid"]
+    told = project.mistakes()["behavior.avoid.sonar.max_age"]
     assert "0.5 s" in told
     assert "1 s" in told
 
@@ -270,7 +280,7 @@ def test_a_bus_of_another_class_is_refused(project) -> None:
     project.changed('"{m}:Sonar"', '"{m}:OnWire"')
 
     assert (
-        "expected an OtherWire, but 'front' is a Wire"
+        "expected a bus of the class OtherWire, not <Wire 'front' closed>"
         in project.mistakes()["sensor.sonar.bus"]
     )
 
@@ -285,7 +295,7 @@ def test_values_of_another_type_than_the_resource_has_are_refused(project) -> No
 
     assert (
         "it writes Twist, but 'lamp' takes bool"
-        in project.mistakes()["behavior.wander"]
+        in project.mistakes()["behavior.wander.writes.wheels"]
     )
 
 
@@ -295,7 +305,7 @@ def test_reading_an_actuator_is_refused(project) -> None:
         'driver = "{m}:Avoid"', 'driver = "{m}:Avoid"\nreads.sonar = "wheels"'
     )
 
-    assert "which is an actuator" in project.mistakes()["behavior.avoid"]
+    assert "which is an actuator" in project.mistakes()["behavior.avoid.reads.sonar"]
 
 
 @pytest.mark.parametrize(

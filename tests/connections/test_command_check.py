@@ -17,8 +17,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
-from esair.connections._command_check import CommandCheck, check_declaration
+from esair.connections._command_check import CommandCheck
+from esair.plan import Finding, examine_resource
+from esair.plan import Plan as RobotPlan
 from esair.testing import FakeActuator
+
+
+def check_declaration(actuator: esair.Actuator[Any]) -> list[Finding]:
+    """Return what the rulebook says about an actuator."""
+    return examine_resource(RobotPlan(), actuator)
+
 
 NOT_FINITE = [math.nan, math.inf, -math.inf]
 

@@ -24,6 +24,7 @@ BESIDE = [
     "esair.framing",
     "esair.journal",
     "esair.minimal",
+    "esair.plan",
     "esair.recording",
     "esair.sim",
     "esair.testing",
@@ -44,7 +45,7 @@ IN_ESAIR = {
 }
 """Modules whose names are in `esair`."""
 
-PRIVATE = {"cli", "demo", "loop"}
+PRIVATE = {"cli", "demo", "loop", "values"}
 
 HIDDEN = {
     "esair.minimal.declared",

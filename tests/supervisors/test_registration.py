@@ -176,7 +176,7 @@ async def test_exclusive_use_has_one_writer_at_a_time(fake_actuator: Any) -> Non
     async with esair.Robot(
         resources=[wheels], policies=[policy], behaviors=[writer("first")]
     ) as robot:
-        with pytest.raises(esair.AccessDeniedError, match="'first' is registered"):
+        with pytest.raises(esair.AccessDeniedError, match="'first' writes it"):
             await robot.resources.register("second", "wheels", Access.WRITE)
         await robot.behaviors.remove("first")
         assert await robot.resources.register("second", "wheels", Access.WRITE)

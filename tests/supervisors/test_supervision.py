@@ -1097,22 +1097,21 @@ async def test_a_reaction_that_says_its_device_is_lost_has_failed() -> None:
         assert robot.behaviors.query("bad").state is State.FAILED
 
 
-async def test_a_behavior_that_may_not_start_fails_alone() -> None:
-    """Of two who want exclusive use the second is refused, the first one moves."""
+async def test_two_who_want_exclusive_use_do_not_start() -> None:
+    """That one of them can never move is known before anything is opened."""
     device = wheels()
     policy = esair.Policy("wheels", allow={"*": esair.Access.WRITE}, exclusive=True)
-    async with esair.Robot(
+    robot = esair.Robot(
         resources=[device],
         behaviors=[Driver(name="first"), Driver(name="second")],
         policies=[policy],
-    ) as robot:
-        await device.until(1.0)
-        await asyncio.sleep(5.0)
-        assert robot.behaviors.query("second").state is State.FAILED
-        assert isinstance(
-            robot.behaviors.query("second").error, esair.AccessDeniedError
-        )
-        assert robot.behaviors.query("first").state is State.RUNNING
+    )
+    with pytest.raises(ExceptionGroup) as caught:
+        await robot.__aenter__()
+
+    (error,) = caught.value.exceptions
+    assert isinstance(error, esair.AccessDeniedError)
+    assert (error.behavior, device.opened) == ("second", 0)
 
 
 async def test_a_setup_that_ignores_its_end_does_not_come_to_life() -> None:

@@ -10,7 +10,6 @@ from esair.actions._needs import (
     Reads,
     Writes,
     guards,
-    mistakes_in_needs,
     reads,
     writes,
 )
@@ -20,7 +19,7 @@ from esair.actions._ports import (
     BlockingSensorPort,
     SensorPort,
 )
-from esair.actions._reaction import Reaction, mistakes_in_reaction
+from esair.actions._reaction import Reaction
 from esair.actions._reaction_runner import ReactionRunner
 from esair.actions._request import Request, taken
 from esair.actions._takes import (
@@ -58,8 +57,6 @@ __all__ = [
     "adapt_action",
     "answers",
     "guards",
-    "mistakes_in_needs",
-    "mistakes_in_reaction",
     "mistakes_in_requests",
     "reads",
     "taken",

@@ -9,9 +9,8 @@ import attrs
 
 from esair import abc
 from esair.actions._ports import ActuatorPort, SensorPort
-from esair.exceptions import ConfigError, NotRegisteredError
+from esair.exceptions import NotRegisteredError
 from esair.messages import Access
-from esair.values import check_name, is_positive
 
 T = TypeVar("T")
 
@@ -304,56 +303,6 @@ class ProfiledAction(abc.Action):
         if not isinstance(need, Writes):
             return isinstance(need, Guards)
         return (need.blind or self.blind_unless_said) == "safe"
-
-
-def mistakes_in_needs(action: ProfiledAction) -> list[ConfigError]:
-    """Return what is wrong with what an action declares, whatever the robot."""
-    found: list[ConfigError] = []
-    for attribute, need in action.needs.items():
-        try:
-            check_name("resource", need.resource)
-        except ConfigError as error:
-            found.append(ConfigError(action.name, attribute, str(error)))
-        if need.type is None or isinstance(need.type, str | bytes | int | float):
-            found.append(
-                ConfigError(
-                    action.name,
-                    attribute,
-                    f"expected a type such as float, not {need.type!r:.80} "
-                    "(a name is given by name=)",
-                )
-            )
-        if isinstance(need, Guards):
-            field, seconds = "", None
-        elif isinstance(need, Reads):
-            field, seconds = "max_age", need.max_age
-        else:
-            field, seconds = "hold", need.hold
-        if seconds is not None and not is_positive(seconds):
-            found.append(
-                ConfigError(
-                    action.name,
-                    f"{attribute}.{field}",
-                    f"expected seconds > 0, not {seconds!r:.80}",
-                )
-            )
-        if isinstance(need, Writes) and need.blind not in {None, "safe", "release"}:
-            found.append(
-                ConfigError(
-                    action.name,
-                    f"{attribute}.blind",
-                    f"expected 'safe' or 'release', not {need.blind!r:.80}",
-                )
-            )
-        if not isinstance(need, Reads) and type(need.priority) is not int:
-            found.append(
-                ConfigError(
-                    action.name,
-                    f"{attribute}.priority",
-                    f"expected a whole number, not {need.priority!r:.80}",
-                )
-            )
-    return found
 
 
 def _not_bound(instance: object, resource: str) -> NotRegisteredError:

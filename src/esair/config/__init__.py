@@ -21,20 +21,22 @@ bus. A simulation opens nothing real by an omission: a device is refused that ha
 ``sim`` and is on no bus with one (``sim = {}`` says that it is harmless as it is).
 """
 
-from esair.config._check import ActuatorSafety, FoundInFile, Report, Writer, check
+from esair.config._check import FoundInFile, Report, check
+from esair.config._classes import searched_first
+from esair.config._construct import keywords_of
 from esair.config._description import Description
 from esair.config._load import build, load, load_robot
 from esair.config._mistakes import ConfigFileError
 
 __all__ = [
-    "ActuatorSafety",
     "ConfigFileError",
     "Description",
     "FoundInFile",
     "Report",
-    "Writer",
     "build",
     "check",
+    "keywords_of",
     "load",
     "load_robot",
+    "searched_first",
 ]

@@ -10,8 +10,6 @@ from esair.actions import (
     ProfiledAction,
     Reaction,
     adapt_action,
-    mistakes_in_needs,
-    mistakes_in_reaction,
 )
 from esair.config._construct import construct
 from esair.config._draft import Draft
@@ -45,9 +43,4 @@ def make_behavior(
     made = adapt_action(made)
     if not table.keys().isdisjoint(FLOWS):
         set_profile(made, table, keys, source)
-    errors = mistakes_in_needs(made)
-    if isinstance(made, Reaction):
-        errors += mistakes_in_reaction(made)
-    for error in errors:
-        source.mistakes.caught(key, error, "its declaration")
-    return None if errors else made
+    return made

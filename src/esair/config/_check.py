@@ -6,12 +6,10 @@ import os
 
 import attrs
 
-from esair.actions import Reaction, Writes
 from esair.config._draft import Draft
-from esair.config._findings import Severity, examine
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
-from esair.resources import Actuator
+from esair.plan import Protection, examine, protection
 
 
 @attrs.frozen
@@ -20,11 +18,8 @@ class FoundInFile:
 
     Attributes:
         severity: ``"error"`` or ``"warning"``.
-        rule: Which check found it: ``configuration`` (a key is wrong), ``need``
-            (nobody provides what a behavior reads or writes), ``denied`` (a policy
-            denies what a behavior needs), ``starve`` (behaviors keep each other
-            from an actuator), ``rights`` (a right that nobody has), ``time`` (times
-            that can never be met), ``unused``, ``port``.
+        rule: Which rule found it: ``configuration`` (a key is wrong), or one of
+            those of `esair.plan.Finding`.
         key: The key, as a dotted path; empty for the whole file.
         line: The line, counted from 1; None if it is not known.
         message: What is wrong, and what to do.
@@ -37,47 +32,6 @@ class FoundInFile:
     line: int | None
     message: str
     only_simulated: bool = False
-
-
-@attrs.frozen
-class Writer:
-    """Who writes an actuator.
-
-    Attributes:
-        behavior: The name of the behavior or reaction.
-        kind: ``"behavior"`` or ``"reaction"``.
-        priority: With which priority it writes.
-    """
-
-    behavior: str
-    kind: str
-    priority: int
-
-
-@attrs.frozen
-class ActuatorSafety:
-    """How one actuator is made safe.
-
-    Attributes:
-        name: The actuator.
-        driver: Its class, as ``module:Class``.
-        safe: Its safe command, in Python's words; None if it has none.
-        command_timeout: After how many seconds without a command it is sent.
-        writers: Who moves it, highest priority first.
-        sent_by: Who sends the safe command, and when.
-        own_timeout: After how many seconds the device stops by itself when it
-            hears nothing more; None if it does not.
-        when_the_host_dies: What that means.
-    """
-
-    name: str
-    driver: str
-    safe: str | None
-    command_timeout: float
-    writers: tuple[Writer, ...]
-    sent_by: str
-    own_timeout: float | None
-    when_the_host_dies: str
 
 
 @attrs.frozen
@@ -95,7 +49,7 @@ class Report:
     file: str
     digest: str
     findings: tuple[FoundInFile, ...]
-    actuators: tuple[ActuatorSafety, ...]
+    actuators: tuple[Protection, ...]
     with_simulation: bool
 
     @property
@@ -144,7 +98,7 @@ def check(path: str | os.PathLike[str], *, robot_class: type | None = None) -> R
         file=source.mistakes.file,
         digest=source.digest,
         findings=tuple(found),
-        actuators=tuple(_actuators(real)),
+        actuators=tuple(protection(real.plan())),
         with_simulation=with_simulation,
     )
 
@@ -155,10 +109,8 @@ def _tables(holder: object) -> list[object]:
 
 def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
     mistakes = draft.source.mistakes
-    findings = examine(draft)
-    if not mistakes.errors and all(
-        each.severity is not Severity.ERROR for each in findings
-    ):
+    findings = examine(draft.plan())
+    if not mistakes.errors and not any(each.is_error for each in findings):
         refused_by_robot(draft, robot_class)
     found = [
         FoundInFile("error", "configuration", error.key, error.line, error.reason)
@@ -168,49 +120,10 @@ def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
         FoundInFile(
             finding.severity.value,
             finding.rule,
-            finding.key,
-            mistakes.lines.of(finding.key),
-            finding.message,
+            key := draft.key_of(finding),
+            mistakes.lines.of(key),
+            finding.text,
         )
         for finding in findings
     ]
     return found
-
-
-def _actuators(draft: Draft) -> list[ActuatorSafety]:
-    rows = []
-    for name, resource in draft.resources.items():
-        if not isinstance(resource, Actuator):
-            continue
-        writers = [
-            Writer(
-                behavior,
-                "reaction" if isinstance(action, Reaction) else "behavior",
-                need.priority,
-            )
-            for behavior, action in draft.behaviors.items()
-            if action is not None
-            for need in action.needs.values()
-            if isinstance(need, Writes) and need.resource == name
-        ]
-        own = resource.own_timeout
-        rows.append(
-            ActuatorSafety(
-                name=name,
-                driver=f"{type(resource).__module__}:{type(resource).__qualname__}",
-                safe=repr(resource.safe) if hasattr(resource, "safe") else None,
-                command_timeout=float(resource.command_timeout),
-                writers=tuple(sorted(writers, key=lambda writer: -writer.priority)),
-                sent_by=(
-                    f"esair: {resource.command_timeout:g} s after the last command, "
-                    "and at every exit"
-                ),
-                own_timeout=own,
-                when_the_host_dies=(
-                    "it keeps its last command"
-                    if own is None
-                    else f"it stops itself after {own:g} s"
-                ),
-            )
-        )
-    return rows

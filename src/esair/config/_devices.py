@@ -7,13 +7,12 @@ from typing import Any
 
 from esair.buses import Bus
 from esair.config._construct import construct
-from esair.config._draft import Draft
+from esair.config._draft import Draft, Part
 from esair.config._mistakes import show
 from esair.config._records import hints_of
 from esair.config._tables import Variant, class_of, variant_of
-from esair.config._values import INVALID, convert
 from esair.config._words import unknown, wanted
-from esair.connections import check_declaration
+from esair.plan import wrong_bus
 from esair.resources import Actuator, Resource, adapt_resource
 from esair.values import value_type
 
@@ -40,14 +39,16 @@ def make_bus(draft: Draft, name: str, table: Mapping[str, Any]) -> Bus | None:
 
 def make_device(
     draft: Draft, key: str, name: str, table: Mapping[str, Any], base: type[Resource]
-) -> Resource | None:
+) -> Part:
     variant = variant_of(draft, key, table, "driver")
     cls = class_of(draft, key, variant, "driver", base, "esair.drivers")
     given: dict[str, Any] = {}
-    has_bus = _find_bus(draft, key, name, variant, cls, given)
-    _needs_simulation(draft, key, name, variant)
+    before = len(draft.source.mistakes.errors)
+    bus = _find_bus(draft, key, variant, cls, given)
+    has_bus = len(draft.source.mistakes.errors) == before and None not in given.values()
+    _needs_simulation(draft, key, bus, variant)
     if cls is None:
-        return None
+        return Part(base.__name__.lower(), name, None, bus)
     made: Resource | None = construct(
         cls,
         name,
@@ -62,58 +63,45 @@ def make_device(
         later=frozenset({"driver", "bus"}),
         make=has_bus,
     )
-    made = adapt_resource(made)
-    if isinstance(made, Actuator) and not _is_sound(draft, made, key):
-        return None
-    return made
+    return Part(base.__name__.lower(), name, adapt_resource(made), bus)
 
 
 def _find_bus(
     draft: Draft,
     key: str,
-    name: str,
     variant: Variant,
     cls: type | None,
     given: dict[str, Any],
-) -> bool:
-    """Put the bus of a device into what is given to it; false if that fails."""
+) -> str | None:
+    """Put the bus of a device into what is given to it; return the bus's name."""
     mistakes = draft.source.mistakes
-    kind = Any if cls is None else hints_of(cls).get("bus", Any)
+    kind = cls if cls is not None and issubclass(cls, Resource) else None
     if "bus" not in variant.table:
-        if _fits(None, kind, draft):
-            return True
-        mistakes.add(
-            key, f"the key 'bus' is missing: expected the name of {wanted(kind)}"
-        )
-        return False
-    bus_name, where = variant.table["bus"], variant.keys["bus"]
-    if not isinstance(bus_name, str):
-        mistakes.add(where, f"expected the name of a bus, not {show(bus_name)}")
-        return False
-    if bus_name not in draft.buses:
-        mistakes.add(
-            where, f"{bus_name!r:.80}: {unknown('bus', bus_name, draft.buses)}"
-        )
-        return False
-    draft.bus_of[name] = bus_name
-    bus = given["bus"] = draft.buses[bus_name]
-    if bus is not None and not _fits(bus, kind, draft):
-        has = type(bus).__name__
-        mistakes.add(where, f"expected {wanted(kind)}, but {bus_name!r} is a {has}")
-    return bus is not None
+        if kind is not None and wrong_bus(kind, None):
+            needed = wanted(hints_of(kind).get("bus", Any))
+            told = f"the key 'bus' is missing: expected the name of {needed}"
+            mistakes.add(key, told)
+        return None
+    name, where = variant.table["bus"], variant.keys["bus"]
+    buses = draft.buses
+    if not isinstance(name, str):
+        mistakes.add(where, f"expected the name of a bus, not {show(name)}")
+    elif name not in buses:
+        mistakes.add(where, f"{name!r:.80}: {unknown('bus', name, buses)}")
+    else:
+        bus = given["bus"] = buses[name]
+        if bus is not None and kind is not None and (wrong := wrong_bus(kind, bus)):
+            mistakes.add(where, wrong)
+        return str(name)
+    return None
 
 
-def _fits(bus: Bus | None, kind: Any, draft: Draft) -> bool:
-    """Tell whether a driver that asks for a kind of bus can do with this one."""
-    found = convert(bus, kind, "", lambda *_: None, draft.source.folder)
-    return found is not INVALID
-
-
-def _needs_simulation(draft: Draft, key: str, name: str, variant: Variant) -> None:
+def _needs_simulation(
+    draft: Draft, key: str, bus_name: str | None, variant: Variant
+) -> None:
     """See to it that a simulated robot opens nothing real by an omission."""
     if not draft.simulated:
         return
-    bus_name = draft.bus_of.get(name)
     if bus_name is not None:
         tables = draft.source.data.get("bus", {})
         if "sim" not in tables.get(bus_name, {}):
@@ -135,11 +123,3 @@ def _command_type(cls: type) -> Any:
     if declared is Any and hasattr(cls, "safe"):
         return type(cls.safe)
     return declared
-
-
-def _is_sound(draft: Draft, actuator: Actuator[Any], key: str) -> bool:
-    """Check what an actuator declares; one that only lacks a safe command is shown."""
-    errors = check_declaration(actuator)
-    for error in errors:
-        draft.source.mistakes.caught(key, error, "its declaration")
-    return not errors or (len(errors) == 1 and not hasattr(actuator, "safe"))

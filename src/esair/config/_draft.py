@@ -1,4 +1,4 @@
-"""What could be made of a file so far: sound parts, and the names of the others."""
+"""What could be made of a file so far: its parts, and where each is in the file."""
 
 from __future__ import annotations
 
@@ -6,35 +6,97 @@ from typing import Any
 
 import attrs
 
-from esair.actions import Behavior, Reaction
+from esair.actions import ProfiledAction
 from esair.buses import Bus
+from esair.config._mistakes import below
 from esair.config._source import Source
 from esair.messages import Policy
+from esair.plan import Finding, Plan
 from esair.resources import Resource
+
+
+@attrs.frozen(eq=False)
+class Part:
+    """One table of a file, and what was made of it.
+
+    Attributes:
+        kind: ``bus``, ``sensor``, ``actuator`` or ``behavior``.
+        name: Its name.
+        made: The object; None if that failed, for a reason that was told.
+        bus: The name of the bus that the table names.
+    """
+
+    kind: str
+    name: str
+    made: Any
+    bus: str | None = None
+
+    @property
+    def key(self) -> str:
+        """Its key in the file."""
+        return f"{self.kind}.{self.name}"
 
 
 @attrs.define
 class Draft:
-    """What could be made of a file. Parts with mistakes are declared, but not made.
+    """What could be made of a file. Parts with mistakes are there, but not made.
 
     Attributes:
         source: The file.
         simulated: Whether the ``sim`` tables were used.
         robot: The keywords of the robot.
-        buses: The buses, by name; None for one that could not be made.
-        resources: The sensors and actuators, likewise.
-        behaviors: The behaviors and reactions, likewise.
+        parts: The buses, resources and actions, in this order.
         policies: Who may do what with a resource, by the name of the resource.
-        keys: The key of each resource in the file.
-        bus_of: The name of the bus of each resource that is on one.
     """
 
     source: Source
     simulated: bool
     robot: dict[str, Any] = attrs.field(factory=dict)
-    buses: dict[str, Bus | None] = attrs.field(factory=dict)
-    resources: dict[str, Resource | None] = attrs.field(factory=dict)
-    behaviors: dict[str, Behavior | Reaction | None] = attrs.field(factory=dict)
+    parts: list[Part] = attrs.field(factory=list)
     policies: dict[str, Policy] = attrs.field(factory=dict)
-    keys: dict[str, str] = attrs.field(factory=dict)
-    bus_of: dict[str, str] = attrs.field(factory=dict)
+
+    @property
+    def buses(self) -> dict[str, Bus | None]:
+        """The buses by name; None for one that could not be made."""
+        return {each.name: each.made for each in self.parts if each.kind == "bus"}
+
+    def made(self, kind: type) -> dict[str, Any]:
+        """Return the parts of a kind that could be made, by name."""
+        return {
+            each.name: each.made for each in self.parts if isinstance(each.made, kind)
+        }
+
+    def plan(self) -> Plan:
+        """Return the robot as the rulebook sees it."""
+        made = [each.made for each in self.parts]
+        return Plan(
+            name=str(self.robot.get("name", "robot")),
+            resources=[each for each in made if isinstance(each, Resource)],
+            behaviors=[each for each in made if isinstance(each, ProfiledAction)],
+            policies=list(self.policies.values()),
+            buses=self.made(Bus),
+            missing={
+                each.name: each.kind
+                for each in self.parts
+                if each.made is None and each.kind != "bus"
+            },
+        )
+
+    def key_of(self, finding: Finding) -> str:
+        """Return the key in the file that a finding is about."""
+        key = "robot"
+        for part in self.parts:
+            if part.made is finding.subject and part.made is not None:
+                key = part.key
+        if isinstance(finding.subject, Policy):
+            key = below("access", finding.subject.resource)
+            field = finding.field.removeprefix("allow").removeprefix(".")
+            return key if field in {"", "resource"} else f"{key}.{field}"
+        if not finding.field:
+            return key
+        port, dot, rest = finding.field.partition(".")
+        for flow in ("reads", "writes"):
+            named = self.source.value(f"{key}.{flow}.{port}")
+            if named is not None:
+                return f"{key}.{flow}.{port}{dot}{rest}"
+        return f"{key}.{finding.field}"

@@ -6,11 +6,14 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
+from esair.actions import ProfiledAction
+from esair.buses import Bus
 from esair.config._description import Description
-from esair.config._findings import Severity, examine
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
 from esair.exceptions import ConfigError
+from esair.plan import examine
+from esair.resources import Resource
 
 if TYPE_CHECKING:
     from esair.standard import Robot
@@ -45,9 +48,9 @@ def load(
         robot_class = Robot
     source = read_source(path)
     draft = make_draft(source, simulated=simulated, robot_class=robot_class)
-    for finding in examine(draft):
-        if finding.severity is Severity.ERROR:
-            source.mistakes.add(finding.key, finding.message)
+    for finding in examine(draft.plan()):
+        if finding.is_error:
+            source.mistakes.add(draft.key_of(finding), finding.text)
     source.mistakes.raise_all()
     refused_by_robot(draft, robot_class)
     source.mistakes.raise_all()
@@ -56,17 +59,9 @@ def load(
         digest=source.digest,
         simulated=simulated,
         robot=draft.robot,
-        buses={name: bus for name, bus in draft.buses.items() if bus is not None},
-        resources={
-            name: resource
-            for name, resource in draft.resources.items()
-            if resource is not None
-        },
-        behaviors={
-            name: action
-            for name, action in draft.behaviors.items()
-            if action is not None
-        },
+        buses=draft.made(Bus),
+        resources=draft.made(Resource),
+        behaviors=draft.made(ProfiledAction),
         policies=draft.policies,
     )
 

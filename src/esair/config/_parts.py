@@ -7,7 +7,7 @@ from typing import Any, Final
 from esair.config._actions import make_behavior
 from esair.config._construct import keywords_of
 from esair.config._devices import make_bus, make_device
-from esair.config._draft import Draft
+from esair.config._draft import Draft, Part
 from esair.config._mistakes import below, dotted, show
 from esair.config._policies import read_policies
 from esair.config._source import Source
@@ -33,21 +33,14 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
             del source.data[name]
     draft.robot = _read_robot(source, robot_class)
     for name, table in named_tables(source, "bus"):
-        draft.buses[name] = make_bus(draft, name, table)
+        draft.parts.append(Part("bus", name, make_bus(draft, name, table)))
     for kind, base in (("sensor", Sensor), ("actuator", Actuator)):
         for name, table in named_tables(source, kind):
             key = f"{kind}.{name}"
-            if name in draft.resources:
-                source.mistakes.add(
-                    key,
-                    f"the name {name!r} is taken by {draft.keys[name]}: choose another",
-                )
-                continue
-            draft.keys[name] = key
-            draft.resources[name] = make_device(draft, key, name, table, base)
+            draft.parts.append(make_device(draft, key, name, table, base))
     for name, table in named_tables(source, "behavior"):
-        draft.behaviors[name] = make_behavior(draft, name, table)
-    draft.policies = read_policies(source, draft.keys)
+        draft.parts.append(Part("behavior", name, make_behavior(draft, name, table)))
+    draft.policies = read_policies(source)
     return draft
 
 
@@ -77,33 +70,14 @@ def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:
 
 
 def refused_by_robot(draft: Draft, robot_class: type) -> None:
-    """Note what the robot itself would refuse, in a draft without mistakes.
-
-    The checks of this package know the file and tell more; these are the ones that
-    count in the end.
-    """
-    resources = {
-        name: each for name, each in draft.resources.items() if each is not None
-    }
-    behaviors = {
-        name: each for name, each in draft.behaviors.items() if each is not None
-    }
-    mistakes = draft.source.mistakes
+    """Note what the constructor of the robot refuses, in a draft without mistakes."""
+    plan = draft.plan()
     try:
-        robot = robot_class(
-            resources=resources.values(),
-            behaviors=behaviors.values(),
-            policies=draft.policies.values(),
+        robot_class(
+            resources=plan.resources,
+            behaviors=plan.behaviors,
+            policies=plan.policies,
             **draft.robot,
         )
     except (EsairError, ExceptionGroup) as error:
-        mistakes.caught("robot", error, "the robot")
-        return
-    for refusal in robot.resources.mistakes(resources.values()):
-        name = getattr(refusal, "component", "")
-        mistakes.caught(draft.keys.get(name, "robot"), refusal, "its start")
-    for name, behavior in behaviors.items():
-        for refusal in robot.behaviors.mistakes([behavior], resources):
-            mistakes.caught(f"behavior.{name}", refusal, "its start")
-    for refusal in robot.resources.rules.mistakes(resources, list(behaviors)):
-        mistakes.caught("access", refusal, "its start")
+        draft.source.mistakes.caught("robot", error, "the robot")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, Final
 
 from esair.config._mistakes import below, dotted, show
 from esair.config._source import Source
-from esair.config._words import unknown
 from esair.exceptions import ConfigError, did_you_mean
 from esair.messages import Access, Policy
 from esair.values import check_name
@@ -20,16 +18,13 @@ _RIGHTS: Final = {
 }
 
 
-def read_policies(source: Source, resources: Iterable[str]) -> dict[str, Policy]:
+def read_policies(source: Source) -> dict[str, Policy]:
     """Return the rules of a file, by the name of the resource."""
     tables = source.data.get("access", {})
-    known = list(resources)
     policies: dict[str, Policy] = {}
     for name, table in tables.items():
         key = dotted("access", name)
-        if name not in known:
-            source.mistakes.add(key, unknown("resource", name, known))
-        elif not isinstance(table, dict):
+        if not isinstance(table, dict):
             source.mistakes.add(
                 key,
                 f'expected a table such as {{ wander = "write" }}, not {show(table)}',

@@ -38,6 +38,13 @@ class Source:
     data: dict[str, Any]
     mistakes: Mistakes
 
+    def value(self, key: str) -> object:
+        """Return what stands at a key; None if nothing does."""
+        found: object = self.data
+        for part in key.split("."):
+            found = found.get(part) if isinstance(found, dict) else None
+        return found
+
     @property
     def folder(self) -> Path:
         """Where the file lies: relative paths and modules are found there."""

@@ -4,7 +4,7 @@ from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
 from esair.connections._actuator_device import LastCommand
 from esair.connections._call import Call, Calls
-from esair.connections._command_check import CommandCheck, check_declaration
+from esair.connections._command_check import CommandCheck, limits_by_field, part_of
 from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._halt import HALT, Halt, Halting, Stopped
 from esair.connections._registrations import Registration, Registrations
@@ -30,7 +30,8 @@ __all__ = [
     "SensorChannel",
     "SensorConnection",
     "Stopped",
-    "check_declaration",
     "is_loss",
+    "limits_by_field",
+    "part_of",
     "translate",
 ]

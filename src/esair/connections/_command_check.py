@@ -14,9 +14,9 @@ from typing import Any
 
 import attrs
 
-from esair.exceptions import BadValueError, ConfigError, describe
+from esair.exceptions import BadValueError, describe
 from esair.resources import Actuator
-from esair.values import checked_class, is_positive, passes_as, type_name
+from esair.values import checked_class, passes_as, type_name
 
 
 class CommandCheck:
@@ -26,8 +26,8 @@ class CommandCheck:
         self.name = actuator.name
         self.wanted = checked_class(actuator.value_type)
         self._clamp = actuator.clamp
-        self._limits = _by_field(actuator.limits)
-        self._slew = _by_field(actuator.slew)
+        self._limits = limits_by_field(actuator.limits)
+        self._slew = limits_by_field(actuator.slew)
         self._fields = _number_fields(actuator.safe)
         self._get: Callable[[Any], Any] | None = None
         if not _all_numbers(actuator.safe, self._fields):
@@ -85,7 +85,7 @@ class CommandCheck:
         changes: dict[str, float] = {}
         for field, slew in self._slew.items():
             try:
-                value, before = _get(command, field), _get(last, field)
+                value, before = part_of(command, field), part_of(last, field)
             except (AttributeError, LookupError):
                 raise BadValueError(
                     self.name, field, "its change is limited: each command must have it"
@@ -132,7 +132,7 @@ class CommandCheck:
     def _limited(self, command: Any) -> Any:
         changes: dict[str, float] = {}
         for field, (low, high) in self._limits.items():
-            value = _get(command, field)
+            value = part_of(command, field)
             if low <= value <= high:
                 continue
             if not self._clamp:
@@ -147,63 +147,7 @@ class CommandCheck:
         return _changed(command, changes)
 
 
-def check_declaration(actuator: Actuator[Any]) -> list[ConfigError]:
-    """Return what is wrong with what an actuator declares."""
-    name = actuator.name
-    mistakes: list[ConfigError] = []
-    timeout = actuator.command_timeout
-    if not is_positive(timeout):
-        mistakes.append(
-            ConfigError(
-                name, "command_timeout", f"expected seconds > 0, not {timeout!r:.80}"
-            )
-        )
-    own = actuator.own_timeout
-    if own is not None and not is_positive(own):
-        mistakes.append(
-            ConfigError(
-                name, "own_timeout", f"expected seconds > 0 or None, not {own!r:.80}"
-            )
-        )
-    if not hasattr(actuator, "safe"):
-        mistakes.append(
-            ConfigError(
-                name, "safe", "an actuator must declare its safe command: safe = ..."
-            )
-        )
-        return mistakes
-    for field, bounds in _by_field(actuator.limits).items():
-        try:
-            low, high = bounds
-            sound = low <= high
-            fits = low <= _get(actuator.safe, field) <= high
-        except (TypeError, ValueError, AttributeError, LookupError):
-            sound = False
-        if not sound:
-            mistakes.append(
-                ConfigError(
-                    name,
-                    f"limits.{field}".rstrip("."),
-                    f"expected (least, greatest), not {bounds!r:.80}",
-                )
-            )
-        elif not fits:
-            mistakes.append(
-                ConfigError(name, "safe", f"{actuator.safe!r} is outside the limits")
-            )
-    if mistakes:
-        return mistakes
-    field, check = "safe", CommandCheck(actuator)
-    try:
-        safe = check.checked(actuator.safe)
-        field = "slew"
-        check.slewed(safe, actuator.safe, 1.0)
-    except (BadValueError, TypeError) as error:
-        mistakes.append(ConfigError(name, field, f"does not fit: {error}"))
-    return mistakes
-
-
-def _by_field(value: Any) -> dict[str, Any]:
+def limits_by_field(value: Any) -> dict[str, Any]:
     """One entry for each field; the command itself is the field without a name."""
     if value is None:
         return {}
@@ -251,7 +195,8 @@ def _parts(value: Any) -> list[tuple[object, Any]]:
     return list(parts.items())
 
 
-def _get(command: Any, field: str) -> Any:
+def part_of(command: Any, field: str) -> Any:
+    """Return a field of a command; the command itself if the field has no name."""
     if not field:
         return command
     if isinstance(command, Mapping):

@@ -14,9 +14,7 @@ from typing import Any
 import attrs
 
 from esair import minimal
-from esair.config import ConfigFileError, load
-from esair.config._classes import searched_first
-from esair.config._construct import keywords_of
+from esair.config import ConfigFileError, keywords_of, load, searched_first
 from esair.exceptions import ConfigError
 from esair.firmware._fit import Part, fitting_parts, loop_mistakes, rate_of
 from esair.firmware._main_file import main_file

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import inspect
 import itertools
 import logging
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
@@ -13,12 +12,8 @@ from esair import abc, minimal
 from esair.actions import (
     Behavior,
     Reaction,
-    Reads,
     Request,
     adapt_action,
-    mistakes_in_needs,
-    mistakes_in_reaction,
-    mistakes_in_requests,
 )
 from esair.connections import (
     ActuatorConnection,
@@ -27,12 +22,9 @@ from esair.connections import (
     Stopped,
 )
 from esair.exceptions import (
-    AccessDeniedError,
     BehaviorFailedError,
     BusyError,
     ConfigError,
-    EsairError,
-    NameTakenError,
     UnknownNameError,
     describe,
 )
@@ -42,17 +34,21 @@ from esair.messages import (
     Access,
     BehaviorState,
     BehaviorStatus,
-    Restart,
     SupervisorPhase,
 )
-from esair.resources import Actuator, Resource, Sensor
+from esair.plan import (
+    Finding,
+    Plan,
+    examine_action,
+    examine_step,
+    in_use,
+    refuse,
+)
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._member import Member
 from esair.supervisors._requests import Record
-from esair.supervisors._resource_mistakes import used_already
 from esair.supervisors._resource_supervisor import ResourceSupervisor
-from esair.values import same_type, type_name
 
 A = TypeVar("A")
 
@@ -231,11 +227,7 @@ class BehaviorSupervisor(abc.Supervisor):
         action: Behavior | Reaction = adapt_action(component)
 
         async def work() -> None:
-            self.refuse_mistakes(action)
-            if action.name in self._members:
-                raise NameTakenError("behavior", action.name)
-            for mistake in _in_use(action):
-                raise mistake
+            self._refuse(examine_action(self._plan(action), action), action)
             member = Member(action, self, action.name)
             self._members[member.name] = member
             try:
@@ -301,13 +293,11 @@ class BehaviorSupervisor(abc.Supervisor):
 
         async def work() -> list[Any]:
             old = self._member(name)
-            if old.action is action:
-                raise ConfigError(name, "", "it cannot take its own place")
-            for mistake in _in_use(action):
-                raise mistake
-            if isinstance(action, abc.Component):
+            if isinstance(action, abc.Component) and not in_use(action):
                 action._name = name  # noqa: SLF001 - a supervisor gives names
-            self.refuse_mistakes(action)
+            plan = self._plan(action, without=old)
+            found = examine_action(plan, action, instead_of=old.action)
+            self._refuse(found, action)
             new = Member(action, self, name)
             new.gate = asyncio.get_running_loop().create_future()
             try:
@@ -343,15 +333,6 @@ class BehaviorSupervisor(abc.Supervisor):
         return await _operator.command(self, text)
 
     # What the robot does at its start and stop.
-
-    def mistakes(
-        self, behaviors: Iterable[Behavior | Reaction], resources: dict[str, Resource]
-    ) -> list[EsairError]:
-        """Return everything that is wrong with behaviors, before any is started."""
-        found: list[EsairError] = []
-        for behavior in behaviors:
-            found.extend(self._mistakes(behavior, resources) or _in_use(behavior))
-        return found
 
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
@@ -451,21 +432,19 @@ class BehaviorSupervisor(abc.Supervisor):
         """A member has finished, or failed for good."""
         self._check_all_ended()
 
-    def refuse_mistakes(
-        self, action: Behavior | Reaction, *, performer: str | None = None
-    ) -> None:
-        """Raise what is wrong with an action in this robot, if anything is.
+    def refuse_step(self, reaction: Reaction, performer: str) -> None:
+        """Raise what is wrong with a reaction that a behavior wants to perform."""
+        found = examine_step(self._plan(), reaction, performer=performer)
+        self._refuse(found, reaction)
 
-        Args:
-            action: A behavior or reaction.
-            performer: The behavior in whose name it will be registered, if not its own.
-        """
-        resources = {name: self.resources.get(name) for name in self.resources.names()}
-        mistakes = self._mistakes(action, resources, performer)
-        if len(mistakes) == 1:
-            raise mistakes[0]
-        if mistakes:
-            raise ExceptionGroup(f"{_name(action)} is described wrongly", mistakes)
+    def _plan(self, *new: Any, without: Member | None = None) -> Plan:
+        """Return this robot, with what is about to come and without what goes."""
+        members = [each for each in self._members.values() if each is not without]
+        return self.resources.plan([*(each.action for each in members), *new])
+
+    @staticmethod
+    def _refuse(found: list[Finding], action: Behavior | Reaction) -> None:
+        refuse(found, f"{_name(action)} is described wrongly")
 
     def _check_caller(self) -> None:
         """Refuse a command of a behavior in its setup: the command queue waits for that setup."""
@@ -530,82 +509,6 @@ class BehaviorSupervisor(abc.Supervisor):
         if behaviors and all(member.state in over for member in behaviors):
             self._all_ended.set_result(None)
 
-    def _mistakes(
-        self,
-        action: object,
-        resources: dict[str, Resource],
-        performer: str | None = None,
-    ) -> list[EsairError]:
-        if not isinstance(action, Behavior | Reaction):
-            return [
-                ConfigError(
-                    repr(action), "", "expected an esair.Behavior or esair.Reaction"
-                )
-            ]
-        found: list[EsairError] = []
-        try:
-            name = action.name
-        except ConfigError as error:
-            return [error]
-        found.extend(mistakes_in_needs(action))
-        if isinstance(action, Reaction):
-            found.extend(mistakes_in_reaction(action))
-        else:
-            found.extend(_mistakes_in_boxes(action))
-            found.extend(mistakes_in_requests(action))
-            found.extend(_mistakes_in_methods(action))
-        if not isinstance(action.restart, Restart):
-            found.append(ConfigError(name, "restart", "expected an esair.Restart"))
-        if found:
-            return found
-        for attribute, need in action.needs.items():
-            resource = resources.get(need.resource)
-            if resource is None:
-                found.append(
-                    UnknownNameError(
-                        "resource",
-                        need.resource,
-                        resources,
-                        user=f"{name}: {attribute}",
-                    )
-                )
-                continue
-            writes = not isinstance(need, Reads)
-            if writes is not isinstance(resource, Actuator):
-                kind = "an actuator" if writes else "a sensor"
-                found.append(
-                    ConfigError(name, attribute, f"{need.resource!r} is not {kind}")
-                )
-                continue
-            assert isinstance(resource, Sensor | Actuator)
-            given, wanted = (
-                (need.type, resource.value_type)
-                if writes
-                else (resource.value_type, need.type)
-            )
-            if not same_type(given, wanted):
-                found.append(
-                    ConfigError(
-                        name,
-                        attribute,
-                        f"declared as {type_name(need.type)}, but {need.resource!r} has "
-                        f"{type_name(resource.value_type)}",
-                    )
-                )
-            try:
-                self.resources.rules.check(
-                    performer or name,
-                    need.resource,
-                    need.access,
-                    0 if isinstance(need, Reads) else need.priority,
-                    is_actuator=writes,
-                    declares=need.access,
-                    instead_of=performer or name,
-                )
-            except AccessDeniedError as error:
-                found.append(error)
-        return found
-
 
 def _warn_of(process: ProcessWatch, names: str) -> None:
     """Say who has changed what others rely on: the stop by a signal, say."""
@@ -626,59 +529,3 @@ def _name(component: object) -> str:
         )
     except ConfigError:
         return repr(component)
-
-
-def _in_use(action: Behavior | Reaction) -> list[ConfigError]:
-    """Return a mistake if a behavior has its ports in a running robot already."""
-    if not isinstance(action, Behavior) or action._host is None:  # noqa: SLF001 - set by a supervisor
-        return []
-    return [used_already(action.name)]
-
-
-def _mistakes_in_methods(behavior: Behavior) -> list[ConfigError]:
-    found = []
-    for field in ("setup", "run", "teardown", "provide"):
-        method = getattr(behavior, field)
-        if getattr(type(behavior), field) is getattr(Behavior, field):
-            continue
-        try:
-            inspect.signature(method).bind()
-        except TypeError as error:
-            found.append(
-                ConfigError(
-                    behavior.name,
-                    field,
-                    f"expected a method without parameters: {error}",
-                )
-            )
-            continue
-        if inspect.isgeneratorfunction(method) or inspect.isasyncgenfunction(method):
-            found.append(
-                ConfigError(
-                    behavior.name, field, "expected a method that does not yield"
-                )
-            )
-    return found
-
-
-def _mistakes_in_boxes(behavior: Behavior) -> list[ConfigError]:
-    found = []
-    for field in ("inbox_size", "outbox_size"):
-        value = getattr(behavior, field)
-        if type(value) is not int or value < 1:
-            found.append(
-                ConfigError(
-                    behavior.name, field, f"expected a whole number > 0, not {value!r}"
-                )
-            )
-    for field in ("inbox_policy", "outbox_policy"):
-        value = getattr(behavior, field)
-        if value not in {"reject", "drop_oldest", "latest"}:
-            found.append(
-                ConfigError(
-                    behavior.name,
-                    field,
-                    f"expected 'reject', 'drop_oldest' or 'latest', not {value!r}",
-                )
-            )
-    return found

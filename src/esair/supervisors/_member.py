@@ -137,7 +137,7 @@ class Member(Mailbox):
                 "perform",
                 f"expected an esair.Reaction, not {reaction!r:.80}",
             )
-        self._supervisor.refuse_mistakes(reaction, performer=self.name)
+        self._supervisor.refuse_step(reaction, self.name)
         loop = asyncio.get_running_loop()
         perform = _Perform(reaction, until, loop)
         self.performs.append(perform)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from esair import abc, minimal
@@ -24,7 +24,6 @@ from esair.exceptions import (
     ConfigError,
     DeviceLostError,
     EsairError,
-    NameTakenError,
     ResourceRemovedError,
     StoppingError,
     UnknownNameError,
@@ -40,14 +39,10 @@ from esair.messages import (
     SupervisorPhase,
     Why,
 )
+from esair.plan import Finding, Plan, examine_resource, in_use, refuse
 from esair.resources import Actuator, Resource, Sensor, adapt_resource, check_settings
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._resource_life import ResourceLife
-from esair.supervisors._resource_mistakes import (
-    claimed_twice,
-    in_use,
-    mistakes_in_resource,
-)
 from esair.supervisors._rules import Declared, Rules
 from esair.values import check_name, is_positive, same_type
 
@@ -166,9 +161,7 @@ class ResourceSupervisor(abc.Supervisor):
         resource: Resource = adapt_resource(component)
 
         async def work() -> None:
-            if isinstance(resource, Resource):
-                self._check_free(resource.name)
-            self._refuse(self.mistakes([resource]))
+            self._refuse(examine_resource(self._plan(resource), resource))
             self._deploy(resource)
             try:
                 await self._lives[resource.name].tried
@@ -225,7 +218,8 @@ class ResourceSupervisor(abc.Supervisor):
             old = self._life(name).resource
             if isinstance(resource, Resource) and not in_use(resource):
                 resource._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
-            self._refuse(self.mistakes([resource], instead_of=old))
+            plan = self._plan(resource, without=old)
+            self._refuse(examine_resource(plan, resource, instead_of=old))
             keep = _kind(old) is _kind(resource) and same_type(
                 resource.value_type, old.value_type
             )
@@ -392,20 +386,14 @@ class ResourceSupervisor(abc.Supervisor):
 
     # What the robot does at its start and stop.
 
-    def mistakes(
-        self, resources: Iterable[Resource], *, instead_of: Resource | None = None
-    ) -> list[EsairError]:
-        """Return everything that is wrong with resources, before any is opened.
-
-        Args:
-            resources: What is about to be deployed.
-            instead_of: A resource that gives its place; it may take it again.
-        """
-        new = list(resources)
-        found = [each for one in new for each in mistakes_in_resource(one, instead_of)]
-        deployed = [life.resource for life in self._lives.values()]
-        there = [each for each in deployed if each is not instead_of]
-        return found or list(claimed_twice(new, there))
+    def plan(self, behaviors: Sequence[Any]) -> Plan:
+        """Return what this robot is made of now, with some behaviors."""
+        return Plan(
+            resources=[life.resource for life in self._lives.values()],
+            behaviors=behaviors,
+            policies=tuple(self.rules.policies.values()),
+            writers=self.rules.writers(),
+        )
 
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
@@ -489,16 +477,13 @@ class ResourceSupervisor(abc.Supervisor):
             raise UnknownNameError("resource", name, self._lives)
         return life
 
-    def _check_free(self, name: str) -> None:
-        if name in self._lives:
-            raise NameTakenError("resource", name)
+    def _plan(self, new: Any, without: Resource | None = None) -> Plan:
+        there = [life.resource for life in self._lives.values()]
+        return Plan(resources=[*(each for each in there if each is not without), new])
 
     @staticmethod
-    def _refuse(mistakes: list[EsairError]) -> None:
-        if len(mistakes) == 1:
-            raise mistakes[0]
-        if mistakes:
-            raise ExceptionGroup("the resource is described wrongly", mistakes)
+    def _refuse(found: list[Finding]) -> None:
+        refuse(found, "the resource is described wrongly")
 
     def _deploy(
         self, resource: Resource, channel: SensorChannel | ActuatorChannel | None = None

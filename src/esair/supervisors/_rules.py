@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 
 from esair.connections import Registrations
-from esair.exceptions import (
-    AccessDeniedError,
-    ConfigError,
-    UnknownNameError,
-    did_you_mean,
-)
+from esair.exceptions import AccessDeniedError
 from esair.messages import Access, Policy
+from esair.plan import denial, not_alone
 
 Declared = Callable[[str, str], Access]
 """What the class of a behavior declares to do with a resource."""
@@ -32,17 +28,10 @@ class Rules:
         registrations: Registrations,
         declared: Declared,
     ) -> None:
-        self.policies: dict[str, Policy] = {}
-        self.repeated: list[str] = []
-        """Resources that have more than one policy, which is a mistake."""
-        self._strange: list[object] = []
-        for policy in policies:
-            if not isinstance(policy, Policy):
-                self._strange.append(policy)
-                continue
-            if policy.resource in self.policies:
-                self.repeated.append(policy.resource)
-            self.policies[policy.resource] = policy
+        # What is no policy, or one too many, is found before the robot starts.
+        self.policies = {
+            each.resource: each for each in policies if isinstance(each, Policy)
+        }
         self._registrations = registrations
         self._declared = declared
 
@@ -54,7 +43,6 @@ class Rules:
         priority: int,
         *,
         is_actuator: bool,
-        declares: Access | None = None,
         instead_of: str | None = None,
     ) -> None:
         """Pass if a behavior may have what it asks for.
@@ -65,7 +53,6 @@ class Rules:
             access: What it wants to do.
             priority: With which priority it wants to write.
             is_actuator: Whether the resource is an actuator.
-            declares: What its class declares, if it is not in the robot yet.
             instead_of: A behavior that is about to give its place to this one.
 
         Raises:
@@ -81,9 +68,7 @@ class Rules:
             raise AccessDeniedError(behavior, resource, str(wrong), kind)
         policy = self.policies.get(resource)
         if policy is None:
-            if declares is None:
-                declares = self._declared(behavior, resource)
-            allowed = declares | Access.READ
+            allowed = self._declared(behavior, resource) | Access.READ
             if access not in allowed:
                 raise AccessDeniedError(
                     behavior,
@@ -92,76 +77,24 @@ class Rules:
                     f"no policy allows it and the class of {behavior!r} does not declare it",
                 )
             return
-        allowed = policy.allow.get(behavior, policy.allow.get("*", Access(0)))
-        if access not in allowed:
-            raise AccessDeniedError(
-                behavior,
-                resource,
-                str(access & ~allowed),
-                f"the policy of {resource!r} allows it {str(allowed) or 'nothing'}",
-            )
-        highest = policy.max_priority.get(behavior, policy.max_priority.get("*"))
-        if Access.WRITE in access and highest is not None and priority > highest:
-            raise AccessDeniedError(
-                behavior,
-                resource,
-                f"WRITE with priority {priority}",
-                f"the policy of {resource!r} allows it priority {highest} at most",
-            )
+        if refusal := denial(policy, behavior, access, priority):
+            raise refusal[1]
         if policy.exclusive and Access.WRITE in access:
-            for other in self._registrations.of_resource(resource):
-                if Access.WRITE in other.access and other.behavior not in {
-                    behavior,
-                    instead_of,
-                }:
-                    raise AccessDeniedError(
-                        behavior,
-                        resource,
-                        "WRITE",
-                        f"the policy of {resource!r} is exclusive and "
-                        f"{other.behavior!r} is registered",
-                    )
+            for other in self._writers_of(resource):
+                if other not in {behavior, instead_of}:
+                    raise not_alone(policy, behavior, other)
 
-    def mistakes(
-        self, resources: Mapping[str, object], behaviors: Iterable[str]
-    ) -> list[ConfigError]:
-        """Return what is wrong with the policies of a robot before it starts."""
-        known = sorted(behaviors)
-        found = [
-            ConfigError("policies", "", f"expected an esair.Policy, not {each!r:.80}")
-            for each in self._strange
+    def writers(self) -> dict[str, list[str]]:
+        """Return who is registered to write each actuator that is exclusive."""
+        return {
+            name: self._writers_of(name)
+            for name, policy in self.policies.items()
+            if policy.exclusive
+        }
+
+    def _writers_of(self, resource: str) -> list[str]:
+        return [
+            registration.behavior
+            for registration in self._registrations.of_resource(resource)
+            if Access.WRITE in registration.access
         ]
-        found.extend(
-            ConfigError(
-                f"policy of {name!r}", "resource", "it has more than one policy"
-            )
-            for name in self.repeated
-        )
-        for name, policy in self.policies.items():
-            if name not in resources:
-                unknown = UnknownNameError("resource", name, resources)
-                found.append(
-                    ConfigError(f"policy of {name!r}", "resource", str(unknown))
-                )
-            found.extend(
-                ConfigError(
-                    f"policy of {name!r}",
-                    f"max_priority.{who}",
-                    "expected a whole number",
-                )
-                for who, value in policy.max_priority.items()
-                if type(value) is not int
-            )
-            # A name that is like no other may be that of a behavior added later; so
-            # may one that is like another that the policy names too.
-            left = [each for each in known if each not in policy.allow]
-            found.extend(
-                ConfigError(
-                    f"policy of {name!r}",
-                    f"allow.{who}",
-                    f"no behavior is named {who!r}{nearest}",
-                )
-                for who in policy.allow
-                if who not in known and (nearest := did_you_mean(who, left))
-            )
-        return found

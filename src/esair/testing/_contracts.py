@@ -19,8 +19,9 @@ from typing import Any, ClassVar
 
 import pytest
 
-from esair.connections import CommandCheck, Driver, check_declaration, translate
+from esair.connections import CommandCheck, Driver, translate
 from esair.exceptions import DeviceLostError
+from esair.plan import Plan, errors_in, examine_resource
 from esair.resources import Actuator, Resource, Sensor, settings_of
 from esair.values import checked_class
 
@@ -168,7 +169,7 @@ class ActuatorContract(ResourceContract):
 
     async def test_it_declares_what_is_safe(self) -> None:
         """It has a safe command, within its limits, and a command time-out above 0."""
-        assert check_declaration(self.make()) == []
+        assert errors_in(examine_resource(Plan(), self.make())) == []
 
     async def test_it_takes_its_safe_command_at_any_time(self) -> None:
         """Right after the opening, twice in a row, and after each other command."""

@@ -1,0 +1,43 @@
+"""The one rulebook: a robot's description, and what is wrong with it.
+
+What is a mistake of the developer is decided here and nowhere else, for a robot from a
+file, from a script, and for each component that comes into a running one::
+
+    plan = Plan(resources=[sonar, wheels], behaviors=[Avoid()])
+    for finding in examine(plan):
+        print(finding.severity.value, finding.component, finding.text)
+
+A new rule goes into the file of its subject, and is asked in ``_examine.py``.
+"""
+
+from esair.plan._examine import (
+    examine,
+    examine_action,
+    examine_resource,
+    examine_step,
+)
+from esair.plan._finding import Finding, Severity, errors_in, refuse
+from esair.plan._names import in_use
+from esair.plan._plan import Plan
+from esair.plan._protection import Protection, Writer, protection
+from esair.plan._resources import wrong_bus
+from esair.plan._rights import denial, not_alone
+
+__all__ = [
+    "Finding",
+    "Plan",
+    "Protection",
+    "Severity",
+    "Writer",
+    "denial",
+    "errors_in",
+    "examine",
+    "examine_action",
+    "examine_resource",
+    "examine_step",
+    "in_use",
+    "not_alone",
+    "protection",
+    "refuse",
+    "wrong_bus",
+]

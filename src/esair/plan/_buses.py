@@ -1,0 +1,61 @@
+"""What resources share: what each claims on its bus for itself alone, and the ports."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Final
+
+from esair.plan._finding import Finding, mistake, warning
+from esair.plan._plan import Plan
+from esair.resources import Resource
+
+if TYPE_CHECKING:
+    from esair.buses import Bus
+
+_RENUMBERED: Final = re.compile(r"/dev/tty(USB|ACM)\d+\Z")
+
+
+def claimed_twice(
+    about: Iterable[Resource], everybody: Iterable[Resource]
+) -> Iterator[Finding]:
+    """Find the resources that claim what another one has for itself alone."""
+    new = list(about)
+    owners = {_claim(each): each.name for each in everybody if each not in new}
+    for resource in new:
+        first = owners.setdefault(_claim(resource), resource.name)
+        if resource.claim is not None and first != resource.name:
+            told = f"{resource.claim} belongs to {first!r}: they cannot share it"
+            yield mistake("claim", resource, resource.name, "", told)
+
+
+def _claim(resource: Resource) -> tuple[int, str | None]:
+    return id(resource.bus), resource.claim
+
+
+def odd_buses(plan: Plan) -> Iterator[Finding]:
+    """Find buses that nobody is on, and ports that are not always the same device."""
+    used = {id(each.bus) for each in plan.resource_of.values()}
+    for name, bus in _buses(plan):
+        if id(bus) not in used and not plan.missing:
+            yield warning("unused", bus, name, "", "no device is on it")
+        port = getattr(bus, "port", None)
+        if isinstance(port, str) and _RENUMBERED.match(port):
+            yield warning(
+                "port",
+                bus,
+                name,
+                "port",
+                f"{port} may be another device after the next plugging",
+                "expected the path of the same device in /dev/serial/by-id",
+            )
+
+
+def _buses(plan: Plan) -> list[tuple[str, Bus]]:
+    named = list(plan.buses.items())
+    known = {id(bus) for _, bus in named}
+    for resource in plan.resource_of.values():
+        if resource.bus is not None and id(resource.bus) not in known:
+            known.add(id(resource.bus))
+            named.append((str(getattr(resource.bus, "name", "bus")), resource.bus))
+    return named

@@ -1,0 +1,150 @@
+"""The rulebook itself: which rules are asked, of what, and in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from typing import Any
+
+from esair.actions import Behavior, Reaction
+from esair.exceptions import ConfigError
+from esair.plan._actions import mistakes_in_action, mistyped
+from esair.plan._buses import claimed_twice, odd_buses
+from esair.plan._finding import Finding, because
+from esair.plan._names import in_use, taken, used_already, wrong_kind
+from esair.plan._needs import unmet, untimely
+from esair.plan._plan import Plan
+from esair.plan._resources import mistakes_in_resource
+from esair.plan._rights import denied, mistakes_in_policies
+from esair.plan._together import starving, unused
+from esair.resources import Resource
+
+
+def examine(plan: Plan) -> list[Finding]:
+    """Find everything that is wrong, or odd, with a robot before it starts.
+
+    Nothing is opened, and nothing of the robot is changed.
+
+    Returns:
+        What was found: resources, behaviors, policies, in this order, and then what
+        only the whole shows.
+    """
+    return [
+        *_names(plan),
+        *_about_resources(plan, plan.resources),
+        *_about_actions(plan, plan.behaviors),
+        *mistakes_in_policies(plan),
+        *starving(plan),
+        *unused(plan),
+        *odd_buses(plan),
+    ]
+
+
+def examine_resource(
+    plan: Plan, resource: Any, *, instead_of: Resource | None = None
+) -> list[Finding]:
+    """Find what is wrong with a resource that comes into a running robot.
+
+    Args:
+        plan: The robot with it, and without the one that gives its place.
+        resource: What comes.
+        instead_of: A resource that gives its place; it may take it again.
+    """
+    if in_use(resource) and resource is not instead_of:
+        return [used_already(resource)]
+    return [
+        *taken("resource", [resource], plan.resources, set()),
+        *_about_resources(plan, [resource], instead_of),
+    ]
+
+
+def examine_action(
+    plan: Plan,
+    action: Any,
+    *,
+    instead_of: Behavior | Reaction | None = None,
+) -> list[Finding]:
+    """Find what is wrong with a behavior or reaction that comes into a running robot.
+
+    Args:
+        plan: The robot with it, and without the one that gives its place.
+        action: What comes.
+        instead_of: An action that gives its place.
+    """
+    if instead_of is not None and action is instead_of:
+        told = "it cannot take its own place"
+        return [because("name", action, ConfigError(instead_of.name, "", told))]
+    if in_use(action):
+        return [used_already(action)]
+    return [
+        *taken("behavior", [action], plan.behaviors, set()),
+        *_about_actions(plan, [action]),
+    ]
+
+
+def examine_step(plan: Plan, reaction: Any, *, performer: str) -> list[Finding]:
+    """Find what is wrong with a reaction that a behavior is about to perform.
+
+    Args:
+        plan: The robot.
+        reaction: What is performed.
+        performer: The name of the behavior, in whose name it is registered.
+    """
+    return list(_about_action(plan, reaction, user=performer))
+
+
+def _names(plan: Plan) -> Iterator[Finding]:
+    def missing(*kinds: str) -> set[str]:
+        return {name for name, kind in plan.missing.items() if kind in kinds}
+
+    unmade = missing("sensor", "actuator")
+    yield from taken("resource", plan.resources, plan.resources, unmade)
+    yield from taken("behavior", plan.behaviors, plan.behaviors, missing("behavior"))
+
+
+def _about_resources(
+    plan: Plan, about: Collection[Any], instead_of: Resource | None = None
+) -> Iterator[Finding]:
+    sound = []
+    for resource in about:
+        strange = wrong_kind(resource, resource=True)
+        if strange is not None:
+            yield strange
+            continue
+        found = list(mistakes_in_resource(resource))
+        if in_use(resource) and resource is not instead_of:
+            found.insert(0, used_already(resource))
+        yield from found
+        if not any(finding.is_error for finding in found):
+            sound.append(resource)
+    if len(sound) == len(about):
+        yield from claimed_twice(sound, plan.resource_of.values())
+
+
+def _about_actions(plan: Plan, about: Collection[Any]) -> Iterator[Finding]:
+    for action in about:
+        yield from _about_action(plan, action)
+        if in_use(action):
+            yield used_already(action)
+
+
+def _about_action(
+    plan: Plan, action: Any, *, user: str | None = None
+) -> Iterator[Finding]:
+    strange = wrong_kind(action, resource=False)
+    if strange is not None:
+        yield strange
+        return
+    found = list(mistakes_in_action(action))
+    yield from found
+    if any(finding.is_error for finding in found):
+        return
+    if isinstance(action, Reaction):
+        yield from mistyped(action)
+    for attribute, need in action.needs.items():
+        missing = unmet(plan, action, attribute, need)
+        if missing is not None:
+            yield missing
+        else:
+            yield from untimely(plan, action, attribute, need)
+        if need.resource in plan.resource_names:
+            yield from denied(plan, action, need, user=user or action.name)

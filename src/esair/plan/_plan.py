@@ -1,0 +1,114 @@
+"""A robot as the rulebook sees it: its parts and its policies, none of them at work."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import attrs
+
+from esair.actions import Behavior, Need, Reaction, Writes
+from esair.exceptions import EsairError
+from esair.messages import Policy
+from esair.resources import Resource
+
+if TYPE_CHECKING:
+    from esair.buses import Bus
+
+
+@attrs.frozen(kw_only=True, eq=False, slots=False)
+class Plan:
+    """What a robot is made of: from a script, from a file, or of one that runs.
+
+    Anything may stand in the lists of parts: what does not belong there is found.
+
+    Attributes:
+        name: The name of the robot.
+        resources: The sensors and actuators.
+        behaviors: The behaviors and reactions.
+        policies: Who may do what with a resource.
+        buses: Buses by name, if they have places of their own, as in a file.
+        missing: Parts that were named and could not be made, for reasons that were
+            told already: their names, and the kind of each (``sensor``, ``actuator``,
+            ``behavior``).
+        writers: In a robot that runs, who is registered to write each actuator; None
+            if whoever declares it will be.
+    """
+
+    name: str = "robot"
+    resources: Sequence[Any] = ()
+    behaviors: Sequence[Any] = ()
+    policies: Sequence[Any] = ()
+    buses: Mapping[str, Bus] = attrs.field(factory=dict)
+    missing: Mapping[str, str] = attrs.field(factory=dict)
+    writers: Mapping[str, Sequence[str]] | None = None
+
+    @functools.cached_property
+    def resource_of(self) -> dict[str, Resource]:
+        """The sound resources by name; the first one, if several have one name."""
+        found: dict[str, Resource] = {}
+        for each in self.resources:
+            if isinstance(each, Resource) and (name := name_of(each)):
+                found.setdefault(name, each)
+        return found
+
+    @functools.cached_property
+    def action_of(self) -> dict[str, Behavior | Reaction]:
+        """The behaviors and reactions by name; the first one, if several have it."""
+        found: dict[str, Behavior | Reaction] = {}
+        for each in self.behaviors:
+            if isinstance(each, Behavior | Reaction) and (name := name_of(each)):
+                found.setdefault(name, each)
+        return found
+
+    @functools.cached_property
+    def policy_of(self) -> dict[str, Policy]:
+        """The policies by the name of their resource; the last one counts."""
+        return {each.resource: each for each in self.policies if type(each) is Policy}
+
+    @functools.cached_property
+    def resource_names(self) -> list[str]:
+        """The names of all resources, also of those that could not be made."""
+        missing = [name for name, kind in self.missing.items() if kind != "behavior"]
+        return list(dict.fromkeys([*self.resource_of, *missing]))
+
+    @functools.cached_property
+    def action_names(self) -> list[str]:
+        """The names of all actions, also of those that could not be made."""
+        missing = [name for name, kind in self.missing.items() if kind == "behavior"]
+        return list(dict.fromkeys([*self.action_of, *missing]))
+
+    def needs(self) -> Iterator[tuple[str, Behavior | Reaction, str, Need]]:
+        """Yield each port: the action's name, the action, the port's name, its need."""
+        for name, action in self.action_of.items():
+            for attribute, need in action.needs.items():
+                yield name, action, attribute, need
+
+    def writes_of(self, resource: str) -> dict[str, Writes[Any]]:
+        """Return who writes an actuator, by name: the port of the highest priority."""
+        found: dict[str, Writes[Any]] = {}
+        for name, _, _, need in self.needs():
+            if (
+                isinstance(need, Writes)
+                and need.resource == resource
+                and type(need.priority) is int  # else it is a mistake that is told
+            ):
+                known = found.get(name)
+                if known is None or need.priority > known.priority:
+                    found[name] = need
+        return found
+
+
+def name_of(component: object) -> str | None:
+    """Return the name of a component; None if it has none that is good."""
+    try:
+        name = component.name  # type: ignore[attr-defined]
+    except (EsairError, AttributeError):
+        return None
+    return name if isinstance(name, str) else None
+
+
+def shown(component: object) -> str:
+    """Name a component in an error, even one that has no good name."""
+    return name_of(component) or repr(component)[:80]

@@ -1,0 +1,95 @@
+"""What one sensor or actuator declares: is it sound, whatever the robot?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from esair.connections import CommandCheck, limits_by_field, part_of
+from esair.exceptions import BadValueError
+from esair.plan._finding import Finding, mistake
+from esair.plan._signatures import wrong_signatures
+from esair.resources import Actuator, Resource, Sensor, bus_kind
+from esair.values import is_positive
+
+
+def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Finding]:
+    """Find what is wrong with the class of a resource, or with its values."""
+
+    def wrong(field: str, told: str) -> Finding:
+        return mistake("declaration", resource, resource.name, field, told)
+
+    if not is_positive(resource.deadline):
+        yield wrong("deadline", f"expected seconds > 0, not {resource.deadline!r:.80}")
+    if resource.identity is not None and not resource.identifies:
+        yield wrong("identity", "its class has no identify to compare it with")
+    if told := wrong_bus(type(resource), resource.bus):
+        yield wrong("bus", told)
+    if isinstance(resource, Actuator):
+        for field, told in _in_actuator(resource):
+            yield wrong(field, told)
+        if getattr(resource.write, "__func__", None) is Actuator.write:
+            yield wrong("write", "an actuator must have a write method")
+    else:
+        repeats = resource.max_repeat
+        if repeats is not None and (type(repeats) is not int or repeats < 1):
+            told = f"expected a whole number > 0, not {repeats!r:.80}"
+            yield wrong("max_repeat", told)
+        if not (resource.can_be_asked or resource.pushes):
+            yield wrong("read", "a sensor must have a read or stream method")
+    for field, told in wrong_signatures(resource):
+        yield wrong(field, told)
+
+
+def wrong_bus(cls: type[Resource], bus: object) -> str | None:
+    """Say what is wrong with a bus for a class that declares one: ``bus: I2CBus``."""
+    kind = bus_kind(cls)
+    try:
+        if kind is Any or isinstance(bus, kind):
+            return None
+    except TypeError:  # a type that nothing can be compared with at run time
+        return None
+    name = getattr(kind, "__name__", kind)
+    return f"expected a bus of the class {name}, not {bus!r:.80}"
+
+
+def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
+    timeout, own = actuator.command_timeout, actuator.own_timeout
+    sound = True
+    if not is_positive(timeout):
+        sound = False
+        yield "command_timeout", f"expected seconds > 0, not {timeout!r:.80}"
+    if own is not None and not is_positive(own):
+        sound = False
+        yield "own_timeout", f"expected seconds > 0 or None, not {own!r:.80}"
+    if not hasattr(actuator, "safe"):
+        yield "safe", "an actuator must declare its safe command: safe = ..."
+        return
+    for field, told in _in_limits(actuator):
+        sound = False
+        yield field, told
+    if not sound:
+        return
+    field = "safe"
+    try:
+        check = CommandCheck(actuator)
+        safe = check.checked(actuator.safe)
+        field = "slew"
+        check.slewed(safe, actuator.safe, 1.0)
+    except (BadValueError, TypeError) as error:
+        yield field, f"does not fit: {error}"
+
+
+def _in_limits(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
+    for field, bounds in limits_by_field(actuator.limits).items():
+        try:
+            low, high = bounds
+            sound = low <= high
+            fits = low <= part_of(actuator.safe, field) <= high
+        except (TypeError, ValueError, AttributeError, LookupError):
+            sound = False
+        if not sound:
+            told = f"expected (least, greatest), not {bounds!r:.80}"
+            yield f"limits.{field}".rstrip("."), told
+        elif not fits:
+            yield "safe", f"{actuator.safe!r} is outside the limits"

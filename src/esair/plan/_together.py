@@ -1,0 +1,53 @@
+"""How the actions of a robot get on with each other, and what nobody uses."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+from esair.actions import Behavior
+from esair.plan._finding import Finding, warning
+from esair.plan._plan import Plan
+from esair.resources import Actuator
+
+
+def starving(plan: Plan) -> Iterator[Finding]:
+    """Find actions that keep each other from an actuator."""
+    for resource in plan.resource_names:
+        writers = plan.writes_of(resource)
+        for (one, low), (other, high) in itertools.combinations(
+            sorted(writers.items(), key=lambda item: item[1].priority), 2
+        ):
+            action = plan.action_of[other]
+            if low.priority == high.priority:
+                yield warning(
+                    "starve",
+                    action,
+                    other,
+                    high.attribute,
+                    f"{one!r} and {other!r} write {resource!r} with the same priority "
+                    f"({low.priority}): whoever holds it keeps the other out",
+                    "raise one of them",
+                )
+            elif isinstance(action, Behavior):
+                yield warning(
+                    "starve",
+                    action,
+                    other,
+                    high.attribute,
+                    f"{other!r} is no reaction, so it may write {resource!r} without "
+                    f"pause, and its priority {high.priority} is above that of {one!r} "
+                    f"({low.priority})",
+                    f"see that it releases {resource!r}, or lower its priority",
+                )
+
+
+def unused(plan: Plan) -> Iterator[Finding]:
+    """Find resources that no action declares to use."""
+    if "behavior" in plan.missing.values():
+        return
+    used = {need.resource for _, _, _, need in plan.needs()}
+    for name, resource in plan.resource_of.items():
+        if name not in used:
+            doing = "writes" if isinstance(resource, Actuator) else "reads"
+            yield warning("unused", resource, name, "", f"no behavior {doing} it")

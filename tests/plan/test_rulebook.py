@@ -1,0 +1,312 @@
+"""One rulebook: each mistake once, four ways in, in the same words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import attrs
+import pytest
+from tests.plan import rulebook_parts as parts
+
+import esair
+from esair import config
+from esair.messages import Access, Policy
+from esair.plan import Plan, Severity, errors_in, examine
+
+pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("RS-8")]
+
+KINDS = {esair.Sensor: "sensor", esair.Actuator: "actuator"}
+
+
+@attrs.frozen
+class Case:
+    """A robot with one mistake; the last part is the one that brings it.
+
+    Attributes:
+        wrong: The class of the last part.
+        words: What is said about it, as it is said.
+        component: Who is named.
+        field: Which field.
+        error: What is raised where no file is.
+        sonar: The class of the sensor that is there before.
+        others: Classes of behaviors that are there before.
+        name: The name of the last part; that of its class unless given.
+        policy: The policy of the wheels.
+    """
+
+    wrong: type
+    words: str
+    component: str
+    field: str
+    error: type[Exception] = esair.ConfigError
+    sonar: type = parts.Sonar
+    others: tuple[type, ...] = ()
+    name: str | None = None
+    policy: Policy | None = None
+
+    def __str__(self) -> str:
+        return self.wrong.__name__ + ("" if self.policy is None else "-denied")
+
+    @property
+    def is_resource(self) -> bool:
+        return issubclass(self.wrong, esair.Sensor | esair.Actuator)
+
+    def resources(self) -> list[Any]:
+        return [self.sonar(name="sonar"), parts.Wheels(name="wheels")]
+
+    def behaviors(self) -> list[Any]:
+        return [each() for each in self.others]
+
+    def last(self) -> Any:
+        return self.wrong(name=self.name) if self.name else self.wrong()
+
+    def policies(self) -> list[Policy]:
+        return [] if self.policy is None else [self.policy]
+
+    def robot(self) -> esair.Robot:
+        """Make the robot as a script does."""
+        resources, behaviors = self.resources(), self.behaviors()
+        (resources if self.is_resource else behaviors).append(self.last())
+        return esair.Robot(
+            resources=resources, behaviors=behaviors, policies=self.policies()
+        )
+
+    def file(self, folder: Path) -> Path:
+        """Write the robot as a file."""
+        rows = []
+        for cls, name in (
+            (self.sonar, "sonar"),
+            (parts.Wheels, "wheels"),
+            *((each, each.__name__.lower()) for each in self.others),
+            (self.wrong, self.name or self.last().name),
+        ):
+            kind = next((k for b, k in KINDS.items() if issubclass(cls, b)), "behavior")
+            rows += [
+                f"[{kind}.{name}]",
+                f'driver = "tests.plan.rulebook_parts:{cls.__name__}"',
+            ]
+        if self.policy is not None:
+            rows.append("[access.wheels]")
+            for who, access in self.policy.allow.items():
+                rows.append(f'"{who}" = "{str(access).lower()}"')
+            for who, level in self.policy.max_priority.items():
+                rows.append(f'max_priority."{who}" = {level}')
+            rows.append(f"exclusive = {str(self.policy.exclusive).lower()}")
+        path = folder / "robot.toml"
+        path.write_text("\n".join(rows) + "\n")
+        return path
+
+
+def _resource(wrong: type, field: str, words: str) -> Case:
+    return Case(wrong, words, wrong.__name__.lower(), field)
+
+
+SECONDS = "expected seconds > 0, not"
+EVERYBODY = {"*": Access.WRITE}
+
+CASES = [
+    Case(parts.Unsafe, "an actuator must declare its safe command: safe = ...",
+         "unsafe", "safe"),
+    Case(parts.NoTimeout, f"{SECONDS} 0.0", "no_timeout", "command_timeout"),
+    Case(parts.OutsideLimits, "0.0 is outside the limits", "outside_limits", "safe"),
+    Case(parts.UpsideDown, "expected (least, greatest), not (1.0, -1.0)",
+         "upside_down", "limits"),
+    Case(parts.TakesNothing, "expected a method with one parameter, the command: "
+         "too many positional arguments", "takes_nothing", "write"),
+    Case(parts.WriteYields, "expected a method that does not yield",
+         "write_yields", "write"),
+    Case(parts.Mute, "an actuator must have a write method", "mute", "write"),
+    Case(parts.Deaf, "a sensor must have a read or stream method", "deaf", "read"),
+    Case(parts.ReadAsks, "expected a method without parameters: missing a required "
+         "argument: 'channel'", "read_asks", "read"),
+    Case(parts.ReadYields, "expected a method that returns one value: name it stream",
+         "read_yields", "read"),
+    Case(parts.StreamAsks, "expected a method without parameters: missing a required "
+         "argument: 'channel'", "stream_asks", "stream"),
+    Case(parts.StreamReturns, "expected a method that yields its values",
+         "stream_returns", "stream"),
+    Case(parts.OpenAsks, "expected a method without parameters: missing a required "
+         "argument: 'path'", "open_asks", "open"),
+    Case(parts.ApplyAsks, "expected a method that takes its settings by name: missing "
+         "a required argument: 'gain'", "apply_asks", "apply"),
+    Case(parts.Hasty, f"{SECONDS} 0.0", "hasty", "deadline"),
+    Case(parts.Nobody, "its class has no identify to compare it with",
+         "nobody", "identity"),
+    Case(parts.Repeats, "expected a whole number > 0, not 0", "repeats", "max_repeat"),
+    Case(parts.Sonar, "a resource named 'sonar' is already there: choose another name=, "
+         "or use replace('sonar', ...)", "", "", esair.NameTakenError),
+    Case(parts.BadName, "expected a lower-case letter, then letters, digits or '_', "
+         "63 at most", "bad_name", "sonar"),
+    Case(parts.BadType, "expected a type such as float, not 'sonar' (a name is given by "
+         "name=)", "bad_type", "sonar"),
+    Case(parts.BadAge, f"{SECONDS} 0.0", "bad_age", "sonar.max_age"),
+    Case(parts.BadHold, f"{SECONDS} -1.0", "bad_hold", "wheels.hold"),
+    Case(parts.BadPriority, "expected a whole number, not 1.5",
+         "bad_priority", "wheels.priority"),
+    Case(parts.BadRate, "expected Hz > 0, not -1.0", "bad_rate", "rate"),
+    Case(parts.BadBudget, f"{SECONDS} 0.0", "bad_budget", "budget"),
+    Case(parts.BadLimit, "expected a whole number, not -1",
+         "bad_limit", "overrun_limit"),
+    Case(parts.BadRestart, "expected an esair.Restart", "bad_restart", "restart"),
+    Case(parts.BadInbox, "expected a whole number > 0, not 0",
+         "bad_inbox", "inbox_size"),
+    Case(parts.BadOutbox, "expected 'reject', 'drop_oldest' or 'latest', not 'perhaps'",
+         "bad_outbox", "outbox_policy"),
+    Case(parts.NeverRuns, "it reads no sensor, so it needs a rate (Hz) to run at",
+         "never_runs", "rate"),
+    Case(parts.NoReact, "a reaction must have a react method", "no_react", "react"),
+    Case(parts.AsyncReact, "expected a plain function, not async",
+         "async_react", "react"),
+    Case(parts.ReactYields, "expected a plain function that does not yield",
+         "react_yields", "react"),
+    Case(parts.ReactMisses, "its parameters must be its readings (sonar): missing a "
+         "required argument: 'sonra'", "react_misses", "react"),
+    Case(parts.ReactMistyped, "its parameter 'sonar' is a str, but the port 'sonar' "
+         "reads float: annotate it as float", "react_mistyped", "react"),
+    Case(parts.ReactReadingMistyped, "but the port 'sonar' reads float",
+         "react_reading_mistyped", "react"),
+    Case(parts.ReactMaybeMistyped, "its parameter 'sonar' is a bytes | None",
+         "react_maybe_mistyped", "react"),
+    Case(parts.RunAsks, "expected a method without parameters: missing a required "
+         "argument: 'speed'", "run_asks", "run"),
+    Case(parts.RunYields, "expected a method that does not yield", "run_yields", "run"),
+    Case(parts.Unknown_, "no resource is named 'sonra'; did you mean 'sonar'?",
+         "", "", esair.UnknownNameError),
+    Case(parts.ReadsWheels, "it reads 'wheels', which is an actuator",
+         "reads_wheels", "sonar"),
+    Case(parts.WritesSonar, "it writes 'sonar', which is a sensor",
+         "writes_sonar", "wheels"),
+    Case(parts.WritesText, "it writes str, but 'wheels' takes float",
+         "writes_text", "wheels"),
+    Case(parts.TooYoung, "its readings of 'sonar' may be 0.1 s old at most, but come "
+         "every 1 s only: raise the rate or max_age",
+         "too_young", "sonar.max_age", sonar=parts.Slow),
+    Case(parts.Drive, "'drive' may not WRITE 'wheels': the policy of 'wheels' allows it "
+         "nothing: allow 'drive' WRITE there", "", "", esair.AccessDeniedError,
+         policy=Policy("wheels", allow={"later": Access.WRITE})),
+    Case(parts.Brake, "'brake' may not WRITE with priority 10 'wheels': the policy of "
+         "'wheels' allows it priority 5 at most", "", "", esair.AccessDeniedError,
+         policy=Policy("wheels", allow=EVERYBODY, max_priority={"*": 5})),
+    Case(parts.Brake, "'brake' may not WRITE 'wheels': the policy of 'wheels' is "
+         "exclusive, and 'drive' writes it", "", "", esair.AccessDeniedError,
+         others=(parts.Drive,),
+         policy=Policy("wheels", allow=EVERYBODY, exclusive=True)),
+]  # fmt: skip
+
+UNIQUE = [case for case in CASES if case.error is not esair.NameTakenError]
+"""Two tables of one name are no TOML, and a replacement has the name that it takes."""
+
+
+def _told(case: Case, errors: Any) -> None:
+    """See that one error says it, in the words of the case."""
+    (error,) = errors
+    assert type(error) is case.error
+    assert case.words in str(error)
+    if isinstance(error, esair.ConfigError):
+        assert (error.component, error.field) == (case.component, case.field)
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+async def test_a_script_with_a_mistake_does_not_start(case: Case) -> None:
+    """Nothing is opened, and the mistake is in one group with all others."""
+    with pytest.raises(ExceptionGroup, match="cannot start") as caught:
+        await case.robot().__aenter__()
+
+    _told(case, caught.value.exceptions)
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+async def test_add_refuses_the_same_in_the_same_words(case: Case) -> None:
+    """The one error itself; the robot goes on, and no component has crashed."""
+    async with esair.Robot(
+        resources=case.resources(), behaviors=case.behaviors(), policies=case.policies()
+    ) as robot:
+        names = robot.resources.names(), robot.behaviors.names()
+        add = robot.resources.add if case.is_resource else robot.behaviors.add
+        with pytest.raises(case.error) as caught:
+            await add(case.last())
+        assert (robot.resources.names(), robot.behaviors.names()) == names
+
+    _told(case, [caught.value])
+
+
+@pytest.mark.parametrize("case", UNIQUE, ids=str)
+def test_a_file_is_refused_in_the_same_words(case: Case, tmp_path: Path) -> None:
+    """It adds the file, the line and the key, and nothing else."""
+    path = case.file(tmp_path)
+    with pytest.raises(ExceptionGroup) as caught:
+        esair.Robot.from_config(path)
+
+    (error,) = caught.value.exceptions
+    assert isinstance(error, config.ConfigFileError)
+    assert case.words in error.reason
+    assert str(error) == f"{path}:{error.line}: {error.key}: {error.reason}"
+    assert error.line is not None
+
+
+@pytest.mark.parametrize("case", UNIQUE, ids=str)
+def test_check_finds_the_same_in_the_same_words(case: Case, tmp_path: Path) -> None:
+    """The only error of the report, at the key that a load names."""
+    report = config.check(case.file(tmp_path))
+
+    (error,) = [each for each in report.findings if each.severity == "error"]
+    assert case.words in error.message
+
+
+@pytest.mark.parametrize("case", UNIQUE, ids=str)
+async def test_replace_refuses_the_same(case: Case) -> None:
+    """What was there stays, and goes on."""
+    there = parts.Sonar(name="old") if case.is_resource else esair.Behavior(name="old")
+    resources, behaviors = case.resources(), case.behaviors()
+    (resources if case.is_resource else behaviors).append(there)
+    policy = case.policies()
+    if policy and "drive" in case.words.split()[0]:
+        policy = [Policy("wheels", allow={"later": Access.WRITE})]
+    async with esair.Robot(
+        resources=resources, behaviors=behaviors, policies=policy
+    ) as robot:
+        supervisor = robot.resources if case.is_resource else robot.behaviors
+        with pytest.raises(case.error):
+            await supervisor.replace("old", case.last())
+        assert "old" in supervisor.names()
+
+
+@pytest.mark.parametrize("sound", [parts.Annotated, parts.Unresolved])
+def test_what_fits_is_no_mistake(sound: type) -> None:
+    """A reading, a value or nothing, and what only a type checker can see."""
+    plan = Plan(resources=[parts.Sonar(), parts.Wheels()], behaviors=[sound()])
+
+    assert errors_in(examine(plan)) == []
+
+
+@pytest.mark.promise("PRO-4")
+def test_a_sensor_that_may_be_silent_is_a_warning() -> None:
+    """Who needs it cannot decide before it speaks."""
+    plan = Plan(resources=[parts.Bumper(), parts.Wheels()], behaviors=[parts.Bumped()])
+
+    (finding,) = examine(plan)
+    assert finding.severity is Severity.WARNING
+    assert finding.text == (
+        "it is blind until 'bumper' first speaks: give Bumper a read, or an initial value"
+    )
+
+
+async def test_two_nodes_of_one_name_on_a_bus_are_told_once() -> None:
+    """Who claims what another one has is named, with the other one."""
+    bus = esair.testing.FakeCan("drive")
+    first, second = parts.Node(name="left", bus=bus), parts.Node(name="right", bus=bus)
+
+    (error,) = errors_in(examine(Plan(resources=[first, second])))
+    assert str(error) == "right: node 1 belongs to 'left': they cannot share it"
+
+
+def test_several_mistakes_come_in_one_group() -> None:
+    """`examine` does not stop at the first one."""
+    plan = Plan(
+        resources=[parts.Deaf(), parts.Unsafe(), "lamp"],
+        behaviors=[parts.BadRate(), parts.RunAsks(), None],
+        policies=[Policy("whels"), 3],
+    )
+
+    assert len(errors_in(examine(plan))) == 8
