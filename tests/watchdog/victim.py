@@ -8,7 +8,7 @@ import signal
 import sys
 import time
 
-from esair.watchdog import SafeFrames, Watchdog, Wire
+from esair.watchdog import Outlet, SafeFrames, Watchdog
 
 SAFE = SafeFrames([b"STOP\n"], resync=b"\n")
 
@@ -35,7 +35,7 @@ async def main(tty: str, way: str, policy: str) -> None:
     line = os.open(tty, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     dog = Watchdog(policy=policy)  # type: ignore[arg-type]
     await dog.start()
-    refused = await dog.arm("wheels", SAFE, Wire("serial", descriptor=line))
+    refused = await dog.arm("wheels", SAFE, Outlet("serial", descriptor=line))
     assert not refused, refused
     dog.blame("wander")
     for number in range(40):

@@ -13,6 +13,7 @@ from esair.buses._wire import Wire
 from esair.exceptions import DeviceLostError, describe
 from esair.loop import Executor, spawn
 from esair.values import check_name
+from esair.watchdog import Outlet
 
 T = TypeVar("T")
 
@@ -62,6 +63,11 @@ class Bus(abc.ABC):
         self._is_missed = False
         """Whether it is to be opened again: it was lost, or could not be opened."""
         self._end_of_watch: Callable[[], None] | None = None
+
+    @property
+    def outlet(self) -> Outlet | None:
+        """Where the watchdog sends safe frames; None if it cannot reach this bus."""
+        return None
 
     @abc.abstractmethod
     async def _open(self) -> None:

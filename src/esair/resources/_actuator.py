@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Awaitable, Mapping
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from esair.resources._resource import Resource
 from esair.values import value_type
+
+if TYPE_CHECKING:
+    from esair.watchdog import SafeFrames
 
 T = TypeVar("T")
 
@@ -81,6 +84,18 @@ class Actuator(Resource, Generic[T]):
             What was really applied, if that is not the command itself.
         """
         raise NotImplementedError
+
+    def safe_frames(self) -> SafeFrames | None:
+        """Return the safe command as bytes, for the watchdog process.
+
+        Asked after each opening and each change of settings. They are sent without any
+        code of the driver, when this process is dead or stuck, so they must be right
+        whatever was sent before.
+
+        Returns:
+            None if it cannot be said ahead of time: the device is then UNWATCHED.
+        """
+        return None
 
     @property
     def value_type(self) -> Any:

@@ -14,6 +14,7 @@ from esair.resources._setting import Setting, check_settings, setting, settings_
 
 if TYPE_CHECKING:
     from esair.buses import Bus
+    from esair.watchdog import Outlet
 
 
 class Resource(abc.Resource):
@@ -101,6 +102,11 @@ class Resource(abc.Resource):
     def value_type(self) -> Any:
         """The type of what flows from or to the device; `typing.Any` if unknown."""
         return Any
+
+    @property
+    def outlet(self) -> Outlet | None:
+        """Where the watchdog can send its safe frames: on its bus, if it has one."""
+        return None if self.bus is None else self.bus.outlet
 
     @property
     def identifies(self) -> bool:

@@ -7,7 +7,7 @@ never moves anything, and never writes while the robot runs. What no watchdog ca
 when the computer dies.
 """
 
-from esair.watchdog._frames import SafeFrames, Wire, can_frame
+from esair.watchdog._frames import Outlet, SafeFrames, can_frame
 from esair.watchdog._watchdog import LIMIT, Watchdog
 
-__all__ = ["LIMIT", "SafeFrames", "Watchdog", "Wire", "can_frame"]
+__all__ = ["LIMIT", "Outlet", "SafeFrames", "Watchdog", "can_frame"]

@@ -36,7 +36,7 @@ class SafeFrames:
 
 
 @attrs.frozen
-class Wire:
+class Outlet:
     """Where the frames go: told by a bus, or by a driver that has its own descriptor.
 
     Attributes:

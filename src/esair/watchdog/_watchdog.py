@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from esair.watchdog._frames import SafeFrames, Wire
+from esair.watchdog._frames import Outlet, SafeFrames
 
 LIMIT = 0.25
 """How long the scheduler may stand still while something moves, in seconds."""
@@ -152,7 +152,7 @@ class Watchdog:
 
     # Devices.
 
-    async def arm(self, name: str, frames: SafeFrames, wire: Wire) -> str:
+    async def arm(self, name: str, frames: SafeFrames, outlet: Outlet) -> str:
         """Have a device watched; it may be told to move only after the answer.
 
         Returns:
@@ -168,12 +168,12 @@ class Watchdog:
             "op": "arm",
             "place": place,
             "name": name,
-            "wire": wire.kind,
+            "wire": outlet.kind,
             "frames": [frame.hex() for frame in sent],
-            "target": dict(wire.target) | {"address": frames.address},
+            "target": dict(outlet.target) | {"address": frames.address},
         }
         self._places[name] = place
-        why = await self._ask(place, told, wire.descriptor)
+        why = await self._ask(place, told, outlet.descriptor)
         if why:
             self._places.pop(name, None)
         return why

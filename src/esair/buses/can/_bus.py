@@ -31,6 +31,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import spawn
+from esair.watchdog import Outlet
 
 RETRY_PERIOD = 0.001
 """The first pause before a frame is offered again to a full queue, in seconds."""
@@ -126,6 +127,13 @@ class CanBus(Bus):
         self._by_key: dict[int, tuple[FrameInbox, ...]] = {}
         self._waiting: dict[int, _Waiting] = {}
         self._unacknowledged = False
+
+    @property
+    def outlet(self) -> Outlet | None:
+        """A socket of the watchdog's own, on an interface of the kernel."""
+        if not (self._of_kernel and self.is_open):
+            return None
+        return Outlet("can", {"channel": self.channel})
 
     @property
     def state(self) -> CanState:

@@ -21,6 +21,7 @@ from esair.exceptions import (
     DriverStuckError,
     EsairError,
 )
+from esair.watchdog import Outlet
 
 T = TypeVar("T")
 
@@ -78,6 +79,11 @@ class I2CBus(LinkBus[RegisterLink]):
             self._presence = self._look
         self._opened_as: Hashable | None = None
         self._jitter = random.Random(name)
+
+    @property
+    def outlet(self) -> Outlet | None:
+        """An opening of the watchdog's own, of an adapter of the kernel."""
+        return Outlet("i2c", {"path": self.path}) if self.path else None
 
     async def read(
         self,

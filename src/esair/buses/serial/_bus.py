@@ -27,6 +27,7 @@ from esair.exceptions import (
 )
 from esair.framing import Framing
 from esair.loop import spawn
+from esair.watchdog import Outlet
 
 ASK_LIMIT = 32
 """How many exchanges may wait for their turn on one line."""
@@ -127,6 +128,14 @@ class SerialBus(Bus):
         self._is_cut = False
         """Whether only the beginning of the message before was sent."""
         self._turns = Turns()
+
+    @property
+    def outlet(self) -> Outlet | None:
+        """A duplicate of its descriptor, where it has one."""
+        port = self._open_device
+        if port is None or not port.has_descriptor:
+            return None
+        return Outlet("serial", descriptor=port.fileno())
 
     @property
     def waiting(self) -> int:
