@@ -136,9 +136,13 @@ class Why(NamedTuple):
         priority: The priority of the holder.
         rule: The rule by which it is held, in words.
         since: Since when, on the event loop's clock (seconds).
-        until: When the hold ends unless it is renewed, on the same clock.
+        until: When the hold ends unless it is renewed, on the same clock; None if
+            that is not a matter of time.
         frees: What would free it, in words.
         last: The last command that the device was told.
+        writers: Who may write it, with which priority, and what happens when each is
+            blind, in words; the highest priority first.
+        guards: Who guards it, and how each of them stands, in words.
     """
 
     resource: str
@@ -150,14 +154,18 @@ class Why(NamedTuple):
     until: float | None = None
     frees: str = "it is free"
     last: object = None
+    writers: tuple[str, ...] = ()
+    guards: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         if self.holder is None:
-            return f"{self.resource} is {self.state.value}, and free: {self.rule}"
-        return (
-            f"{self.resource} is {self.state.value}, held by {self.holder} "
-            f"({self.rule}); freed by {self.frees}"
-        )
+            told = f"{self.resource} is {self.state.value}, and free: {self.rule}"
+        else:
+            told = (
+                f"{self.resource} is {self.state.value}, held by {self.holder} "
+                f"({self.rule}); freed by {self.frees}"
+            )
+        return "\n  ".join([told, *self.guards, *self.writers])
 
 
 class BehaviorStatus(NamedTuple):

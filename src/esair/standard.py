@@ -71,6 +71,8 @@ class Robot:
         policies: Who may do what with which resource.
         grace: How long a component may take to end when it is removed, in seconds.
         record: Where to keep what happens; needs ``esair[record]``.
+        start_patience: How long ``run`` of the behaviors waits at the start for the
+            first decision of each reaction and guard that can see, in seconds.
 
     Attributes:
         resources: The resource supervisor (RS).
@@ -93,6 +95,7 @@ class Robot:
         policies: Iterable[Policy] = (),
         grace: float = 1.0,
         record: Recording | None = None,
+        start_patience: float = 1.0,
     ) -> None:
         self.name = check_name("robot", name)
         self._recording = record
@@ -128,6 +131,9 @@ class Robot:
             self.sensors,
             self.actuators,
             grace=self._grace,
+            start_patience=check_seconds(
+                f"robot {name!r}", "start_patience", start_patience
+            ),
             halt=self._halts.halt,
             stop=self.stop,
         )
@@ -207,9 +213,10 @@ class Robot:
         if not getattr(loop, "virtual", False):  # there it would hide a deadlock
             self._glances = Scheduler.of(loop).every(GLANCE, lambda _now: None)
         try:
+            self.behaviors.accept(self._list_of_behaviors)
             await self._open_buses()
             await self.resources.start(self._list_of_resources)
-            await self.behaviors.start(self._list_of_behaviors)
+            await self.behaviors.start()
         except BaseException as error:
             asked = self._reason
             await self._stop_for_sure(describe(error))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from typing import Any
 
 import pytest
@@ -178,7 +179,9 @@ async def test_it_is_parked_while_a_sensor_is_lost(
         assert status.state is BehaviorState.PARKED
         assert "sonar" in status.detail
         assert wheels.commands[-1] == 0.0
-        assert robot.resources.why("wheels").holder is None
+        why = robot.resources.why("wheels")
+        assert (why.holder, why.until) == ("copy", None)
+        assert why.rule.startswith("copy is blind: sonar lost")
         count = len(wheels.commands)
         await asyncio.sleep(1.0)
         assert len(wheels.commands) == count
@@ -445,6 +448,16 @@ async def test_one_slow_actuator_does_not_hold_the_other_up(fake_sensor: Any) ->
         assert [c for name, c in log if name == "right"] == [0.0, 1.0, 2.0, 3.0]
 
 
+class Divide(esair.Reaction):
+    """Its command is not finite where its reading is 0."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(float, priority=10)
+
+    def react(self, sonar: float) -> float:
+        return 1.0 / sonar if sonar else math.inf
+
+
 @pytest.mark.promise("ROB-3")
 @pytest.mark.fault("V01")
 async def test_a_bad_command_is_rejected_counted_and_logged_once(
@@ -453,13 +466,13 @@ async def test_a_bad_command_is_rejected_counted_and_logged_once(
     """The reaction goes on; the log does not fill up."""
     radar, wheels = fake_sensor("sonar"), fake_actuator("wheels", safe=0.0)
 
-    async with esair.Robot(resources=[radar, wheels], behaviors=[Copy()]) as robot:
+    async with esair.Robot(resources=[radar, wheels], behaviors=[Divide()]) as robot:
         for _ in range(50):
-            radar.feed(float("inf"))
+            radar.feed(0.0)
             await asyncio.sleep(0.001)
         radar.feed(1.0)
         await wheels.until(1.0)
-        assert robot.behaviors.query("copy").state is BehaviorState.RUNNING
+        assert robot.behaviors.query("divide").state is BehaviorState.RUNNING
 
     lines = [r for r in caplog.records if "rejected" in r.getMessage()]
     assert len(lines) == 1

@@ -491,7 +491,9 @@ async def test_late_readings_of_a_closed_device_are_dropped(user_of: Any) -> Non
             seen.append(slow)
 
     slow = Slow()
-    async with esair.Robot(resources=[slow], behaviors=[Look()]) as robot:
+    async with esair.Robot(
+        resources=[slow], behaviors=[Look()], start_patience=0.01
+    ) as robot:
         await asyncio.sleep(0.25)
         assert robot.sensors.channels["slow"].missed >= 1
         slow.report_lost()

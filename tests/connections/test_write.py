@@ -365,12 +365,14 @@ async def test_a_parked_reaction_sends_nothing_that_waited(
         sonar = esair.reads(float)
         wheels = esair.writes(float)
 
-        def react(self, sonar: float) -> float:
-            return sonar
+        def react(self, sonar: float) -> float | None:
+            return sonar if sonar > 1.0 else None
 
     sonar, wheels = fake_sensor("sonar"), fake_actuator("wheels", safe=0.0)
     user = user_of("user", wheels=esair.writes(float, priority=-1))
     async with esair.Robot(resources=[sonar, wheels], behaviors=[Follow(), user]):
+        sonar.feed(1.0)
+        await asyncio.sleep(0.01)
         wheels.stall()
         writing = asyncio.create_task(user.wheels.write(7.0))
         await asyncio.sleep(0.01)

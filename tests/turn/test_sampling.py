@@ -41,7 +41,7 @@ class Ages(esair.Reaction):
     """Notes how old what it decides on is."""
 
     rate = RATE
-    sensor = esair.reads(float)
+    sensor = esair.reads(float, max_age=10.0)
     motor = esair.writes(float)
 
     def __init__(self, name: str = "ages") -> None:

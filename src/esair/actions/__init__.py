@@ -2,6 +2,7 @@
 
 from esair.actions._behavior import NOTHING, Behavior, Host
 from esair.actions._from_minimal import MinimalReaction, adapt_action
+from esair.actions._guard_runner import GuardRunner
 from esair.actions._needs import (
     Blind,
     Guards,
@@ -41,6 +42,7 @@ __all__ = [
     "BlockingActuatorPort",
     "BlockingRequestPort",
     "BlockingSensorPort",
+    "GuardRunner",
     "Guards",
     "Host",
     "MinimalReaction",

@@ -49,6 +49,7 @@ class Host(Protocol):
         reaction: Reaction,
         until: Callable[..., bool] | None,
         timeout: float | None,
+        blind_timeout: float | None,
     ) -> bool: ...
     async def register(
         self,
@@ -229,6 +230,7 @@ class Behavior(ProfiledAction):
         *,
         until: Callable[..., bool] | None = None,
         timeout: float | None = None,
+        blind_timeout: float | None = None,
     ) -> bool:
         """Run a reaction as a step of this behavior.
 
@@ -237,19 +239,24 @@ class Behavior(ProfiledAction):
             until: Asked after each of its steps; it ends the reaction. Its
                 parameters, if any, are named like readings and get them.
             timeout: How long it may run, in seconds.
+            blind_timeout: How long it may be blind at a time, in seconds; no limit
+                unless given. Meanwhile it keeps its actuators safe, as it does
+                without a behavior, and ``query`` tells why.
 
         Returns:
             True if the condition came true, False if the time was over.
 
         Raises:
             AccessDeniedError: This behavior may not do what the reaction does.
+            DeviceLostError: It was blind for too long: a device is not there.
+            StaleReadingError: It was blind for too long: a sensor is silent.
             Exception: What the reaction raised.
         """
         host = self._host
         if host is None:
             raise self._alone()
         adapted: Reaction = adapt_action(reaction)
-        return await host.perform(adapted, until, timeout)
+        return await host.perform(adapted, until, timeout, blind_timeout)
 
     async def register(
         self,

@@ -193,6 +193,9 @@ class _Stream:
             self._error = error
             self._wake()
 
+    def doubt(self, error: EsairError) -> None:
+        """Wait for the next good value."""
+
     async def next(self) -> Reading[Any]:
         while self._newest is None:
             if self._error is not None:

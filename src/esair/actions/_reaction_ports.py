@@ -6,7 +6,7 @@ from collections.abc import Awaitable
 from typing import TYPE_CHECKING, Any
 
 from esair.connections import ActuatorChannel, Registration, SensorChannel
-from esair.exceptions import EsairError
+from esair.exceptions import DeviceLostError, EsairError, ResourceRemovedError
 from esair.messages import Reading
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ class Input:
         "channel",
         "max_age",
         "name",
+        "optional",
         "ready",
         "registration",
         "runner",
@@ -35,12 +36,16 @@ class Input:
         channel: SensorChannel,
         registration: Registration,
         max_age: float | None,
+        *,
+        optional: bool,
     ) -> None:
         self.runner = runner
         self.name = name
         self.channel = channel
         self.registration = registration
-        self.max_age = FOR_EVER if max_age is None else max_age
+        self.max_age = max_age
+        """The greatest age of a reading; the sensor's own limit if it is None."""
+        self.optional = optional
         self.ready = False
         self.stale_at = FOR_EVER
 
@@ -48,20 +53,44 @@ class Input:
         """Take a new reading; the reaction's next step decides on it."""
         runner = self.runner
         runner.values[self.name] = reading.value
-        if self.max_age < FOR_EVER:
-            self.stale_at = reading.time + self.max_age
+        limit = self.channel.max_age if self.max_age is None else self.max_age
+        if limit < FOR_EVER:
+            self.stale_at = reading.time + limit
             runner.refresh()
         if not self.ready:
             self.ready = True
-            runner.arrived()
+            if not self.optional:
+                runner.arrived()
         if runner.on_reading and not runner.missing:
             runner.job.soon()
 
+    @property
+    def limit(self) -> float:
+        """The greatest age of a reading that the reaction decides on, in seconds."""
+        return self.channel.max_age if self.max_age is None else self.max_age
+
     def changed(self, error: EsairError | None) -> None:
         """Park the reaction when the sensor is gone; feeding it wakes it up."""
-        if error is not None and self.ready:
-            self.ready = False
-            self.runner.park(f"{self.name}: {error}", missing=1)
+        if error is not None:
+            self.lose(_in_short(self.name, error))
+
+    def doubt(self, error: EsairError) -> None:
+        """Park it at a bad reading, if nothing else tells how old the last good one is."""
+        if self.limit == FOR_EVER:
+            self.lose(f"{self.name} is bad: {error}")
+
+    def lose(self, reason: str) -> None:
+        """Have no reading any more; without one that it needs the reaction is blind."""
+        if not self.ready:
+            return
+        self.ready = False
+        self.stale_at = FOR_EVER
+        self.runner.forget()
+        if self.optional:
+            self.runner.values[self.name] = None
+            self.runner.job.soon()
+        else:
+            self.runner.park(reason, missing=1)
 
 
 class Output:
@@ -136,3 +165,12 @@ class Output:
     def forget(self) -> None:
         """Send nothing more of what was decided."""
         self.command = self.later = None
+
+
+def _in_short(sensor: str, error: EsairError) -> str:
+    """Say in a few words why there is no reading of a sensor."""
+    if isinstance(error, ResourceRemovedError):
+        return f"{sensor} removed"
+    if isinstance(error, DeviceLostError):
+        return f"{sensor} lost: {error}"
+    return f"{sensor}: {error}"

@@ -16,12 +16,17 @@ from esair.exceptions import (
     BadValueError,
     BehaviorFailedError,
     EsairError,
+    StaleReadingError,
     describe,
 )
 from esair.loop import Job, OneShot, Order, Scheduler, Step, clock_of
 from esair.messages import Refused, Written
 
 _log = logging.getLogger("esair")
+
+
+def _ignore() -> None:
+    """Tell nobody."""
 
 
 class ReactionRunner:
@@ -34,6 +39,8 @@ class ReactionRunner:
         on_crash: Called with what the reaction raised; it has been stopped.
         until: Ends the reaction; asked after each step.
         on_end: Called when ``until`` came true.
+        on_sight: Called when it has decided for the first time since it was blind,
+            before what it has decided leaves.
     """
 
     # Slots: a thousand of these are touched a hundred times a second.
@@ -45,6 +52,7 @@ class ReactionRunner:
         "_loop",
         "_on_crash",
         "_on_end",
+        "_on_sight",
         "_on_state",
         "_outputs",
         "_overruns_in_row",
@@ -59,6 +67,7 @@ class ReactionRunner:
         "_time",
         "_until",
         "_watch",
+        "blind",
         "conflated",
         "job",
         "missing",
@@ -81,8 +90,12 @@ class ReactionRunner:
         on_crash: Callable[[BaseException], None],
         until: Callable[..., bool] | None = None,
         on_end: Callable[[], None] | None = None,
+        on_sight: Callable[[], None] = _ignore,
     ) -> None:
         self.reaction = reaction
+        self.blind = True
+        """Whether it has not decided since it could not."""
+        self._on_sight = on_sight
         self.on_reading = reaction.rate is None
         self.values: dict[str, Any] = {}
         self.missing = 0
@@ -154,24 +167,31 @@ class ReactionRunner:
             inputs: For each reading its channel, registration, and greatest age.
             outputs: For each command its channel and registration.
         """
-        self._inputs = [Input(self, name, *terms) for name, terms in inputs.items()]
+        optional = {k for k, need in self.reaction.inputs.items() if need.optional}
+        self._inputs = [
+            Input(self, name, *terms, optional=name in optional)
+            for name, terms in inputs.items()
+        ]
+        self.values.update(dict.fromkeys(optional))
         self._outputs = {
             name: Output(self, name, *terms) for name, terms in outputs.items()
         }
         if len(self._outputs) == 1:
             (self._single,) = self._outputs.values()
-        self.missing = len(self._inputs)
+        self.missing = sum(not each.optional for each in self._inputs)
         if self.reaction.rate is not None:
             self._take_rate(self.reaction.rate)
         for each in self._inputs:
             each.channel.follow(each)
             newest = each.channel.newest
-            if newest is not None and self._time() - newest.time <= each.max_age:
+            if newest is not None and self._time() - newest.time <= each.limit:
                 each.feed(newest)
         if self.missing == 0 and self.parked:
             self._unpark()
         elif self.parked:
-            waits = ", ".join(each.name for each in self._inputs if not each.ready)
+            waits = ", ".join(
+                each.name for each in self._inputs if not (each.ready or each.optional)
+            )
             self._on_state(False, f"no reading of {waits} yet")
 
     def _take_rate(self, rate: float) -> None:
@@ -206,6 +226,18 @@ class ReactionRunner:
 
     # Parking.
 
+    def absence(self) -> EsairError | None:
+        """Make the error for a reading that it needs and does not have."""
+        for each in self._inputs:
+            if not (each.ready or each.optional):
+                channel = each.channel
+                if channel.error is not None:
+                    return channel.error.with_traceback(None)
+                newest = channel.newest
+                age = None if newest is None else self._time() - newest.time
+                return StaleReadingError(channel.name, age, each.limit)
+        return None
+
     def arrived(self) -> None:
         """A sensor has a reading again."""
         self.missing -= 1
@@ -227,7 +259,7 @@ class ReactionRunner:
         self.missing += missing
         if self.parked or self._stopped:
             return
-        self.parked = True
+        self.parked = self.blind = True
         for output in self._outputs.values():
             output.forget()
             output.active = False
@@ -250,16 +282,14 @@ class ReactionRunner:
             self._stale(now)
 
     def _stale(self, now: float) -> None:
-        old = [each for each in self._inputs if each.ready and now >= each.stale_at]
-        for each in old:
-            each.ready = False
-            each.stale_at = FOR_EVER
+        for each in self._inputs:
+            if each.ready and now >= each.stale_at:
+                each.lose(f"{each.name} is older than {each.limit:g} s")
+        self.forget()
+
+    def forget(self) -> None:
+        """Compute anew when the first reading becomes stale, after one is gone."""
         self.stale_at = min((each.stale_at for each in self._inputs), default=FOR_EVER)
-        if old:
-            names = ", ".join(
-                f"{each.name} is older than {each.max_age:g} s" for each in old
-            )
-            self.park(names, missing=len(old))
 
     # Steps.
 
@@ -317,11 +347,17 @@ class ReactionRunner:
     def _timed_step(self, now: float) -> Awaitable[object] | None:
         begin = self._time()
         rest = self._step(now)
-        took = self._time() - begin
+        failed = self.overran(self._time() - begin)
+        if failed is not None and not self._stopped:
+            self._crash(failed)
+        return rest
+
+    def overran(self, took: float) -> BehaviorFailedError | None:
+        """Count a step that took too long; return an error if there were too many."""
         assert self._budget is not None
         if took <= self._budget:
             self._overruns_in_row = 0
-            return rest
+            return None
         self.overruns += 1
         self._overruns_in_row += 1
         reaction = self.reaction
@@ -329,10 +365,10 @@ class ReactionRunner:
         if self.overruns == 1 or self.overruns % 1000 == 0:
             _log.warning("%s: overrun %d: %s", reaction.name, self.overruns, text)
         limit = reaction.overrun_limit
-        if limit is not None and self._overruns_in_row > limit and not self._stopped:
-            row = f"overrun {self._overruns_in_row} in a row: {text}"
-            self._crash(BehaviorFailedError(reaction.name, row))
-        return rest
+        if limit is None or self._overruns_in_row <= limit:
+            return None
+        row = f"overrun {self._overruns_in_row} in a row: {text}"
+        return BehaviorFailedError(reaction.name, row)
 
     def _step(self, now: float) -> Awaitable[object] | None:
         if self.missing:
@@ -348,6 +384,9 @@ class ReactionRunner:
             return None
         if self._until is not None and self._is_over():
             return None
+        if self.blind:
+            self.blind = False
+            self._on_sight()
         output = self._single
         if output is None or result.__class__ is dict:
             self._decide_all(result)

@@ -7,13 +7,16 @@ from esair.connections._call import Call, Calls
 from esair.connections._command_check import CommandCheck, limits_by_field, part_of
 from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._halt import HALT, Halt, Halting, Stopped
+from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._registrations import Registration, Registrations
 from esair.connections._sensor_channel import READ_TIMEOUT, Follower, SensorChannel
 from esair.connections._sensor_connection import SensorConnection
 
 __all__ = [
+    "BLIND",
     "HALT",
     "READ_TIMEOUT",
+    "UNDECIDED",
     "ActuatorChannel",
     "ActuatorConnection",
     "Call",
@@ -25,6 +28,8 @@ __all__ = [
     "Halting",
     "LastCommand",
     "Method",
+    "Protection",
+    "Protections",
     "Registration",
     "Registrations",
     "SensorChannel",

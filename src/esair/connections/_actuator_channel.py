@@ -7,13 +7,13 @@ import math
 from collections.abc import Callable, Generator
 from typing import Any
 
-from esair.connections._actuator_device import ActuatorDevice
 from esair.connections._answers import rule_of, why, withdrawn
 from esair.connections._call import Call, End
 from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
 from esair.connections._driver import Guard
 from esair.connections._halt import HALT, HALT_PRIORITY, Halt
+from esair.connections._protected_device import ProtectedDevice
 from esair.connections._registrations import Registration, Registrations
 from esair.connections._waiting_writes import Sent, WaitingWrites
 from esair.exceptions import (
@@ -24,7 +24,7 @@ from esair.exceptions import (
 from esair.journal import Kind
 from esair.loop import CallRefused
 from esair.messages import Answer, Refused, ResourceState, Why, Written
-from esair.resources import Actuator
+from esair.resources import HOLD, Actuator
 
 _EARLY = 1e-6  # timers may fire a hair early
 
@@ -32,7 +32,16 @@ _EARLY = 1e-6  # timers may fire a hair early
 class _Sending:
     """A write that waits for the device: await it for its outcome."""
 
-    __slots__ = ("call", "channel", "command", "halts", "registration")
+    __slots__ = (
+        "asked",
+        "by",
+        "call",
+        "channel",
+        "command",
+        "fence",
+        "halts",
+        "registration",
+    )
 
     def __init__(
         self,
@@ -40,18 +49,23 @@ class _Sending:
         call: Call,
         registration: Registration,
         command: Any,
+        asked: Any,
+        by: str | None,
     ) -> None:
         self.channel = channel
         self.call = call
         self.registration = registration
         self.command = command
+        self.asked = asked
+        self.by = by
         self.halts = channel.halts
+        self.fence = channel.fence
 
     def __await__(self) -> Generator[Any, Any, Written[Any] | Refused]:
         return self.channel.finish(self).__await__()
 
 
-class ActuatorChannel(ActuatorDevice):
+class ActuatorChannel(ProtectedDevice):
     """Sends the commands of whoever holds the actuator, and the safe command.
 
     Every check and the call of the driver happen in one block without an await
@@ -71,9 +85,7 @@ class ActuatorChannel(ActuatorDevice):
         "_last_write",
         "_slews",
         "_waiting",
-        "_writer",
         "decision",
-        "holder",
         "refusals",
         "since",
         "timeouts",
@@ -130,6 +142,11 @@ class ActuatorChannel(ActuatorDevice):
     def halts(self) -> int:
         """How often it was halted."""
         return self._halts
+
+    @property
+    def fence(self) -> int:
+        """Grows with each safe command: what was begun before it leaves no more."""
+        return self._fence
 
     def counts(self) -> dict[str, int]:
         """Return the counters, by name."""
@@ -192,6 +209,7 @@ class ActuatorChannel(ActuatorDevice):
         if self._dead_man is not None:
             self._dead_man.cancel()
             self._dead_man = None
+        self._look_no_more()
 
     # The commit block.
 
@@ -216,6 +234,13 @@ class ActuatorChannel(ActuatorDevice):
         journal = self._journal
         if journal.heard:
             journal.publish(Kind.COMMAND, self.name, registration.behavior, command)
+        blind = self._blind
+        if (
+            blind is not None
+            and registration.priority <= blind.priority
+            and blind.is_against(registration.behavior)
+        ):
+            return self._refuse(registration, blind.refusal())
         holder = self.holder
         if (
             holder is not registration
@@ -225,18 +250,25 @@ class ActuatorChannel(ActuatorDevice):
             and holder.behavior != registration.behavior
         ):
             return self._refused(registration, holder)
+        asked = command
         command = self._checked(command)
         if self._busy:
             return self._when_idle(registration, command, hold)
         if self._slews:
             # After a pause it starts from the safe command, not with a jump.
             seconds = min(now - self._last_write, self.command_timeout)
-            command = self._check.slewed(command, self._told, seconds)
+            command = self._slewed(command, seconds)
         if holder is not registration or now >= self.until:
             self.since = now
         self.holder = self._writer = registration
         self.until = now + (hold or registration.hold or self.command_timeout)
         self._last_write = now
+        by = None
+        if self._guards:
+            stop, by, command = self._pass_guards(command, now)
+            if stop is not None:
+                self._stay()
+                return self._refuse(registration, stop.refusal())
         self._told = command
         self._told_safe = False
         if self._dead_man is None:
@@ -258,12 +290,18 @@ class ActuatorChannel(ActuatorDevice):
             sent.owner = registration
             self._lane = sent
             self._told_error = "it has not answered yet"
-            return _Sending(self, sent, registration, command)
+            return _Sending(self, sent, registration, command, asked, by)
         # Done: most drivers need not wait.
         self._busy = self._safe_task is not None
         self.writes += 1
         self._told_error = ""
-        return self._applied(registration, command, sent)
+        return self._applied(registration, command, sent, asked, by)
+
+    def _slewed(self, command: Any, seconds: float) -> Any:
+        before = self._base if self._told is HOLD else self._told
+        if before is None or before is HOLD:
+            return command  # nobody knows where it stays: its driver has not said
+        return self._check.slewed(command, before, seconds)
 
     def lost(
         self, registration: Registration, command: Any, winner: Registration
@@ -276,10 +314,19 @@ class ActuatorChannel(ActuatorDevice):
         return self._refused(registration, self.holder or winner)
 
     def _refused(self, registration: Registration, holder: Registration) -> Refused:
-        self.refusals += 1
-        refused = Refused(
-            holder.behavior, holder.priority, rule_of(holder), self.since, self.until
+        return self._refuse(
+            registration,
+            Refused(
+                holder.behavior,
+                holder.priority,
+                rule_of(holder),
+                self.since,
+                self.until,
+            ),
         )
+
+    def _refuse(self, registration: Registration, refused: Refused) -> Refused:
+        self.refusals += 1
         if self._journal.heard:
             self._journal.publish(
                 Kind.REFUSED, self.name, registration.behavior, refused
@@ -288,13 +335,8 @@ class ActuatorChannel(ActuatorDevice):
 
     def _guard(self, registration: Registration) -> Guard:
         """Return the checks that a thread makes when the turn of a command comes."""
-        calls, opening, halts = self.calls, self.calls.opening, self._halts
-        return lambda: (
-            registration.usable
-            and self._accepts
-            and opening == calls.opening
-            and halts == self._halts
-        )
+        halts, may_leave = self._halts, self._may_leave()
+        return lambda: registration.usable and halts == self._halts and may_leave()
 
     def _ended(self, call: Call, end: End) -> None:
         """Apply the outcome of a write that has waited for the device."""
@@ -315,13 +357,37 @@ class ActuatorChannel(ActuatorDevice):
         try:
             applied = await self.calls.outcome(sending.call)
         except CallRefused:
+            if (
+                sending.fence != self._fence
+                and sending.halts == self._halts
+                and registration.usable
+                and self._accepts
+            ):
+                return self._overtaken(registration)
             return self._turned_away(registration, command, sending.halts)
         except Exception as error:
             raise self._in_doubt(self._translated(error), command) from error
-        return self._applied(registration, command, applied)
+        return self._applied(registration, command, applied, sending.asked, sending.by)
+
+    def _overtaken(self, registration: Registration) -> Refused:
+        """Answer a write that the safe command came before, in the driver's lane."""
+        stops = self._blind or next((g for g in self._guards if g.stopping), None)
+        if stops is not None:
+            return self._refuse(registration, stops.refusal())
+        now = self._time()
+        told = "it was made safe before the turn of this command came"
+        return self._refuse(
+            registration,
+            Refused(registration.behavior, registration.priority, told, now, now),
+        )
 
     def _applied(
-        self, registration: Registration, command: Any, applied: Any
+        self,
+        registration: Registration,
+        command: Any,
+        applied: Any,
+        asked: Any,
+        by: str | None,
     ) -> Written[Any] | Refused:
         if isinstance(applied, Refused):
             return applied  # the device itself has said no
@@ -333,7 +399,7 @@ class ActuatorChannel(ActuatorDevice):
             self._journal.publish(
                 Kind.APPLIED, self.name, registration.behavior, applied
             )
-        return Written(applied)
+        return Written(applied, asked, by)
 
     def _turned_away(
         self, registration: Registration, command: Any, halts: int | None = None
@@ -382,6 +448,8 @@ class ActuatorChannel(ActuatorDevice):
 
     def _idle(self) -> None:
         super()._idle()
+        if self._guards:
+            self.review()
         self._look()
 
     def _look(self) -> None:
@@ -447,6 +515,8 @@ class ActuatorChannel(ActuatorDevice):
         self._withdraw(registration)
         if self.holder is registration:
             self.holder = None
+            if self._blind is not None:
+                self._keep_still()
 
     def drop(self, registration: Registration) -> None:
         """Make the actuator safe if what it does now is this registration's will.
@@ -461,14 +531,17 @@ class ActuatorChannel(ActuatorDevice):
 
     # The safe command.
 
-    def make_safe(self) -> asyncio.Task[bool]:
+    def make_safe(self, *, stay: bool = False) -> asyncio.Task[bool]:
         """Send the safe command, before anything else; nobody holds it afterwards.
+
+        Args:
+            stay: Tell it to stay instead, if its safe command is a place to go.
 
         Returns:
             The sending; its result tells whether the device took it.
         """
         self._disarm()
-        return super().make_safe()
+        return super().make_safe(stay=stay)
 
     def _nobody_wrote(self) -> None:
         self._dead_man = None

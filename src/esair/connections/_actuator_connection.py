@@ -6,6 +6,7 @@ from typing import Any
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
+from esair.connections._protection import Protections
 from esair.connections._registrations import Registration
 from esair.exceptions import NotRegisteredError, UnknownNameError
 from esair.messages import Answer, Refused, Written
@@ -18,6 +19,8 @@ class ActuatorConnection(Connection):
     def __init__(self) -> None:
         self.channels: dict[str, ActuatorChannel] = {}
         """The way to each actuator; the resource supervisor fills it."""
+        self.protections = Protections(self.channels)
+        """Who keeps an actuator still, by component and name of the actuator."""
 
     def names(self) -> list[str]:
         """Return the names of the actuators."""

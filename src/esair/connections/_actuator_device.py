@@ -21,7 +21,7 @@ from esair.exceptions import (
 from esair.journal import Kind
 from esair.loop import clock_of, spawn
 from esair.messages import ResourceState
-from esair.resources import Actuator
+from esair.resources import HOLD, Actuator
 
 SAFE_TRIES = 3
 """How often the safe command is tried before the actuator counts as unsafe."""
@@ -66,6 +66,7 @@ class ActuatorDevice:
 
     __slots__ = (
         "_again",
+        "_base",
         "_busy",
         "_journal",
         "_lane",
@@ -76,6 +77,7 @@ class ActuatorDevice:
         "_pulses",
         "_safe_number",
         "_safe_task",
+        "_stays",
         "_time",
         "_told",
         "_told_error",
@@ -137,6 +139,10 @@ class ActuatorDevice:
         self._again = False
         self._safe_number = 0
         """The number of the newest call with the safe command."""
+        self._stays = False
+        """The safe command on its way is to stay, because safe is a place to go."""
+        self._base: Any = None
+        """Where the device is, as far as it has said, while it was told to stay."""
         self._told: Any = None
         self._told_safe = False
         self._told_error = "it was never told anything"
@@ -227,13 +233,18 @@ class ActuatorDevice:
 
     # The safe command.
 
-    def make_safe(self) -> asyncio.Task[bool]:
+    def make_safe(self, *, stay: bool = False) -> asyncio.Task[bool]:
         """Send the safe command, before anything else.
+
+        Args:
+            stay: Tell it to stay instead, if its safe command is a place to go.
 
         Returns:
             The sending; its result tells whether the device took it.
         """
         task = self._safe_task
+        stay = stay and self.actuator.safe_moves
+        self._stays = stay and (task is None or self._stays)
         if task is None:
             self._busy = True
             task = self._safe_task = spawn(
@@ -279,7 +290,7 @@ class ActuatorDevice:
         if self._safe_task is not None or self.state is not ResourceState.READY:
             self._again = True
         else:
-            self.make_safe()
+            self.make_safe(stay=self._told is HOLD)
 
     async def _send_safe(self) -> bool:
         try:
@@ -329,16 +340,21 @@ class ActuatorDevice:
 
     async def _tell_safe(self) -> None:
         actuator, calls = self.actuator, self.calls
-        self._told = actuator.safe
-        self._told_safe = True
+        command = HOLD if self._stays else actuator.safe
+        if command is HOLD and self._told is not HOLD:
+            self._base = self._told
+        self._told = command
+        self._told_safe = command is actuator.safe
         self._told_error = "it has not answered yet"
         self._safe_number = calls.number + 1
         opening = calls.opening
-        await calls.run("safe", self._write, actuator.safe, limit=actuator.deadline)
+        applied = await calls.run("safe", self._write, command, limit=actuator.deadline)
         if opening == calls.opening and calls is self.calls:
             self._told_error = ""
+            if command is HOLD and applied is not None:
+                self._base = applied
             if self._journal.heard:
-                self._journal.publish(Kind.SAFE, self.name, "", actuator.safe)
+                self._journal.publish(Kind.SAFE, self.name, "", command)
 
     async def open_safe(self) -> None:
         """Send the safe command to a device that was just opened.
@@ -347,7 +363,7 @@ class ActuatorDevice:
             DeviceLostError: The device is gone again.
             DeviceFaultError: It does not take its safe command.
         """
-        self._again = False  # what has ended until now, it is sent after
+        self._again = self._stays = False  # what has ended until now, it is sent after
         try:
             await self._tell_safe()
         except BaseException as error:

@@ -29,7 +29,23 @@ def why(channel: ActuatorChannel, now: float) -> Why:
             "robot.resume(), by the user",
             channel.told().command,
         )
-    if holder is None or now >= channel.until:
+    held = holder is not None and now < channel.until
+    blind = channel.blind
+    if blind is not None and not (
+        held and holder is not None and holder.priority > blind.priority
+    ):
+        return Why(
+            channel.name,
+            channel.state,
+            blind.component,
+            blind.priority,
+            blind.rule,
+            blind.since,
+            None,
+            f"its next decision, or a write with a priority above {blind.priority}",
+            channel.told().command,
+        )
+    if holder is None or not held:
         rule = (
             "it was told its safe command" if channel.is_safe else "no hold is in force"
         )

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from esair.connections._call import Call, Calls, End
 from esair.connections._driver import Driver, Method, translate
+from esair.connections._reading_check import ReadingCheck
 from esair.connections._registrations import Registration, Registrations
 from esair.exceptions import (
     BadValueError,
@@ -26,13 +27,16 @@ from esair.journal import Kind
 from esair.loop import Deadlines, Job, Order, Scheduler, clock_of
 from esair.messages import Reading, ResourceState
 from esair.resources import Sensor
-from esair.values import checked_class, passes_as, type_name
+from esair.values import passes_as
 
 WAITING_LIMIT = 1024
 """How many readers may wait for one sensor at a time."""
 
 LISTEN_AGAIN = 0.1
 """The pause before a stream that raised is asked for again, in seconds."""
+
+PERIODS = 3.0
+"""How many of its periods a reading of a polled sensor is current."""
 
 READ_TIMEOUT = 1.0
 """How long a read waits for the device unless it says otherwise, in seconds."""
@@ -50,6 +54,9 @@ class Follower(Protocol):
 
     def changed(self, error: EsairError | None) -> None:
         """Learn that the sensor is gone for now (why), or back (None)."""
+
+    def doubt(self, error: EsairError) -> None:
+        """Learn that it has given a bad value, or an error instead of one."""
 
 
 class SensorChannel:
@@ -73,6 +80,8 @@ class SensorChannel:
         """How many polls were left out because the device had not answered yet."""
         self.dropped = 0
         """How many readings a slow follower has not seen."""
+        self.bad = 0
+        """How many values were of no use: of another type, not finite, out of limits."""
         self.sequence = 0
         self.registrations = registrations
         self._journal = registrations.journal
@@ -115,7 +124,7 @@ class SensorChannel:
         self._history: collections.deque[Reading[Any]] = collections.deque(
             maxlen=sensor.history_size
         )
-        self._wanted = checked_class(sensor.value_type)
+        self._check_value = ReadingCheck(sensor)
         self._max_repeat = sensor.max_repeat
         if sensor.can_be_asked:
             self._read = self.driver.method("read")
@@ -125,6 +134,10 @@ class SensorChannel:
         """Take over a changed rate."""
         sensor = self.sensor
         self.good_for = 1.0 / sensor.rate if sensor.can_be_asked else math.inf
+        if sensor.can_be_asked:
+            self.max_age = PERIODS / sensor.rate
+        else:
+            self.max_age = math.inf if sensor.period is None else sensor.period
         if self._poll is not None:
             self._stop_polling()
             self._start_polling()
@@ -143,6 +156,7 @@ class SensorChannel:
             "dropped": self.dropped,
             "abandoned": self.calls.abandoned,
             "late": self.calls.late,
+            "bad": self.bad,
         }
 
     # State, told by the supervisor.
@@ -152,6 +166,8 @@ class SensorChannel:
         self.state = ResourceState.READY
         self.error = None
         self._repeats = 0
+        if self.newest is None and hasattr(self.sensor, "initial"):
+            self.publish(self.sensor.initial, -1)
         if self.sensor.pushes:
             self.calls.begin("stream", Method(self._listen, None), (), None)
         self._start_polling()
@@ -439,18 +455,10 @@ class SensorChannel:
 
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""
-        wanted = self._wanted
-        if (
-            wanted is not None
-            and type(value) is not wanted
-            and not self._acceptable(value, wanted)
-        ):
-            self._fail(
-                DeviceFaultError(
-                    self.name, f"expected {type_name(wanted)}, it gave {value!r:.80}"
-                ),
-                number,
-            )
+        wrong = self._check_value(value)
+        if wrong is not None:
+            self.bad += 1
+            self._fail(DeviceFaultError(self.name, wrong), number)
             return
         if self._max_repeat is not None and self._repeated(value) > self._max_repeat:
             frozen = f"frozen: it gave {value!r:.80} {self._repeats} times in a row"
@@ -472,12 +480,6 @@ class SensorChannel:
             self._last, self._repeats = value, 0
         self._repeats += 1
         return self._repeats
-
-    @staticmethod
-    def _acceptable(value: Any, wanted: type) -> bool:
-        if isinstance(value, bool) and wanted in {int, float}:
-            return False
-        return isinstance(value, wanted) or passes_as(value, wanted)
 
     def _resolve(self, reading: Reading[Any], number: float) -> None:
         waiters, self._waiters = self._waiters, []
@@ -505,6 +507,8 @@ class SensorChannel:
                 future.set_exception(translated)
             else:
                 self._waiters.append(waiter)
+        for follower in self._followers:
+            follower.doubt(translated)
         self._on_error(translated)
 
     def drop(self, registration: Registration) -> None:

@@ -69,6 +69,8 @@ def _in_needs(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
             if seconds is not None and not is_positive(seconds):
                 told = f"expected seconds > 0, not {seconds!r:.80}"
                 yield f"{attribute}.{field}", told
+        if isinstance(need, Guards) and isinstance(action, Behavior):
+            yield attribute, "only a reaction guards: make one of it"
         if isinstance(need, Writes) and need.blind not in {None, "safe", "release"}:
             told = f"expected 'safe' or 'release', not {need.blind!r:.80}"
             yield f"{attribute}.blind", told

@@ -9,7 +9,7 @@ from esair.connections import CommandCheck, limits_by_field, part_of
 from esair.exceptions import BadValueError
 from esair.plan._finding import Finding, mistake
 from esair.plan._signatures import wrong_signatures
-from esair.resources import Actuator, Resource, Sensor, bus_kind
+from esair.resources import HOLD, Actuator, Resource, Sensor, bus_kind
 from esair.values import is_positive
 
 
@@ -68,7 +68,7 @@ def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
     for field, told in _in_limits(actuator):
         sound = False
         yield field, told
-    if not sound:
+    if not sound or actuator.safe is HOLD:
         return
     field = "safe"
     try:
@@ -85,7 +85,9 @@ def _in_limits(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
         try:
             low, high = bounds
             sound = low <= high
-            fits = low <= part_of(actuator.safe, field) <= high
+            fits = actuator.safe is HOLD or (
+                low <= part_of(actuator.safe, field) <= high
+            )
         except (TypeError, ValueError, AttributeError, LookupError):
             sound = False
         if not sound:

@@ -55,6 +55,9 @@ A = TypeVar("A")
 START_TIMEOUT = 5.0
 """How long the start waits for the ``setup`` of behaviors, in seconds."""
 
+TAKE_OVER = 1.0
+"""How long a replaced reaction goes on until the new one has decided, in seconds."""
+
 ZOMBIE_LIMIT = 256
 """How many zombies are listed."""
 
@@ -85,9 +88,13 @@ class BehaviorSupervisor(abc.Supervisor):
         actuators: ActuatorConnection,
         *,
         grace: float = 1.0,
+        start_patience: float = 1.0,
         halt: Callable[[str, str], Halting] | None = None,
         stop: Callable[[str], Awaitable[Stopped]] | None = None,
     ) -> None:
+        self._start_patience = start_patience
+        self.may_begin = asyncio.Event()
+        """Set when every protection that can see has decided: ``run`` may begin."""
         self.resources = resources
         self.sensors = sensors
         self.actuators = actuators
@@ -230,6 +237,7 @@ class BehaviorSupervisor(abc.Supervisor):
             self._refuse(examine_action(self._plan(action), action), action)
             member = Member(action, self, action.name)
             self._members[member.name] = member
+            member.sight.accept()
             try:
                 await self._begin(member)
             except BaseException:
@@ -237,6 +245,7 @@ class BehaviorSupervisor(abc.Supervisor):
                 self.mediator.peer_removed(member)
                 await self._end(member)
                 del self._members[member.name]
+                member.sight.leave()
                 raise
             self.journal.publish(Kind.ADDED, member.name, "behavior")
 
@@ -264,6 +273,7 @@ class BehaviorSupervisor(abc.Supervisor):
             self.mediator.peer_removed(member)
             await self._end(member)
             del self._members[name]
+            member.sight.removed()
             self.journal.publish(Kind.REMOVED, name, "behavior")
             self._check_all_ended()
             return list(member.inbox)
@@ -300,13 +310,19 @@ class BehaviorSupervisor(abc.Supervisor):
             self._refuse(found, action)
             new = Member(action, self, name)
             new.gate = asyncio.get_running_loop().create_future()
+            new.sight.stand_by()
             try:
                 await self._begin(new)
+                if isinstance(action, Reaction):
+                    # Until then the old one decides: nothing moves unwatched.
+                    await asyncio.wait({new.sight.decided()}, timeout=TAKE_OVER)
             except BaseException:
                 await self._end(new)
+                new.sight.leave()
                 raise
             self._command_queue.no_return()
             self._members[name] = new
+            new.sight.take_over(old.sight)
             self.mediator.moved(old, new)
             new.gate.set_result(None)  # its run begins when the old one is fenced off
             await self._end(old)
@@ -315,6 +331,32 @@ class BehaviorSupervisor(abc.Supervisor):
 
         self._check_caller()
         return await self._command_queue.run(work, name=f"replace {name}", undo=True)
+
+    def mute(self, name: str, seconds: float, reason: str) -> None:
+        """Let what a component protects pass for a while: its guard, its blind hold.
+
+        Args:
+            name: The reaction or behavior.
+            seconds: For how long, at most the ``mute_limit`` of its class.
+            reason: Why, for the log.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+            BadValueError: It protects nothing, or not for so long.
+        """
+        self._member(name).sight.mute(seconds, reason)
+        self.journal.publish(Kind.OPERATOR, name, "user", seconds, f"mute: {reason}")
+
+    def reset(self, name: str) -> None:
+        """End the latch of a guard, after its cause is gone.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+            BadValueError: It is no guard with a latch.
+            AccessDeniedError: Its cause lasts; nothing has changed.
+        """
+        self._member(name).sight.reset()
+        self.journal.publish(Kind.OPERATOR, name, "user", None, "reset")
 
     async def command(self, text: str) -> str:
         """Do what an operator types; it has the rights of the user.
@@ -338,17 +380,24 @@ class BehaviorSupervisor(abc.Supervisor):
         """Let commands of the user wait from now on: the robot starts."""
         self._command_queue.wake()
 
-    async def start(self, behaviors: Iterable[Behavior | Reaction]) -> None:
-        """Deploy the configuration list; returns when all run, or have failed."""
-        members = [Member(behavior, self, behavior.name) for behavior in behaviors]
-        for member in members:
+    def accept(self, behaviors: Iterable[Behavior | Reaction]) -> None:
+        """Take the configuration list in: what it protects is protected from now on."""
+        for behavior in behaviors:
+            member = Member(behavior, self, behavior.name)
             self._members[member.name] = member
+            member.sight.accept()
+
+    async def start(self) -> None:
+        """Deploy what was accepted; returns when all run, or have failed."""
+        members = list(self._members.values())
         process = ProcessWatch(asyncio.get_running_loop())
         for member in members:
             try:
                 member.start()
             except Exception as error:
                 member._crashed(error)  # noqa: SLF001 - its owner
+        await self._await_sight()
+        self.may_begin.set()
         waits = [member.ready for member in members if member.ready is not None]
         if waits:
             await asyncio.wait(waits, timeout=START_TIMEOUT)
@@ -394,6 +443,21 @@ class BehaviorSupervisor(abc.Supervisor):
         return failed
 
     # Inside.
+
+    async def _await_sight(self) -> None:
+        """Wait until every reaction and guard has decided that can; not for ever."""
+        able = [
+            member.sight.decided()
+            for member in self._members.values()
+            if isinstance(member.action, Reaction)
+            and all(
+                self.resources.is_ready(need.resource)
+                for need in member.action.inputs.values()
+                if not need.optional
+            )
+        ]
+        if not all(future.done() for future in able):
+            await asyncio.wait(able, timeout=self._start_patience)
 
     def _counted(self) -> Iterator[tuple[str, Mapping[str, int]]]:
         for name, member in self._members.items():

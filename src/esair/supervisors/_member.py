@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from esair.actions import (
     ActuatorPort,
     Behavior,
+    GuardRunner,
+    Guards,
     Need,
     Reaction,
     ReactionRunner,
@@ -21,6 +23,7 @@ from esair.actions import (
     Writes,
 )
 from esair.connections import (
+    UNDECIDED,
     ActuatorChannel,
     Halting,
     Registration,
@@ -45,6 +48,7 @@ from esair.loop import Owner, Portal, spawn
 from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._restart_budget import RestartBudget
+from esair.supervisors._sight import Sight
 from esair.values import is_positive
 
 if TYPE_CHECKING:
@@ -81,6 +85,7 @@ class Member(Mailbox):
         "ready",
         "registrations",
         "runner",
+        "sight",
         "task",
         "zombies",
     )
@@ -103,6 +108,8 @@ class Member(Mailbox):
         self._budget: RestartBudget | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._portal: Portal | None = None
+        self.sight = Sight(supervisor.actuators.protections, action, name)
+        """What it protects, and whether it sees."""
 
     # What the behavior asks (`Host`).
 
@@ -126,11 +133,14 @@ class Member(Mailbox):
         reaction: Reaction,
         until: Callable[..., bool] | None,
         timeout: float | None,
+        blind_timeout: float | None,
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
         self.check_speaker()
         if timeout is not None:
             _check_seconds(self.name, "timeout", timeout)
+        if blind_timeout is not None:
+            _check_seconds(self.name, "blind_timeout", blind_timeout)
         if not isinstance(reaction, Reaction):
             raise ConfigError(
                 self.name,
@@ -139,8 +149,11 @@ class Member(Mailbox):
             )
         self._supervisor.refuse_step(reaction, self.name)
         loop = asyncio.get_running_loop()
-        perform = _Perform(reaction, until, loop)
+        table = self._supervisor.actuators.protections
+        sight = Sight(table, reaction, reaction.name, step_of=self.name)
+        perform = _Perform(reaction, until, loop, sight, blind_timeout)
         self.performs.append(perform)
+        sight.accept()
         timer = None
         try:
             self._start_runner(perform.runner, reaction, perform)
@@ -150,10 +163,11 @@ class Member(Mailbox):
         finally:
             if timer is not None:
                 timer.cancel()
-            perform.runner.stop()
+            perform.stop()
             self.performs.remove(perform)
             for registration in perform.own:
                 self._supervisor.resources.revoke(registration)
+            sight.leave()
 
     def halt_robot(self, reason: str) -> Halting:
         """Make every actuator safe, and keep it so."""
@@ -186,8 +200,13 @@ class Member(Mailbox):
         self.state = BehaviorState.STARTING
         loop = asyncio.get_running_loop()
         if isinstance(self.action, Reaction):
-            self.runner = ReactionRunner(
-                self.action, on_state=self._runs, on_crash=self._crashed
+            self.sight.blind(UNDECIDED)
+            self.runner = _runner_for(
+                self.action,
+                self.sight,
+                on_state=self._runs,
+                on_crash=self._crashed,
+                on_sight=self.sight.sees,
             )
             self._start_runner(self.runner, self.action)
             return
@@ -229,8 +248,13 @@ class Member(Mailbox):
             if self.gate is not None:
                 self._is_ready()
                 await self.gate
+            else:
+                await self._supervisor.may_begin.wait()
             self._runs(True, "")
             await self._run(behavior.run)
+        except asyncio.CancelledError as raised:
+            # Its frames go: the task keeps it where the collector cannot see it.
+            error = raised.with_traceback(None)
         except BaseException as raised:  # contained: one component's failure
             error = raised
         if asyncio.current_task() is self.task:  # else it is another run's by now
@@ -261,6 +285,10 @@ class Member(Mailbox):
             BehaviorState.RUNNING if running else BehaviorState.PARKED,
         )
         self._is_ready()
+        if not running:
+            self.sight.blind(why)
+        elif isinstance(self.action, Behavior):
+            self.sight.sees()
         if running:
             self._mediator.admit(self)
             self._mediator.serve(self)
@@ -292,6 +320,7 @@ class Member(Mailbox):
         if error is None:
             self.state = BehaviorState.FINISHED
             self._tell(Kind.FINISHED)
+            self.sight.sees()  # it has nothing more to say: that is no blindness
             self.fence()
             self._end_requests()
             self._mediator.peer_finished(self)
@@ -304,6 +333,7 @@ class Member(Mailbox):
         """Make safe what it held, and start it again unless its budget is spent."""
         self.error = error
         self._tell(Kind.CRASHED, describe(error))
+        self.sight.blind(f"it failed: {describe(error)}")
         self.fence()
         self.run_over(error)
         self._end_requests()
@@ -321,6 +351,7 @@ class Member(Mailbox):
             # Not its own fault: it begins anew when everything it uses is there.
             self.state = BehaviorState.PARKED
             self.detail = f"{', '.join(absent)} is not there"
+            self.sight.blind(self.detail)
             self._tell(Kind.PARKED, self.detail)
             _log.info("%s: parked: %s", self.name, self.detail)
             self._mediator.peer_failed(self, error)
@@ -555,6 +586,7 @@ class Member(Mailbox):
     ) -> None:
         inputs: dict[str, tuple[SensorChannel, Registration, float | None]] = {}
         outputs: dict[str, tuple[ActuatorChannel, Registration]] = {}
+        guarded: ActuatorChannel | None = None
         missing = [
             need.resource
             for need in reaction.needs.values()
@@ -570,9 +602,15 @@ class Member(Mailbox):
             channel = self._channel(need.resource)
             if isinstance(channel, SensorChannel):
                 inputs[attribute] = (channel, registration, _max_age(need))
+            elif isinstance(need, Guards):
+                guarded = channel
             else:
                 outputs[attribute] = (channel, registration)
-        runner.start(inputs, outputs)
+        if isinstance(runner, GuardRunner):
+            assert guarded is not None
+            runner.guard(guarded, inputs)
+        else:
+            runner.start(inputs, outputs)
 
     def resource_changed(self, resource: str) -> None:
         """Bind a reaction anew when one of its resources was added or removed."""
@@ -613,7 +651,7 @@ class Member(Mailbox):
             self.can_send,
             self._budget.restarts if self._budget is not None else 0,
             self.error,
-            self.detail,
+            next(filter(None, (each.detail for each in self.performs)), self.detail),
             runner.steps if runner is not None else 0,
             runner.late if runner is not None else 0,
             self.senders.count,
@@ -641,19 +679,65 @@ class _Perform:
         reaction: Reaction,
         until: Callable[..., bool] | None,
         loop: asyncio.AbstractEventLoop,
+        sight: Sight,
+        blind_timeout: float | None,
     ) -> None:
-        self.runner = ReactionRunner(
+        self.sight = sight
+        self.runner = _runner_for(
             reaction,
-            on_state=lambda _running, _why: None,
+            sight,
+            on_state=self._state,
             on_crash=self.crash,
+            on_sight=self._sees,
             until=until,
             on_end=lambda: self.end(True),
         )
+        self._loop = loop
+        self._blind_timeout = blind_timeout
+        self._blind_timer: asyncio.TimerHandle | None = None
+        self._is_blind()
         self.needs = tuple(reaction.needs.values())
         self.own: list[Registration] = []
         """The registrations that end with it."""
         self.uses: list[Registration] = []
         self.ended: asyncio.Future[bool] = loop.create_future()
+
+    @property
+    def detail(self) -> str:
+        """Why it does nothing, in words; empty if it does what it should."""
+        reason = self.sight.reason
+        return f"step {self.sight.name} is blind: {reason}" if reason else ""
+
+    def stop(self) -> None:
+        """Take no further step."""
+        self.runner.stop()
+        self._sees_again()
+
+    def _state(self, running: bool, why: str) -> None:
+        if not running:
+            self.sight.blind(why)
+            self._is_blind()
+
+    def _is_blind(self) -> None:
+        if self._blind_timeout is not None and self._blind_timer is None:
+            self._blind_timer = self._loop.call_later(
+                self._blind_timeout, self._blind_for_too_long
+            )
+
+    def _sees(self) -> None:
+        self.sight.sees()
+        self._sees_again()
+
+    def _sees_again(self) -> None:
+        if self._blind_timer is not None:
+            self._blind_timer.cancel()
+            self._blind_timer = None
+
+    def _blind_for_too_long(self) -> None:
+        self._blind_timer = None
+        error = self.runner.absence()
+        if error is not None:
+            self.crash(error)
 
     def end(self, result: bool) -> None:
         if not self.ended.done():
@@ -663,6 +747,38 @@ class _Perform:
         if not self.ended.done():
             self.ended.set_exception(_as_exception(error))
             self.ended.exception()  # the behavior may be cancelled in this moment
+
+
+def _runner_for(
+    reaction: Reaction,
+    sight: Sight,
+    *,
+    on_state: Callable[[bool, str], None],
+    on_crash: Callable[[BaseException], None],
+    on_sight: Callable[[], None],
+    until: Callable[..., bool] | None = None,
+    on_end: Callable[[], None] | None = None,
+) -> ReactionRunner:
+    """Make what runs a reaction: one that moves something, or a guard."""
+    if reaction.guarded is None:
+        return ReactionRunner(
+            reaction,
+            on_state=on_state,
+            on_crash=on_crash,
+            on_sight=on_sight,
+            until=until,
+            on_end=on_end,
+        )
+    return GuardRunner(
+        reaction,
+        reaction.guarded[0],
+        sight.guard,
+        on_state=on_state,
+        on_crash=on_crash,
+        on_sight=on_sight,
+        until=until,
+        on_end=on_end,
+    )
 
 
 _ABSENCE = (

@@ -6,7 +6,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from esair import abc, minimal
 from esair.connections import (
@@ -125,13 +125,42 @@ class ResourceSupervisor(abc.Supervisor):
         """Return the driver calls that were given up, and whose code still runs."""
         return tuple(sorted(self._left, key=lambda call: call.begun))
 
-    def why(self, name: str) -> Why:
+    @overload
+    def why(self) -> tuple[Why, ...]: ...
+    @overload
+    def why(self, name: str) -> Why: ...
+    def why(self, name: str | None = None) -> Why | tuple[Why, ...]:
         """Tell who holds an actuator, by which rule, since when, what would free it.
+
+        And who may write it, who guards it, and what happens when each is blind.
+
+        Args:
+            name: The actuator; all of them, in a tuple, unless given.
 
         Raises:
             UnknownNameError: No actuator has the name.
         """
-        return self._actuators.channel(name).why()
+        if name is None:
+            return tuple(self.why(each) for each in self._actuators.names())
+        held = self._actuators.channel(name).why()
+        protections = self._actuators.protections.of(name)
+        holds = {each.component for each in protections if not each.guards}
+        writers = sorted(
+            (
+                r
+                for r in self._registrations.of_resource(name)
+                if Access.WRITE in r.access
+            ),
+            key=lambda each: (-each.priority, each.behavior),
+        )
+        return held._replace(
+            writers=tuple(
+                f"{each.behavior} writes with priority {each.priority}; when blind: "
+                f"{'safe' if each.behavior in holds else 'release'}"
+                for each in writers
+            ),
+            guards=tuple(each.describe() for each in protections),
+        )
 
     def is_ready(self, name: str) -> bool:
         """Tell whether a resource is there, and its device is ready."""
@@ -504,6 +533,7 @@ class ResourceSupervisor(abc.Supervisor):
                     resource, self._registrations, loop, on_error, self._left
                 )
                 self._actuators.channels[resource.name] = channel
+                self._actuators.protections.appear(resource.name)
             else:
                 assert isinstance(resource, Sensor)
                 channel = SensorChannel(

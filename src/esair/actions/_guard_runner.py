@@ -1,0 +1,123 @@
+"""How a guard runs: asked about each command, and looking again at what stands."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+from esair.actions._reaction import Reaction
+from esair.actions._reaction_runner import ReactionRunner
+from esair.connections import (
+    BLIND,
+    ActuatorChannel,
+    Protection,
+    Registration,
+    SensorChannel,
+)
+
+
+class GuardRunner(ReactionRunner):
+    """Runs one guard until it is stopped.
+
+    Its ``react`` is called at the commit point of the actuator, for each command, and
+    from there again when a sensor has a new reading, or at its rate: then the command
+    that was asked for last is put to it.
+
+    Args:
+        reaction: What to run.
+        port: The name of its port, by which it gets the command.
+        protection: Its entry in the table of the robot.
+        on_state: Called with True when it runs and False when it is parked, and
+            the reason.
+        on_crash: Called with what it raised; it has been stopped.
+        on_sight: Called when all its sensors are heard.
+        until: Ends it, as a step of a behavior; asked when it looks again.
+        on_end: Called when ``until`` came true.
+    """
+
+    __slots__ = ("_channel", "_port", "_protection")
+
+    def __init__(
+        self,
+        reaction: Reaction,
+        port: str,
+        protection: Protection,
+        *,
+        on_state: Callable[[bool, str], None],
+        on_crash: Callable[[BaseException], None],
+        on_sight: Callable[[], None],
+        until: Callable[..., bool] | None = None,
+        on_end: Callable[[], None] | None = None,
+    ) -> None:
+        super().__init__(
+            reaction,
+            on_state=on_state,
+            on_crash=on_crash,
+            on_sight=on_sight,
+            until=until,
+            on_end=on_end,
+        )
+        self._port = port
+        self._protection = protection
+        self._channel: ActuatorChannel | None = None
+
+    def guard(
+        self,
+        channel: ActuatorChannel,
+        inputs: Mapping[str, tuple[SensorChannel, Registration, float | None]],
+    ) -> None:
+        """Begin to follow the sensors, and to judge the commands of an actuator."""
+        self._channel = channel
+        protection = self._protection
+        protection.judge = self._judge
+        protection.fallback = self._fallback
+        protection.on_crash = self._crashed
+        self.start(inputs, {})
+
+    def stop(self) -> None:
+        """Judge no command any more: while its entry is in the table none passes."""
+        super().stop()
+        if self._protection.judge == self._judge:
+            self._protection.judge = None
+
+    @property
+    def _turn(self) -> Callable[[float], Awaitable[object] | None]:
+        return self._step
+
+    def _unpark(self) -> None:
+        super()._unpark()
+        self.blind = False
+        self._on_sight()
+
+    def _step(self, now: float) -> Awaitable[object] | None:
+        if self.missing:
+            return None
+        if now >= self.stale_at:
+            self._stale(now)
+            return None
+        if self._until is not None and self._is_over():
+            return None
+        if self._channel is not None:
+            self._channel.review()
+        return None
+
+    def _judge(self, command: Any) -> Any:
+        began = self._time()
+        if self.missing or began >= self.stale_at:
+            self.job.soon()  # it is parked in a step of its own
+            return BLIND
+        self.steps += 1
+        passed = self._react(**self.values, **{self._port: command})
+        if self._budget is None:
+            return passed
+        failed = self.overran(self._time() - began)
+        if failed is not None:
+            raise failed
+        return BLIND if self._overruns_in_row else passed
+
+    def _fallback(self, command: Any) -> Any:
+        return self.reaction.blind(**{self._port: command})
+
+    def _crashed(self, error: BaseException) -> None:
+        if not self._stopped:
+            self._crash(error)

@@ -1,0 +1,123 @@
+"""The check of a reading before it reaches an action: type, finite, limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import attrs
+
+from esair.exceptions import describe
+from esair.resources import Sensor
+from esair.values import checked_class, passes_as, type_name
+
+_DEPTH = 4
+"""How deeply a value is looked into."""
+
+_ATOMS = (str, bytes, bytearray, memoryview, bool, int, type(None))
+"""What cannot hide a number that is not finite."""
+
+
+class ReadingCheck:
+    """Says what is wrong with a value of one sensor, if anything is.
+
+    NaN compares as false with everything, so a reaction would take it for "nothing is
+    near". A number of its own, and one in a field, must be finite; in a row of numbers,
+    such as a scan, infinity stands for "nothing in reach".
+    """
+
+    def __init__(self, sensor: Sensor[Any]) -> None:
+        self._wanted = checked_class(sensor.value_type)
+        limits = sensor.limits
+        self._limits = (
+            {}
+            if limits is None
+            else limits
+            if isinstance(limits, Mapping)
+            else {"": limits}
+        )
+
+    def __call__(self, value: Any) -> str | None:
+        """Return what is wrong with a value, in words; None if nothing is."""
+        wanted = self._wanted
+        if wanted is not None and type(value) is not wanted:
+            number = wanted is int or wanted is float
+            if (number and isinstance(value, bool)) or not (
+                isinstance(value, wanted) or passes_as(value, wanted)
+            ):
+                return f"expected {type_name(wanted)}, it gave {value!r:.80}"
+        if type(value) is float:
+            if not math.isfinite(value):
+                return f"expected a finite number, it gave {value!r}"
+            if not self._limits:
+                return None
+        try:
+            return _not_finite(value, "", _DEPTH) or self._outside(value)
+        except Exception as error:  # a value may be an object of any class
+            return f"it cannot be checked: {describe(error)}"
+
+    def _outside(self, value: Any) -> str | None:
+        for field, (low, high) in self._limits.items():
+            number = value
+            if field:
+                mapping = isinstance(value, Mapping)
+                number = value[field] if mapping else getattr(value, field)
+            if not low <= number <= high:
+                what = f"{field} = {number!r:.80}" if field else f"{number!r:.80}"
+                return f"expected {low:g} to {high:g}, it gave {what}"
+        return None
+
+
+def _not_finite(value: Any, where: str, depth: int) -> str | None:
+    if isinstance(value, _ATOMS) or depth == 0:
+        return None
+    if isinstance(value, float):
+        if math.isfinite(value):
+            return None
+        return f"expected a finite number, it gave {where or 'value'} = {value!r}"
+    if hasattr(value, "dtype"):
+        bad = value.dtype.kind == "f" and bool((value != value).any())
+        return (
+            f"expected numbers, it gave NaN in {where or 'an array'}" if bad else None
+        )
+    if isinstance(value, Mapping):
+        parts = [(str(key), part) for key, part in value.items()]
+    elif names := _fields(type(value)):
+        parts = [(name, getattr(value, name)) for name in names]
+    elif isinstance(value, tuple | list):
+        return _not_a_number(value, where, depth)
+    else:
+        return None
+    for name, part in parts:
+        wrong = _not_finite(part, f"{where}.{name}" if where else name, depth - 1)
+        if wrong is not None:
+            return wrong
+    return None
+
+
+def _not_a_number(
+    row: tuple[Any, ...] | list[Any], where: str, depth: int
+) -> str | None:
+    try:
+        if not any(map(math.isnan, row)):
+            return None
+        return f"expected numbers, it gave NaN in {where or 'a row'}"
+    except TypeError:  # they are no numbers: each is looked into
+        for number, part in enumerate(row):
+            if not isinstance(part, float):
+                wrong = _not_finite(part, f"{where}[{number}]", depth - 1)
+                if wrong is not None:
+                    return wrong
+            elif math.isnan(part):
+                return f"expected a number, it gave {where}[{number}] = nan"
+        return None
+
+
+def _fields(cls: type) -> tuple[str, ...]:
+    """The fields of a structured value: attrs, a dataclass, or a named tuple."""
+    if attrs.has(cls):
+        return tuple(field.name for field in attrs.fields(cls))
+    return tuple(
+        getattr(cls, "__dataclass_fields__", ()) or getattr(cls, "_fields", ())
+    )

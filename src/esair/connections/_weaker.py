@@ -1,0 +1,130 @@
+"""Whether one command asks for less than another, seen from the safe one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import attrs
+
+_MISSING: Any = object()
+
+
+def is_weaker(result: Any, command: Any, safe: Any) -> bool:
+    """Tell whether a command may take the place of a stronger one.
+
+    Each of its numbers lies between that of the safe command and that of the stronger
+    one; everything else is as in one of the two.
+    """
+    if result is command:
+        return True
+    if _is_number(result) and _is_number(command):
+        if not math.isfinite(result):
+            return False
+        if _is_number(safe):
+            return bool(min(safe, command) <= result <= max(safe, command))
+        return bool(result == command)
+    parts = _parts(result, command)
+    if parts is None:
+        return _equal(result, command) or _equal(result, safe)
+    return all(
+        is_weaker(part, theirs, _part(safe, key))
+        for key, (part, theirs) in parts.items()
+    )
+
+
+def weaker_of(one: Any, other: Any, safe: Any) -> Any:
+    """Return a command of which each part is that of the two that is nearer to safe.
+
+    What cannot be compared is as in the first one.
+    """
+    if _is_number(one) and _is_number(other) and _is_number(safe):
+        return one if abs(one - safe) <= abs(other - safe) else other
+    parts = _parts(one, other)
+    if parts is None:
+        return other if _equal(other, safe) else one
+    changes = {
+        key: weaker_of(mine, theirs, _part(safe, key))
+        for key, (mine, theirs) in parts.items()
+    }
+    return _rebuilt(one, changes)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    try:
+        same = one == other
+        return bool(same.all()) if hasattr(same, "all") else bool(same)
+    except Exception:  # a command may be an object of any class
+        return False
+
+
+def _parts(one: Any, other: Any) -> dict[Any, tuple[Any, Any]] | None:
+    """The parts of two commands of one shape, by name or place; None if they have none."""
+    if type(one) is not type(other) or isinstance(one, str | bytes | bytearray):
+        return None
+    if isinstance(one, Mapping):
+        if one.keys() != other.keys():
+            return None
+        return {key: (one[key], other[key]) for key in one}
+    if hasattr(one, "tolist"):
+        one, other = one.tolist(), other.tolist()
+    if isinstance(one, Sequence):
+        if len(one) != len(other):
+            return None
+        return dict(enumerate(zip(one, other, strict=True)))
+    names = _fields(type(one)) or list(getattr(one, "__dict__", ()))
+    if not names:
+        return None
+    return {
+        name: (getattr(one, name, _MISSING), getattr(other, name, _MISSING))
+        for name in names
+    }
+
+
+def _fields(cls: type) -> list[str]:
+    if attrs.has(cls):
+        return [field.name for field in attrs.fields(cls)]
+    return list(getattr(cls, "__dataclass_fields__", ()))
+
+
+def _part(whole: Any, key: Any) -> Any:
+    """A part of the safe command; what it lacks equals nothing."""
+    if isinstance(key, str) and not isinstance(whole, Mapping):
+        return getattr(whole, key, _MISSING)
+    try:
+        return whole[key]
+    except (TypeError, LookupError):
+        return _MISSING
+
+
+def _rebuilt(command: Any, parts: dict[Any, Any]) -> Any:
+    """Return a command of the same kind with these parts."""
+    if isinstance(command, Mapping):
+        return {**command, **parts}
+    if hasattr(command, "tolist"):
+        changed = command.copy()
+        changed[...] = [parts[place] for place in range(len(parts))]
+        return changed
+    if isinstance(command, tuple):
+        values = [parts[place] for place in range(len(parts))]
+        named = hasattr(command, "_fields")
+        return type(command)(*values) if named else type(command)(values)
+    if isinstance(command, Sequence):
+        return [parts[place] for place in range(len(parts))]
+    if attrs.has(type(command)):
+        return attrs.evolve(command, **parts)
+    if hasattr(command, "__dataclass_fields__"):
+        import dataclasses  # only for the robots that use them
+
+        return dataclasses.replace(command, **parts)
+    import copy
+
+    changed = copy.copy(command)
+    for name, value in parts.items():
+        setattr(changed, name, value)
+    return changed

@@ -1,0 +1,155 @@
+"""Whether one component sees, as the robot's table of protection is told."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+from esair.actions import Behavior, Guards, Need, Reads, Writes
+from esair.actions import ProfiledAction as Action
+from esair.connections import UNDECIDED, Protection, Protections
+from esair.exceptions import AccessDeniedError, BadValueError
+from esair.values import check_duration
+
+_log = logging.getLogger("esair")
+
+
+class Sight:
+    """Keeps the entries of one component in the table, from its acceptance on.
+
+    Args:
+        table: The table of the robot.
+        action: What protects, if it does.
+        name: Its name.
+        step_of: The behavior that performs it as a step; "" if it stands for itself.
+    """
+
+    def __init__(
+        self, table: Protections, action: Action, name: str, *, step_of: str = ""
+    ) -> None:
+        self._table = table
+        self._action = action
+        label = f"step {name} of {step_of}" if step_of else name
+        self.name = name
+        self.entries = [
+            _entry(action, need, step_of or name, label)
+            for need in action.needs.values()
+            if action.holds_when_blind(need)
+        ]
+        self.reason = UNDECIDED
+        """Why it cannot decide; empty if it can."""
+        self._decided: asyncio.Future[None] | None = None
+
+    @property
+    def guard(self) -> Protection:
+        """The entry of a guard; it has one."""
+        return self.entries[0]
+
+    def accept(self) -> None:
+        """Enter the table: it is blind until its first decision."""
+        self._table.enter(self.entries)
+
+    def stand_by(self) -> None:
+        """Enter the table where the one whose place it will take has no entry."""
+        there = {
+            entry.actuator for entry in self._table if entry.component == self.name
+        }
+        self._table.enter(each for each in self.entries if each.actuator not in there)
+
+    def take_over(self, old: Sight) -> None:
+        """Take the place of another one, in one step."""
+        there = set(self._table)
+        self._table.enter(each for each in self.entries if each not in there)
+        self._table.leave(old.entries)
+
+    def blind(self, reason: str) -> None:
+        """It cannot decide, and why."""
+        self.reason = reason
+        self._table.blind(self.entries, reason)
+
+    def sees(self) -> None:
+        """It has decided."""
+        self.reason = ""
+        self._table.sees(self.entries)
+        if self._decided is not None and not self._decided.done():
+            self._decided.set_result(None)
+
+    def leave(self) -> None:
+        """Leave the table; nothing of it is in force any more."""
+        self._table.leave(self.entries)
+
+    def removed(self) -> None:
+        """Leave the table because the user took the component away."""
+        self.leave()
+        for entry in self.entries:
+            doing = "guards" if entry.guards else "keeps safe, when blind,"
+            _log.info(
+                "%s: removed; it no longer %s %s", self.name, doing, entry.actuator
+            )
+
+    def decided(self) -> asyncio.Future[None]:
+        """Return a future that is done when it has decided for the first time."""
+        if self._decided is None:
+            self._decided = asyncio.get_running_loop().create_future()
+            if not self.reason:
+                self._decided.set_result(None)
+        return self._decided
+
+    # What the user may do.
+
+    def mute(self, seconds: float, reason: str) -> None:
+        """Let everything pass for a while.
+
+        Raises:
+            BadValueError: It protects nothing, or that is too long.
+        """
+        self._check_protects("mute")
+        check_duration(self.name, "seconds", seconds)
+        limit = getattr(self._action, "mute_limit", 0.0)
+        if seconds > limit:
+            told = f"expected {limit:g} s at most (its mute_limit), not {seconds:g}"
+            raise BadValueError(self.name, "seconds", told)
+        if not isinstance(reason, str) or not reason.strip():
+            raise BadValueError(self.name, "reason", "say why in a few words")
+        self._table.mute(self.entries, seconds)
+        _log.warning("%s: muted for %g s by the user: %s", self.name, seconds, reason)
+
+    def reset(self) -> None:
+        """End the latch of a guard.
+
+        Raises:
+            BadValueError: It has none.
+            AccessDeniedError: What has latched it lasts.
+        """
+        self._check_protects("reset")
+        for entry in self.entries:
+            if not entry.latch:
+                told = "it has no latch: esair.guards(..., latch=True)"
+                raise BadValueError(self.name, "reset", told)
+            why = entry.why_latched_still()
+            if why:
+                raise AccessDeniedError("user", self.name, "reset", why)
+        self._table.reset(self.entries)
+        _log.warning("%s: reset by the user", self.name)
+
+    def _check_protects(self, field: str) -> None:
+        if not self.entries:
+            raise BadValueError(self.name, field, "it protects no actuator")
+
+
+def _entry(action: Action, need: Need, component: str, label: str) -> Protection:
+    assert not isinstance(need, Reads)
+    if isinstance(need, Writes):
+        own = isinstance(action, Behavior)
+        return Protection(
+            component, need.resource, need.priority, label=label, is_own=own
+        )
+    assert isinstance(need, Guards)
+    return Protection(
+        component,
+        need.resource,
+        need.priority,
+        label=label,
+        guards=True,
+        latch=need.latch,
+    )
