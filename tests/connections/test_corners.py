@@ -85,6 +85,8 @@ async def test_following_twice_feeds_once():
         def changed(self, error: object) -> None:
             return None
 
+        def doubt(self, error: object) -> None: ...
+
     async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
         channel, count = robot.sensors.channel("sonar"), Count()
         channel.follow(count)
