@@ -160,7 +160,7 @@ class Protection:
         Returns:
             The command, a weaker one, or None.
         """
-        if now < self.muted_until:
+        if now + _EARLY < self.muted_until:
             return command
         if self.latched:
             return None

@@ -1,0 +1,427 @@
+"""Guards: what they let pass is what the device is told."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import attrs
+import pytest
+from tests.protection.road import PERIOD, RATE, SPEED, Drive, ObstacleGuard, Wheels
+
+import esair
+from esair.messages import BehaviorState
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@attrs.frozen
+class Twist:
+    linear: float
+    angular: float
+
+
+def ranges(value: float = 2.0) -> FakeSensor[float]:
+    return FakeSensor("sonar", value, type=float, rate=RATE)
+
+
+def user(priority: int = 0, kind: Any = float, name: str = "user") -> Any:
+    """A behavior that does nothing but hold a port."""
+    writes = {"wheels": esair.writes(kind, priority=priority)}
+    return esair.Behavior(name=name, writes=writes)
+
+
+class Half(esair.Reaction):
+    """Lets half of it pass."""
+
+    sonar = esair.reads(float)
+    wheels = esair.guards(float)
+
+    def react(self, sonar: float, wheels: float) -> float | None:
+        return wheels / 2
+
+
+@pytest.mark.promise("PRO-8")
+async def test_a_belt_stops_when_its_door_opens() -> None:
+    """It was told 1.0 once; nobody writes again."""
+
+    class Shut(esair.Reaction):
+        door = esair.reads(bool)
+        belt = esair.guards(float)
+
+        def react(self, door: bool, belt: float) -> float | None:
+            return None if door else belt
+
+    door: FakeSensor[bool] = FakeSensor("door", type=bool)
+    belt: FakeActuator[float] = FakeActuator("belt", safe=0.0, command_timeout=60.0)
+    operator: Any = esair.Behavior(name="op", writes={"belt": esair.writes(float)})
+    async with esair.Robot(resources=[door, belt], behaviors=[Shut(), operator]):
+        door.feed(False)
+        await asyncio.sleep(0.01)
+        assert await operator.belt.write(1.0)
+        await asyncio.sleep(10.0)
+        assert belt.commands == [0.0, 1.0]
+        door.feed(True)
+        await asyncio.sleep(0.01)
+        assert belt.commands == [0.0, 1.0, 0.0]
+        door.feed(False)
+        await asyncio.sleep(10.0)
+        assert belt.commands == [0.0, 1.0, 0.0]  # never more than what is on the wire
+
+
+@pytest.mark.promise("PRO-7")
+async def test_what_a_guard_refuses_is_safe_and_the_writer_keeps_the_hold() -> None:
+    """Safe is sent once; a lower priority does not turn the wheels meanwhile."""
+    sonar, wheels, high, low = ranges(), Wheels(), user(10), user(0, name="low")
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[ObstacleGuard(), high, low]
+    ):
+        assert await high.wheels.write(0.3)
+        sonar.feed(0.2)
+        await asyncio.sleep(0.01)
+        before = len(wheels.commands)
+        for _ in range(5):
+            refused = await high.wheels.write(0.3)
+            assert type(refused) is esair.Refused
+            assert refused.holder == "obstacle_guard"
+            assert "guards wheels" in refused.rule
+            beaten = await low.wheels.write(0.1)
+            assert type(beaten) is esair.Refused
+            assert beaten.holder == "user"
+            await asyncio.sleep(PERIOD)
+        assert wheels.commands == [0.0, 0.3, 0.0]
+        assert len(wheels.commands) == before
+
+
+@pytest.mark.promise("PRO-7", "PRO-8")
+async def test_a_weaker_command_says_what_was_asked_and_by_whom() -> None:
+    """What stands is judged as it was asked: it does not shrink by itself."""
+    sonar, wheels, op = ranges(), Wheels(), user()
+    wheels.command_timeout = 5.0
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Half(), op]):
+        written = await op.wheels.write(0.8)
+        assert (written.command, written.asked, written.by) == (0.4, 0.8, "half")
+        await asyncio.sleep(2.0)
+        assert wheels.commands == [0.0, 0.4]
+
+
+@pytest.mark.promise("PRO-8")
+async def test_a_standing_command_is_made_weaker_never_stronger() -> None:
+    """By each new reading."""
+
+    class Near(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(Twist)
+
+        def react(self, sonar: float, wheels: Twist) -> Twist | None:
+            return attrs.evolve(wheels, linear=min(wheels.linear, sonar / 10))
+
+    sonar = ranges(9.0)
+    wheels: FakeActuator[Twist] = FakeActuator(
+        "wheels", safe=Twist(0.0, 0.0), command_timeout=9.0
+    )
+    op = user(kind=Twist)
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Near(), op]):
+        await op.wheels.write(Twist(0.8, 1.0))
+        for value in (5.0, 8.0, 2.0, 9.0):
+            sonar.feed(value)
+            await asyncio.sleep(0.01)
+        assert wheels.commands[1:] == [
+            Twist(0.8, 1.0),
+            Twist(0.5, 1.0),
+            Twist(0.2, 1.0),
+        ]
+        assert await op.wheels.write(Twist(0.7, 1.0))
+        assert wheels.commands[-1] == Twist(0.7, 1.0)
+
+
+@pytest.mark.promise("PRO-8")
+@pytest.mark.parametrize("plain", [False, True])
+async def test_a_command_that_waits_is_judged_when_it_is_its_turn(plain: bool) -> None:
+    """Behind a busy driver."""
+    sonar, wheels, op = ranges(), Wheels(), user()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[ObstacleGuard(), op]):
+        wheels.stall()
+        first = asyncio.ensure_future(op.wheels.write(0.1))
+        await asyncio.sleep(0.001)
+        second = asyncio.ensure_future(op.wheels.write(0.2))
+        await asyncio.sleep(0.001)
+        sonar.feed(0.1)
+        await asyncio.sleep(0.001)
+        wheels.resume()
+        await asyncio.wait({first, second})
+        await asyncio.sleep(0.5)
+        assert 0.2 not in wheels.commands
+        assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("PRO-6", "PRO-9")
+@pytest.mark.parametrize("gives", [0.9, -0.1, math.nan, "much", True])
+async def test_a_guard_gives_nothing_else_than_less(gives: Any) -> None:
+    """More, a wrong type or NaN is a crash of the guard, and nothing passes."""
+
+    class Strange(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(float)
+        restart = esair.Restart(max=0)
+
+        def react(self, sonar: float, wheels: float) -> Any:
+            return gives if wheels == 0.8 else wheels
+
+    sonar, wheels, op = ranges(), Wheels(), user()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[Strange(), op]
+    ) as robot:
+        assert await op.wheels.write(0.1)
+        refused = await op.wheels.write(0.8)
+        assert type(refused) is esair.Refused
+        await asyncio.sleep(0.01)
+        assert robot.behaviors.query("strange").state is BehaviorState.FAILED
+        assert not await op.wheels.write(0.1)
+        assert wheels.commands == [0.0, 0.1, 0.0]
+
+
+@pytest.mark.promise("PRO-6")
+async def test_guards_are_asked_by_priority_each_about_what_is_left() -> None:
+    """The one that is asked first has the higher priority."""
+    asked: list[tuple[str, float]] = []
+
+    class Cut(esair.Reaction):
+        rate = 20.0
+        part = 1.0
+
+        def react(self, wheels: float) -> float:
+            asked.append((self.name, wheels))
+            return wheels * self.part
+
+    first = Cut(name="first", guards={"wheels": esair.guards(float, priority=2)})
+    second = Cut(name="second", guards={"wheels": esair.guards(float, priority=1)})
+    first.part = second.part = 0.5
+    wheels, op = Wheels(), user(1000)
+    async with esair.Robot(resources=[wheels], behaviors=[second, first, op]):
+        written = await op.wheels.write(0.8)
+        assert asked[:2] == [("first", 0.8), ("second", 0.4)]
+        assert (written.command, written.by) == (0.2, "second")
+
+
+@pytest.mark.promise("PRO-9")
+async def test_a_blind_guard_may_let_something_pass() -> None:
+    """A creep, say; and never more than was asked."""
+
+    class Creep(ObstacleGuard):
+        def blind(self, wheels: float) -> float | None:
+            return min(wheels, 0.05)
+
+    sonar, wheels, op = ranges(), Wheels(), user()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Creep(name="g"), op]):
+        assert (await op.wheels.write(0.5)).by is None
+        sonar.unplug()
+        await asyncio.sleep(0.01)
+        assert wheels.commands[-1] == 0.05  # what stood is made weaker at once
+        written = await op.wheels.write(0.5)
+        assert (written.command, written.by) == (0.05, "g")
+
+
+@pytest.mark.promise("PRO-9")
+async def test_a_guard_that_takes_too_long_is_blind(monkeypatch: Any) -> None:
+    """Its verdict comes too late to be of use."""
+    loop: Any = asyncio.get_running_loop()
+
+    class Slow(ObstacleGuard):
+        budget = 0.01
+
+        def react(self, sonar: float, wheels: float) -> float | None:
+            if wheels > 0.3:
+                loop._now += 0.02
+            return wheels
+
+    if not hasattr(loop, "_now"):
+        pytest.skip("the virtual clock cannot be moved by hand")
+    sonar, wheels, op = ranges(), Wheels(), user()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Slow(), op]):
+        assert await op.wheels.write(0.2)
+        assert not await op.wheels.write(0.5)
+        assert 0.5 not in wheels.commands
+
+
+@pytest.mark.promise("PRO-9")
+async def test_a_latched_guard_waits_for_the_user() -> None:
+    """The reset is refused while its cause lasts."""
+
+    class Button(esair.Reaction):
+        button = esair.reads(bool)
+        wheels = esair.guards(float, latch=True)
+
+        def react(self, button: bool, wheels: float) -> float | None:
+            return None if button else wheels
+
+    button: FakeSensor[bool] = FakeSensor("button", False, type=bool, rate=20.0)
+    wheels, op = Wheels(), user()
+    async with esair.Robot(
+        resources=[button, wheels], behaviors=[Button(name="stop"), op]
+    ) as robot:
+        assert await op.wheels.write(0.5)
+        button.feed(True)
+        await asyncio.sleep(0.01)
+        assert wheels.commands[-1] == 0.0
+        with pytest.raises(esair.AccessDeniedError, match="still refuses"):
+            robot.behaviors.reset("stop")
+        button.feed(False)
+        await asyncio.sleep(0.1)
+        refused = await op.wheels.write(0.5)
+        assert not refused
+        assert "latched" in refused.rule
+        robot.behaviors.reset("stop")
+        assert await op.wheels.write(0.5)
+
+        button.unplug()  # blind while something moved
+        await asyncio.sleep(0.1)
+        button.plug()
+        await asyncio.sleep(1.0)
+        assert not await op.wheels.write(0.5)
+        robot.behaviors.reset("stop")
+        assert await op.wheels.write(0.5)
+
+
+@pytest.mark.promise("PRO-10")
+async def test_the_user_may_mute_for_a_while() -> None:
+    """At most for the limit of the class; then it guards again by itself."""
+    sonar, wheels, op = ranges(0.1), Wheels(), user(5)
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[ObstacleGuard(name="g"), op]
+    ) as robot:
+        assert not await op.wheels.write(0.1)
+        with pytest.raises(esair.BadValueError, match="mute_limit"):
+            robot.behaviors.mute("g", 31.0, "out of the corner")
+        with pytest.raises(esair.BadValueError, match="reason"):
+            robot.behaviors.mute("g", 1.0, "")
+        robot.behaviors.mute("g", 1.0, "out of the corner")
+        assert "MUTED" in str(robot.resources.why("wheels"))
+        for _ in range(10):
+            assert await op.wheels.write(0.1)
+            await asyncio.sleep(0.1)
+        await asyncio.sleep(0.001)
+        assert wheels.commands[-1] == 0.0  # what stood is judged again
+        assert not await op.wheels.write(0.1)
+
+
+@pytest.mark.promise("PRO-10")
+async def test_a_blind_hold_may_be_muted_too() -> None:
+    """And comes back when the time is over."""
+
+    class Stop(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=100)
+
+        def react(self, sonar: float) -> None:
+            return None
+
+    sonar, wheels = ranges(), Wheels()
+    sonar.unplug()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[Stop(), Drive()]
+    ) as robot:
+        await asyncio.sleep(0.2)
+        robot.behaviors.mute("stop", 1.0, "home by hand")
+        await wheels.until(SPEED)
+        await asyncio.sleep(1.05)
+        assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("PRO-10")
+async def test_the_operator_passes_blind_holds_and_no_guard() -> None:
+    """Whatever priority a reaction has."""
+
+    class Stop(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=5000)
+
+        def react(self, sonar: float) -> None:
+            return None
+
+    sonar, wheels, op = ranges(), Wheels(), user(1000)
+    sonar.unplug()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Stop(), op]) as robot:
+        assert await op.wheels.write(0.1)
+        await robot.behaviors.add(ObstacleGuard())
+        assert not await op.wheels.write(0.1)
+        assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("PRO-10")
+async def test_guarding_is_a_right() -> None:
+    """A policy may deny it; ``exclusive`` is about writers only."""
+    policy = esair.Policy("wheels", allow={"*": esair.Access.WRITE})
+    with pytest.raises(ExceptionGroup) as denied:
+        async with esair.Robot(
+            resources=[ranges(), Wheels()],
+            behaviors=[ObstacleGuard()],
+            policies=[policy],
+        ):
+            pass
+    assert "GUARD" in str(denied.value.exceptions[0])
+    allow = {"*": esair.Access.WRITE, "obstacle_guard": esair.Access.GUARD}
+    policy = esair.Policy("wheels", allow=allow, exclusive=True)
+    wheels = Wheels()
+    async with esair.Robot(
+        resources=[ranges(), wheels],
+        behaviors=[ObstacleGuard(), Drive()],
+        policies=[policy],
+    ):
+        await wheels.until(SPEED)
+
+
+@pytest.mark.promise("PRO-5")
+@pytest.mark.parametrize("more", ["a writes", "a second guards"])
+async def test_a_guard_guards_one_actuator_and_writes_none(more: str) -> None:
+    """Everything else is a mistake that stops the start."""
+    other: dict[str, Any] = (
+        {"writes": {"arm": esair.writes(float)}}
+        if more == "a writes"
+        else {"guards": {"arm": esair.guards(float)}}
+    )
+    guard = ObstacleGuard(**other)
+    arm: FakeActuator[float] = FakeActuator("arm", safe=0.0)
+    with pytest.raises(ExceptionGroup) as mistakes:
+        async with esair.Robot(resources=[ranges(), Wheels(), arm], behaviors=[guard]):
+            pass
+    assert "guards one actuator and writes none" in str(mistakes.value.exceptions)
+
+
+@pytest.mark.promise("PRO-6")
+async def test_safe_and_the_stop_pass_no_guard() -> None:
+    """Not even one that refuses everything."""
+
+    class Never(esair.Reaction):
+        rate = 10.0
+        wheels = esair.guards(float)
+        asked = 0
+
+        def react(self, wheels: float) -> float | None:
+            self.asked += 1
+            return wheels if wheels else None
+
+    wheels, op, never = Wheels(), user(), Never()
+    async with esair.Robot(resources=[wheels], behaviors=[never, op]):
+        assert await op.wheels.write(0.4)
+        await asyncio.sleep(1.0)
+        assert wheels.commands == [0.0, 0.4, 0.0]
+    assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("PRO-13")
+async def test_why_shows_who_writes_who_guards_and_what_blindness_does() -> None:
+    """For each actuator, in words."""
+    sonar, wheels = ranges(), Wheels()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[ObstacleGuard(), Drive()]
+    ) as robot:
+        await wheels.until(SPEED)
+        (row,) = robot.resources.why()
+        assert row.writers == ("drive writes with priority 0; when blind: release",)
+        assert row.guards == ("obstacle_guard guards it with priority 0",)
+        sonar.unplug()
+        await asyncio.sleep(0.01)
+        assert "is blind: sonar lost" in str(robot.resources.why("wheels"))
