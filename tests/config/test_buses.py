@@ -19,10 +19,11 @@ from esair.exceptions import ConfigError
         ('type = "can"\nchannel = "can0"\nbitrate = 500000', "CanBus"),
         ('type = "can"\nchannel = "a"\noptions = {{ app_name = "x" }}', "CanBus"),
         ('type = "i2c"\nbus = 1', "I2CBus"),
+        ('type = "spi"\nbus = 1\nmode = 3', "SpiBus"),
     ],
 )
-def test_the_three_buses_need_no_module_name(project, table, kind) -> None:
-    """serial, can, i2c, with the keys of their classes and of what is behind them."""
+def test_the_buses_of_the_media_need_no_module_name(project, table, kind) -> None:
+    """serial, can, i2c, spi, with the keys of their classes and of what is behind them."""
     described = config.load(project.write(f"[bus.x]\n{table}\n"))
 
     assert type(described.buses["x"]) is getattr(buses, kind)

@@ -38,6 +38,7 @@ MEDIA: Final[Mapping[str, Medium]] = MappingProxyType(
         "serial": Medium("esair.buses.serial", bus="SerialBus", fake="FakeSerial"),
         "can": Medium("esair.buses.can", bus="CanBus", fake="FakeCan"),
         "i2c": Medium("esair.buses.i2c", bus="I2CBus", fake="FakeI2c"),
+        "spi": Medium("esair.buses.spi", bus="SpiBus", fake="FakeSpi"),
     }
 )
 """The media by what a robot.toml calls them: ``[bus.x] type = "serial"``."""

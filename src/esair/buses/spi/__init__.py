@@ -1,0 +1,44 @@
+"""SPI buses: the bus, the device files, the far end, the fake.
+
+Only ``_kernel.py`` knows spidev, and imports it when a bus is opened.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from esair.buses._late import late
+
+if TYPE_CHECKING:
+    from esair.buses.spi._bus import SpiBus
+    from esair.buses.spi._devices import devices, toml
+    from esair.buses.spi._fake import Exchange, FakeSpi
+    from esair.buses.spi._far_end import SpiChip, SpiChips, SpiRegisters
+    from esair.buses.spi._kernel import SpiLink
+
+__all__ = [
+    "Exchange",
+    "FakeSpi",
+    "SpiBus",
+    "SpiChip",
+    "SpiChips",
+    "SpiLink",
+    "SpiRegisters",
+    "devices",
+    "toml",
+]
+
+__getattr__, __dir__ = late(
+    __name__,
+    {
+        "Exchange": "_fake",
+        "FakeSpi": "_fake",
+        "SpiBus": "_bus",
+        "SpiChip": "_far_end",
+        "SpiChips": "_far_end",
+        "SpiLink": "_kernel",
+        "SpiRegisters": "_far_end",
+        "devices": "_devices",
+        "toml": "_devices",
+    },
+)

@@ -1,0 +1,260 @@
+"""SPI buses: bytes to and from the chips on one clock."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable, Hashable
+from typing import TypeVar
+
+from esair.buses._link_bus import LinkBus
+from esair.buses._wire import Wire
+from esair.buses.spi import _kernel as kernel
+from esair.buses.spi._kernel import LIMIT, SpiLink
+from esair.exceptions import (
+    BadValueError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    describe,
+)
+
+T = TypeVar("T")
+
+_GONE = frozenset({errno.ENODEV, errno.EBADF, errno.ENOENT, errno.ESHUTDOWN})
+
+
+class SpiBus(LinkBus[SpiLink]):
+    """An SPI bus and the chips on it.
+
+    Every transfer is made on the bus's one thread; a `transaction` keeps several of
+    them together. For each byte sent one comes back at the same time, and nobody
+    acknowledges anything: a chip that is not there reads as 0x00 or 0xFF, so a driver
+    asks for something it knows before it believes the rest. Nothing is ever repeated.
+
+    In ``bus.stats`` transfers are counted: ``sent``, and ``received`` those whose answer
+    was asked for.
+
+    Args:
+        name: The name of the bus.
+        bus: The N of ``/dev/spidevN.M``, where M is a chip select.
+        speed: Bits per second, unless a transfer says otherwise.
+        mode: 0 to 3: polarity and phase of the clock, unless a transfer says otherwise.
+        timeout: How long a transfer may take unless it says otherwise, in seconds,
+            waiting included.
+        wire: What is opened instead of a bus of the kernel, such as `SpiChips`; its
+            ``open()`` returns the link.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        bus: int = 0,
+        speed: int = 1_000_000,
+        mode: int = 0,
+        timeout: float = 0.2,
+        wire: Wire | None = None,
+    ) -> None:
+        super().__init__(name=name, timeout=timeout, wire=wire)
+        if type(bus) is not int or bus < 0:
+            raise ConfigError(
+                name, "bus", f"expected the N of /dev/spidevN.M, not {bus!r:.80}"
+            )
+        if not _is_speed(speed):
+            raise ConfigError(
+                name, "speed", f"expected bits per second, not {speed!r:.80}"
+            )
+        if not _is_mode(mode):
+            raise ConfigError(name, "mode", f"expected 0 to 3, not {mode!r:.80}")
+        self.bus = bus
+        self.speed = speed
+        self.mode = mode
+        if wire is None:
+            self._presence = self._look
+        self._opened_as: Hashable | None = None
+
+    async def exchange(
+        self,
+        chip: int,
+        data: bytes,
+        *,
+        speed: int | None = None,
+        mode: int | None = None,
+        timeout: float | None = None,
+    ) -> bytes:
+        """Send bytes, and return the bytes that came at the same time.
+
+        Args:
+            chip: The number of the chip select.
+            data: 1 to 4096 bytes.
+            speed: Bits per second; the bus's if None.
+            mode: Polarity and phase of the clock; the bus's if None.
+            timeout: How long to wait, in seconds; the bus's ``timeout`` if None.
+
+        Raises:
+            BadValueError: Not a chip select, a speed or a mode, or too many bytes.
+            BusyError: Too many transfers wait.
+            DeviceFaultError: The transfer failed; its ``errno`` tells how.
+            DeviceLostError: The bus itself is gone.
+            DriverStuckError: It took too long, or the bus is stuck.
+        """
+        hertz = self.speed if speed is None else speed
+        phase = self.mode if mode is None else mode
+        self._check(chip, len(data), hertz, phase)
+
+        def make(link: SpiLink) -> bytes:
+            back = link.exchange(chip, bytes(data), hertz, phase)
+            self.stats.sent += 1
+            return back
+
+        return await self._turn(make, chip, timeout)
+
+    async def transfer(
+        self,
+        chip: int,
+        write: bytes,
+        read: int = 0,
+        *,
+        speed: int | None = None,
+        mode: int | None = None,
+        timeout: float | None = None,
+    ) -> bytes:
+        """Write bytes, then read bytes while zeros are sent, under one chip select.
+
+        Args and errors are those of `exchange`, for 4096 bytes of both together.
+
+        Returns:
+            The bytes that were read.
+        """
+        if type(read) is not int or read < 0:
+            raise BadValueError(
+                self.name, "read", f"expected a number of bytes, not {read!r:.80}"
+            )
+        back = await self.exchange(
+            chip, bytes(write) + bytes(read), speed=speed, mode=mode, timeout=timeout
+        )
+        if len(back) != len(write) + read:
+            raise self._failed(
+                DeviceFaultError(
+                    self.name,
+                    f"chip {chip} sent {len(back)} bytes instead of {len(write) + read}",
+                )
+            )
+        self.stats.received += bool(read)
+        return back[len(write) :]
+
+    async def transaction(
+        self,
+        transfer: Callable[[SpiLink], T],
+        *,
+        chip: int | None = None,
+        timeout: float | None = None,
+    ) -> T:
+        """Make several transfers with nothing of anybody else in between.
+
+        Args:
+            transfer: Gets the `SpiLink` and may block. What it returns is the result.
+                It is called on the bus's thread.
+            chip: The chip select, for error messages.
+            timeout: How long to wait, in seconds; the bus's ``timeout`` if None.
+
+        Raises:
+            BusyError: Too many transfers wait.
+            DeviceFaultError: A transfer failed.
+            DeviceLostError: The bus itself is gone.
+            DriverStuckError: It took too long, or the bus is stuck.
+        """
+
+        def make(link: SpiLink) -> T:
+            result = transfer(link)
+            self.stats.sent += 1
+            return result
+
+        return await self._turn(make, chip, timeout)
+
+    async def _turn(
+        self, make: Callable[[SpiLink], T], chip: int | None, timeout: float | None
+    ) -> T:
+        seconds = self.timeout if timeout is None else timeout
+
+        def judged(link: SpiLink) -> T:
+            try:
+                return make(link)
+            except OSError as error:
+                if isinstance(error, EsairError):
+                    raise
+                raise _Judged(self._explained(error, chip, seconds)) from error
+
+        try:
+            return await self._call(judged, timeout=seconds, address=chip)
+        except _Judged as judgement:
+            raise self._told(judgement.error) from judgement.__cause__
+
+    def _explained(
+        self, error: OSError, address: int | None, seconds: float
+    ) -> EsairError:
+        there = self._files() == self._opened_as if self.path else None
+        code = error.errno
+        if there is False or (there is None and code in _GONE):
+            return DeviceLostError(self.name, describe(error))
+        if code == errno.ETIMEDOUT:
+            return self._stuck_with(address, seconds)
+        fault = DeviceFaultError(
+            self.name, f"transfer with {_chip(address)} failed: {describe(error)}"
+        )
+        fault.errno = code
+        return fault
+
+    def _stuck_with(self, address: int | None, seconds: float) -> DriverStuckError:
+        return DriverStuckError(self.name, f"a transfer with {_chip(address)}", seconds)
+
+    def _check(self, chip: int, length: int, speed: int, mode: int) -> None:
+        if type(chip) is not int or chip < 0:
+            raise BadValueError(
+                self.name, "chip", f"expected the number of a select, not {chip!r:.80}"
+            )
+        if not 1 <= length <= LIMIT:
+            raise BadValueError(
+                self.name, "data", f"expected 1 to {LIMIT} bytes, not {length}"
+            )
+        if not _is_speed(speed):
+            raise BadValueError(
+                self.name, "speed", f"expected bits per second, not {speed!r:.80}"
+            )
+        if not _is_mode(mode):
+            raise BadValueError(self.name, "mode", f"expected 0 to 3, not {mode!r:.80}")
+
+    def _files(self) -> Hashable:
+        # A changed time may be a changed permission; device and file are the bus.
+        return tuple(each[:3] for each in kernel.presence(self.bus) or ())
+
+    def _look(self) -> Hashable | None:
+        return kernel.presence(self.bus)
+
+    def _open_link(self) -> SpiLink:
+        link = kernel.open_bus(self.name, self.bus)
+        self._opened_as = self._files()
+        self.path = f"/dev/spidev{self.bus}"
+        return link
+
+
+class _Judged(Exception):  # noqa: N818 - no error of its own: it carries one
+    """Carries what an error of the link means out of the thread."""
+
+    def __init__(self, error: EsairError) -> None:
+        super().__init__(error)
+        self.error = error
+
+
+def _chip(chip: int | None) -> str:
+    return "a chip" if chip is None else f"chip {chip}"
+
+
+def _is_speed(speed: object) -> bool:
+    return type(speed) is int and speed >= 1
+
+
+def _is_mode(mode: object) -> bool:
+    return type(mode) is int and 0 <= mode <= 3

@@ -1,0 +1,34 @@
+"""What every bus promises, kept by the SPI bus on fakes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from esair.buses.spi import FakeSpi
+from esair.testing import BusContract
+
+
+class TestFakeSpi(BusContract):
+    """On the virtual clock, in the event loop."""
+
+    def make(self) -> FakeSpi:
+        return FakeSpi(chips={0: {0x0F: 0x33}, 1: b""}, timeout=0.1)
+
+    async def use(self, bus: Any) -> None:
+        await bus.exchange(1, b"\x06\x12\x34")
+        assert await bus.transfer(1, b"\x86", read=2) == b"\x12\x34"
+        assert await bus.transfer(0, b"\x8f", read=1) == b"\x33"
+
+
+class TestUnnoticedLoss(TestFakeSpi):
+    """Nobody tells that the adapter has gone: the next transfer finds out."""
+
+    async def unplug(self, bus: Any) -> None:
+        bus.unplug(noticed=False)
+
+
+@pytest.mark.real_clock
+class TestFakeSpiOnItsThread(TestFakeSpi):
+    """On the real clock, through the bus's thread."""
