@@ -411,3 +411,54 @@ def test_a_right_declaration_has_no_mistakes() -> None:
 
     assert check_declaration(arm) == []
     assert CommandCheck(arm).checked(Speed(0.5)) == Speed(0.5)
+
+
+class Even(esair.Actuator[int]):
+    """Takes even numbers only, and keeps what it was shown and told."""
+
+    safe = 0
+    limits = (-10, 10)
+    clamp = True
+
+    def __init__(self) -> None:
+        super().__init__(name="even")
+        self.shown: list[int] = []
+        self.told: list[int] = []
+
+    def check(self, command: int) -> None:
+        self.shown.append(command)
+        if command % 2:
+            raise esair.BadValueError(self.name, "command", "expected an even number")
+
+    async def write(self, command: int) -> None:
+        self.told.append(command)
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.virtual_clock
+async def test_a_device_refuses_what_it_cannot_take_before_it_leaves() -> None:
+    """Its own check sees each command within its limits, and the safe one."""
+    even = Even()
+    policy = esair.Policy("even", allow={"me": esair.Access.WRITE})
+    async with esair.Robot(resources=[even], policies=[policy]) as robot:
+        right = await robot.resources.register("me", "even", esair.Access.WRITE)
+        await robot.actuators.write(right, 4)
+        await robot.actuators.write(right, 99)
+        with pytest.raises(
+            esair.BadValueError, match="even: command: expected an even"
+        ):
+            await robot.actuators.write(right, 3)
+
+        assert even.shown[-3:] == [4, 10, 3]
+        assert [each for each in even.told if each] == [4, 10]
+        assert robot.resources.query("even").faults == 0
+
+
+def test_a_safe_command_that_the_device_refuses_is_a_mistake() -> None:
+    """It is told before the robot starts."""
+    even = Even()
+    even.safe = 5
+
+    (mistake,) = check_declaration(even)
+
+    assert "even number" in str(mistake)

@@ -15,7 +15,7 @@ from typing import Any
 import attrs
 
 from esair.exceptions import BadValueError, describe
-from esair.resources import Actuator
+from esair.resources import HOLD, Actuator
 from esair.values import checked_class, passes_as, type_name
 
 
@@ -26,6 +26,8 @@ class CommandCheck:
         self.name = actuator.name
         self.wanted = checked_class(actuator.value_type)
         self._clamp = actuator.clamp
+        overridden = type(actuator).check is not Actuator.check
+        self._own_check = actuator.check if overridden else None
         self._limits = limits_by_field(actuator.limits)
         self._slew = limits_by_field(actuator.slew)
         self._fields = _number_fields(actuator.safe)
@@ -49,7 +51,8 @@ class CommandCheck:
                 outside the limits.
         """
         wanted: Any = self.wanted
-        if not self._limits and type(command) is wanted:
+        own_check = self._own_check
+        if own_check is None and not self._limits and type(command) is wanted:
             # Most commands end here: a number, or a structure of numbers.
             if wanted is float and math.isfinite(command):
                 return command
@@ -63,7 +66,11 @@ class CommandCheck:
             if wanted is not None and type(command) is not wanted:
                 command = self._accept(command, wanted)
             self._check_finite("", command)
-            return self._limited(command) if self._limits else command
+            if self._limits:
+                command = self._limited(command)
+            if own_check is not None and command is not HOLD:
+                own_check(command)
+            return command
         except BadValueError:
             raise
         except Exception as error:  # a command may be an object of any class
@@ -132,9 +139,14 @@ class CommandCheck:
     def _limited(self, command: Any) -> Any:
         changes: dict[str, float] = {}
         for field, (low, high) in self._limits.items():
-            value = part_of(command, field)
-            if low <= value <= high:
-                continue
+            try:
+                value = part_of(command, field)
+                if low <= value <= high:
+                    continue
+            except (AttributeError, LookupError, TypeError):
+                if self._own_check is not None:  # which knows more about it
+                    continue
+                raise
             if not self._clamp:
                 raise BadValueError(
                     self.name,

@@ -85,6 +85,17 @@ class Actuator(Resource, Generic[T]):
         """
         raise NotImplementedError
 
+    def check(self, command: T) -> None:
+        """Refuse a command that the device cannot take, beyond type and limits.
+
+        Called for each command before it may leave, the safe one included, when its
+        type is right, its numbers are finite, and those with limits are within them.
+        It must not wait, nor change anything; `esair.HOLD` is not shown to it.
+
+        Raises:
+            BadValueError: The device cannot take it; names the field.
+        """
+
     def safe_frames(self) -> SafeFrames | None:
         """Return the safe command as bytes, for the watchdog process.
 

@@ -1,0 +1,395 @@
+"""A message that a node on the bus obeys."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cantools.database.can import Signal
+
+from esair.buses import CanBus
+from esair.drivers._on_can import can_bus
+from esair.drivers.dbc._codec import (
+    NUMBERS,
+    FrameError,
+    MessageCodec,
+    Signals,
+    at_rest,
+    bounds,
+    choices_of,
+)
+from esair.drivers.dbc._file import among, find_message, find_signal, modulus_of
+from esair.exceptions import (
+    BadValueError,
+    BusyError,
+    ConfigError,
+    DriverStuckError,
+    did_you_mean,
+)
+from esair.resources import Actuator
+from esair.values import check_seconds
+
+
+class DbcActuator(Actuator[Any]):
+    """A message of a DBC file that a node on the bus obeys.
+
+    A command has exactly the signals of the message, each as a number in its unit, as
+    the name of one of its choices, or as a truth value if it has but one bit; what
+    does not fit is refused before it leaves.
+
+    A command is sent once. A node that wants its frames in a cycle gets them from a
+    behavior that writes in that cycle; or, with ``cycle``, from this driver, which
+    repeats what was written last, from the event loop and never from the kernel: a
+    command for ``command_timeout`` after its write and no longer, the safe command
+    until the device is closed. When this process hangs or dies the frames end, and the
+    node stops by its own time-out; say which that is with ``own_timeout``.
+
+    Args:
+        database: The DBC file.
+        message: The name of the message.
+        safe: The safe command: its signals, or the value of the only one.
+        signal: The name of the only signal that commands are; all of them unless given.
+        fixed: Signals that are the same in every frame, and are not in commands.
+        sequence: The name of a signal that counts the frames; it is not in commands.
+        cycle: How often the last command is repeated, in seconds; it is not if None.
+        limits: Narrower limits than those of the file.
+        slew: The fastest change, in units per second: of the only signal, or of signals
+            by name that are not multiplexed.
+    """
+
+    bus: CanBus
+
+    def __init__(
+        self,
+        *,
+        database: Path | str,
+        message: str,
+        safe: Any,
+        signal: str | None = None,
+        fixed: Mapping[str, float | str] | None = None,
+        sequence: str | None = None,
+        cycle: float | None = None,
+        limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
+        slew: float | Mapping[str, float] | None = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self.codec = codec = MessageCodec(find_message(self.name, database, message))
+        if not codec.message.is_multiplexed():  # else others may have a share of it
+            kind = "extended frame" if codec.message.is_extended_frame else "frame"
+            self.claim = f"the {kind} {codec.message.frame_id:#x}"
+        self.signal = signal
+        self.sequence = sequence
+        self.cycle = None if cycle is None else check_seconds(self.name, "cycle", cycle)
+        self._fixed = dict(fixed or {})
+        for name in self._fixed:
+            find_signal(self.name, f"fixed.{name}", codec, name)
+        self._modulus = modulus_of(self.name, codec, sequence)
+        if signal is not None:
+            find_signal(self.name, "signal", codec, signal)
+        self._count = 0
+        self._last: Signals | None = None
+        self._last_is_safe = True
+        self._written = 0.0
+        self._writing = 0
+        self._repeating: asyncio.Task[None] | None = None
+        self.safe = safe
+        self.limits = self._narrowed(limits)
+        self._limited_only = self._names_with_limits()
+        self._value_type = self._type_of_commands()
+        alone = None if signal is None else codec.signals[signal]
+        self._is_plain = (
+            alone is not None
+            and self._value_type is float
+            and self.limits is not None
+            and not (alone.choices or alone.is_multiplexer)
+        )
+        self._check_safe()
+        if slew is not None:
+            self.slew = slew
+        self._check_slew()
+
+    @property
+    def value_type(self) -> Any:
+        """A dictionary of signals, or the type of the only one."""
+        return self._value_type
+
+    def check(self, command: Any) -> None:
+        """Refuse a command with which there is no frame: it is encoded on trial.
+
+        Raises:
+            BadValueError: A signal is missing, unknown, no choice, or outside of what
+                the file allows.
+        """
+        if self._limited_only:
+            if command.keys() == self._limited_only and all(
+                type(value) in NUMBERS for value in command.values()
+            ):
+                return  # as most commands: numbers, each within the limits of the file
+        elif self._is_plain:
+            return  # one number, within the limits of the file
+        if self.signal is None:
+            self._check_signals(command)
+        else:
+            self._check_alone(command)
+        self._check_encoded(command)
+
+    async def open(self) -> None:
+        """Begin to repeat, if that is asked for."""
+        can_bus(self)
+        self._last = None
+        if self.cycle is not None:
+            self._repeating = asyncio.get_running_loop().create_task(
+                self._repeat(self.cycle), name=f"{self.name} cycle"
+            )
+
+    async def close(self) -> None:
+        """Repeat no more."""
+        task, self._repeating = self._repeating, None
+        if task is not None:
+            task.cancel()
+            await asyncio.wait({task})
+
+    async def write(self, command: Any) -> None:
+        """Send a command."""
+        values = self._values(command)
+        self._last = values
+        self._last_is_safe = command == self.safe
+        self._written = asyncio.get_running_loop().time()
+        self._writing += 1
+        try:
+            await self._send(values)
+        finally:
+            self._writing -= 1
+
+    async def _send(self, values: Signals) -> None:
+        message = self.codec.message
+        if self.sequence is not None:
+            values = {**values, self.sequence: self._count % self._modulus}
+            self._count += 1
+        try:
+            data = self.codec.encode(values)
+        except FrameError as error:
+            raise BadValueError(self.name, "command", str(error)) from error
+        await can_bus(self).send(
+            message.frame_id, data, extended=message.is_extended_frame
+        )
+
+    async def _repeat(self, cycle: float) -> None:
+        loop = asyncio.get_running_loop()
+        faults = 0
+        while True:
+            await asyncio.sleep(cycle)
+            values = self._last
+            if values is None or self._writing:
+                continue
+            if (
+                not self._last_is_safe
+                and loop.time() - self._written >= self.command_timeout
+            ):
+                continue
+            try:
+                await self._send(values)
+            except (BusyError, DriverStuckError):
+                continue  # a newer command took its place, or the next repeat will
+            except Exception as error:
+                faults += 1
+                if isinstance(error, ConnectionError) or faults >= self.fault_limit:
+                    self.report_lost(error)
+                    return
+            else:
+                faults = 0
+
+    def _values(self, command: Any) -> Signals:
+        given = command if self.signal is None else {self.signal: command}
+        values = {**given, **self._fixed}
+        if self.signal is not None:
+            for name in self._others(values):
+                values[name] = at_rest(self.codec.signals[name])
+        return values
+
+    def _others(self, values: Signals) -> list[str]:
+        """The signals that a frame with the only signal needs besides."""
+        wanted = {
+            name: values.get(name, at_rest(signal))
+            for name, signal in self.codec.signals.items()
+        }
+        return [
+            name
+            for name in self.codec.selected(wanted)
+            if name not in values and name != self.sequence
+        ]
+
+    def _check_slew(self) -> None:
+        """Refuse to limit how fast a signal changes that not all commands have."""
+        for name in self.slew if isinstance(self.slew, Mapping) else ():
+            if find_signal(self.name, "slew", self.codec, name).multiplexer_ids:
+                raise ConfigError(
+                    self.name,
+                    f"slew.{name}",
+                    "it is multiplexed: a command without it has nothing to begin from",
+                )
+
+    def _narrowed(self, given: Any) -> Any:
+        """Return the limits of the file, narrowed by those that were given."""
+        by_file = {
+            name: bounds(signal)
+            for name, signal in self.codec.signals.items()
+            if self._is_free(name)
+            and not signal.choices
+            and (not signal.multiplexer_ids or self.signal is not None)
+        }
+        if self.signal is not None:
+            free = {} if given is None else {self.signal: given}
+        elif given is None or isinstance(given, Mapping):
+            free = dict(given or {})
+        else:
+            raise ConfigError(
+                self.name, "limits", f"expected a table by signal, not {given!r:.80}"
+            )
+        for name, limit in free.items():
+            field = "limits" if self.signal is not None else f"limits.{name}"
+            signal = find_signal(self.name, field, self.codec, name)
+            try:
+                low, high = limit
+                fits = -math.inf <= low <= high <= math.inf
+            except (TypeError, ValueError):
+                fits = False
+            if not fits:
+                raise ConfigError(
+                    self.name, field, f"expected (least, greatest), not {limit!r:.80}"
+                )
+            if self.signal is None and signal.multiplexer_ids:
+                raise ConfigError(
+                    self.name, field, "it is multiplexed: it has the limits of the file"
+                )
+            allowed = bounds(signal)
+            if not (allowed[0] <= low and high <= allowed[1]):
+                raise ConfigError(
+                    self.name,
+                    field,
+                    f"the file allows {allowed[0]:g} to {allowed[1]:g}, not {limit!r}",
+                )
+            by_file[name] = (low, high)
+        if self.signal is not None:
+            return by_file.get(self.signal)
+        return by_file or None
+
+    def _names_with_limits(self) -> frozenset[str]:
+        """The signals of all commands, if numbers within the limits are all they are."""
+        free = frozenset(name for name in self.codec.signals if self._is_free(name))
+        limits = self.limits if isinstance(self.limits, Mapping) else {}
+        if self.codec.message.is_multiplexed() or not free <= limits.keys():
+            return frozenset()
+        return free
+
+    def _is_free(self, name: str) -> bool:
+        """Whether a signal is in commands."""
+        if self.signal is not None:
+            return name == self.signal
+        return name not in self._fixed and name != self.sequence
+
+    def _type_of_commands(self) -> Any:
+        if self.signal is None:
+            return dict
+        return str if isinstance(self.safe, str) else float
+
+    def _check_safe(self) -> None:
+        safe: Any = self.safe
+        kind: Any = dict if self.signal is None else float | int | str
+        try:
+            if not isinstance(safe, kind):
+                expected = "a table of signals" if self.signal is None else "a number"
+                raise BadValueError(
+                    self.name, "safe", f"expected {expected}, not {safe!r:.80}"
+                )
+            if self.signal is None:
+                self._check_signals(safe)
+                within: Any = self.limits or {}
+            else:
+                self._check(self.codec.signals[self.signal], safe)
+                within = {} if self.limits is None else {self.signal: self.limits}
+            values = self._values(safe)
+            for name, (low, high) in within.items():
+                if not low <= values[name] <= high:
+                    raise BadValueError(
+                        self.name,
+                        name,
+                        f"expected {low:g} to {high:g}, not {values[name]!r:.80}",
+                    )
+            self._check_encoded(safe)
+        except (BadValueError, FrameError) as error:
+            text = str(error).removeprefix(f"{self.name}: ").removeprefix("command: ")
+            text = text.removeprefix("safe: ")
+            raise ConfigError(self.name, "safe", text) from error
+
+    def _check_signals(self, command: Mapping[str, Any]) -> None:
+        """Refuse a command that does not have exactly the signals of a frame."""
+        for name, value in command.items():
+            if name not in self.codec.signals or not self._is_free(name):
+                free = [each for each in self.codec.signals if self._is_free(each)]
+                hint = did_you_mean(str(name), free) or among(free)
+                raise BadValueError(
+                    self.name, str(name), f"there is no such signal{hint}"
+                )
+            self._check(self.codec.signals[name], value)
+        values = {**command, **self._fixed}
+        if self.sequence is not None:
+            values[self.sequence] = 0
+        try:
+            selected = self.codec.selected(values)
+        except FrameError as error:
+            raise BadValueError(self.name, "command", str(error)) from error
+        for name in command:
+            if name not in selected:
+                raise BadValueError(
+                    self.name, name, "the multiplexer does not select this signal"
+                )
+
+    def _check_alone(self, command: Any) -> None:
+        """Refuse a value of the only signal with which there is no frame."""
+        assert self.signal is not None
+        self._check(self.codec.signals[self.signal], command)
+        try:
+            self._values(command)
+        except FrameError as error:
+            raise BadValueError(self.name, self.signal, str(error)) from error
+
+    def _check_encoded(self, command: Any) -> None:
+        """Refuse what the file forbids by other means, such as a choice out of range."""
+        values = self._values(command)
+        if self.sequence is not None:
+            values[self.sequence] = self._count % self._modulus
+        try:
+            self.codec.encode(values)
+        except FrameError as error:
+            raise BadValueError(self.name, "command", str(error)) from error
+
+    def _check(self, signal: Signal, value: Any) -> None:
+        name = signal.name
+        choices = choices_of(signal)
+        if isinstance(value, str):
+            if value not in choices.values():
+                hint = did_you_mean(value, choices.values()) or among(choices.values())
+                raise BadValueError(
+                    self.name, name, f"{value!r:.80} is no choice{hint}"
+                )
+            return
+        is_flag = isinstance(value, bool) and signal.length == 1
+        if not isinstance(value, int | float) or (type(value) is bool and not is_flag):
+            raise BadValueError(
+                self.name, name, f"expected a number, not {value!r:.80}"
+            )
+        limits = self.limits if isinstance(self.limits, Mapping) else {}
+        if name in limits or value in choices:
+            return
+        allowed = bounds(signal)
+        if not allowed[0] <= value <= allowed[1]:
+            raise BadValueError(
+                self.name,
+                name,
+                f"expected {allowed[0]:g} to {allowed[1]:g}, not {value!r:.80}",
+            )

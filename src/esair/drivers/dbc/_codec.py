@@ -1,0 +1,136 @@
+"""What the frames of a DBC message mean: bytes to signals and back, without I/O."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Mapping
+from typing import Any, Final
+
+from cantools.database.can import Message, Signal
+from cantools.database.errors import Error as CantoolsError
+
+from esair.buses.can import FD_SIZES
+from esair.exceptions import (
+    describe,
+)
+
+NUMBERS = (int, float)
+
+_LARGEST: Final = {16: 65_504.0, 32: (2 - 2**-23) * 2.0**127, 64: sys.float_info.max}
+"""The largest number of a floating-point signal, by its bits; IEEE 754."""
+
+Signals = dict[str, Any]
+"""Signals by name: numbers in the unit of each, or the names of its choices."""
+
+
+class FrameError(ValueError):
+    """A frame that is none of its message."""
+
+
+class MessageCodec:
+    """What the frames of one message mean: bytes to signals and back, without I/O.
+
+    With CAN FD a message has more bytes than it describes if no frame is that short.
+
+    Args:
+        message: The message, as cantools read it.
+        names: Whether choices are decoded to their names; else they are numbers.
+    """
+
+    def __init__(self, message: Message, *, names: bool = False) -> None:
+        self.message = message
+        self.names = names
+        fitting = [size for size in FD_SIZES if size >= message.length]
+        self.size: int = min(fitting, default=message.length)
+        self.signals: dict[str, Signal] = {
+            signal.name: signal for signal in message.signals
+        }
+
+    def decode(self, data: bytes) -> Signals:
+        """Unpack a frame.
+
+        Raises:
+            FrameError: The length is wrong, or the multiplexer selects nothing.
+        """
+        message = self.message
+        if len(data) != self.size:
+            raise FrameError(f"{message.name} has {self.size} bytes, not {len(data)}")
+        try:
+            values = message.decode_simple(
+                data[: message.length], decode_choices=self.names
+            )
+        except (CantoolsError, ValueError, KeyError) as error:
+            raise FrameError(f"{message.name}: {describe(error)}") from error
+        if self.names:  # a choice is an object of cantools
+            return {
+                name: value if isinstance(value, int | float) else str(value)
+                for name, value in values.items()
+            }
+        return dict(values)
+
+    def encode(self, values: Signals) -> bytes:
+        """Pack a frame of signals that were checked.
+
+        Raises:
+            FrameError: A signal is missing, or its value does not fit.
+        """
+        try:
+            return self.message.encode(values).ljust(self.size, b"\0")
+        except (CantoolsError, ValueError, KeyError, TypeError) as error:
+            raise FrameError(f"{self.message.name}: {describe(error)}") from error
+
+    def number(self, name: str, value: float | str) -> float:
+        """Return the number behind a value of a signal, which may be a choice's name."""
+        if isinstance(value, str):
+            return float(self.signals[name].conversion.choice_to_number(value))
+        return value
+
+    def selected(self, values: Mapping[str, Any]) -> set[str]:
+        """Return which signals a frame with these values has.
+
+        Raises:
+            FrameError: A signal is missing, or a multiplexer selects nothing.
+        """
+        try:
+            return set(self.message.gather_signals(dict(values)))
+        except (CantoolsError, ValueError, KeyError, TypeError) as error:
+            text = str(error).replace(f"{self.message.name}: ", "")
+            raise FrameError(text) from error
+
+
+def bounds(signal: Signal) -> tuple[float, float]:
+    """Return what a signal can be at least and at most, by its limits and its bits."""
+    raw: tuple[float, float]
+    if signal.is_float:
+        raw = (-_LARGEST[signal.length], _LARGEST[signal.length])
+    else:
+        bits = signal.length - 1 if signal.is_signed else signal.length
+        raw = (-(1 << bits) if signal.is_signed else 0, (1 << bits) - 1)
+    low, high = sorted(
+        _number(signal.conversion.raw_to_scaled(each, decode_choices=False))
+        for each in raw
+    )
+    if signal.minimum is not None:
+        low = max(float(signal.minimum), low)
+    if signal.maximum is not None:
+        high = min(float(signal.maximum), high)
+    return low, high
+
+
+def _number(value: Any) -> float:
+    return float(value)
+
+
+def choices_of(signal: Signal) -> dict[int, str]:
+    """Return the names of a signal's values, by number; empty if it has none."""
+    return {number: str(name) for number, name in (signal.choices or {}).items()}
+
+
+def at_rest(signal: Signal) -> float:
+    """What a signal is that nobody commands: its initial value, or the nearest to 0."""
+    if signal.initial is not None and not isinstance(signal.initial, str):
+        with contextlib.suppress(TypeError, ValueError):
+            return _number(signal.initial)
+    low, high = bounds(signal)
+    return min(max(0.0, low), high)

@@ -1,0 +1,90 @@
+"""Messages and signals of a DBC file, found by their names."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import cantools.database
+from cantools.database.can import Database, Message, Signal
+
+from esair.drivers.dbc._codec import MessageCodec
+from esair.exceptions import (
+    ConfigError,
+    describe,
+    did_you_mean,
+)
+
+
+def find_message(component: str, database: Path | str, name: str) -> Message:
+    """Return a message of a file.
+
+    Raises:
+        ConfigError: The file cannot be read, or has no such message.
+    """
+    path = Path(database)
+    try:
+        state = path.stat()
+        found = _load(path, state.st_mtime_ns, state.st_size)
+    except OSError as error:
+        raise ConfigError(
+            component, "database", f"{path} cannot be read: {error.strerror}"
+        ) from error
+    except Exception as error:  # each of cantools' readers has errors of its own
+        raise ConfigError(
+            component, "database", f"{path} cannot be understood: {describe(error)}"
+        ) from error
+    if not isinstance(found, Database):
+        raise ConfigError(component, "database", f"{path} describes no CAN messages")
+    by_name: dict[str, Message] = {each.name: each for each in found.messages}
+    if name not in by_name:
+        hint = did_you_mean(name, by_name) or among(by_name)
+        raise ConfigError(
+            component, "message", f"{path.name} has no message {name!r}{hint}"
+        )
+    if by_name[name].is_container:
+        raise ConfigError(component, "message", f"{name!r} is a container of messages")
+    return by_name[name]
+
+
+def find_signal(component: str, field: str, codec: MessageCodec, name: str) -> Signal:
+    """Return a signal of a message.
+
+    Raises:
+        ConfigError: There is no such signal.
+    """
+    if name not in codec.signals:
+        hint = did_you_mean(name, codec.signals) or among(codec.signals)
+        raise ConfigError(
+            component, field, f"{codec.message.name} has no signal {name!r}{hint}"
+        )
+    return codec.signals[name]
+
+
+def modulus_of(component: str, codec: MessageCodec, name: str | None) -> int:
+    """Return where a signal that counts frames begins anew; 1 if there is none.
+
+    Raises:
+        ConfigError: There is no such signal, or it cannot count.
+    """
+    if name is None:
+        return 1
+    signal = find_signal(component, "sequence", codec, name)
+    plain = (signal.scale, signal.offset) == (1, 0)
+    if signal.is_float or signal.is_signed or not plain:
+        raise ConfigError(
+            component, "sequence", f"{name!r} is no unsigned whole number"
+        )
+    highest = (1 << signal.length) - 1
+    return int(highest if signal.maximum is None else min(signal.maximum, highest)) + 1
+
+
+@functools.lru_cache(maxsize=16)
+def _load(path: Path, _modified: int, _size: int) -> Any:
+    return cantools.database.load_file(path)
+
+
+def among(names: Any) -> str:
+    known = sorted(names)
+    return f"; there are {', '.join(known[:12])}" if known else "; there are none"
