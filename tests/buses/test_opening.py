@@ -82,7 +82,7 @@ async def test_what_opens_too_late_is_closed(
 ) -> None:
     """Nobody waits for it any more; the next opening gets another."""
     monkeypatch.setattr("esair.buses._link_bus.OPEN_TIMEOUT", 0.05)
-    monkeypatch.setattr("esair.drivers.servo.OPEN_TIMEOUT", 0.05)
+    monkeypatch.setattr("esair.drivers.servo._bus.OPEN_TIMEOUT", 0.05)
     bus = make(slow)
 
     with pytest.raises(DeviceLostError, match=r"0\.05 s"):

@@ -1,6 +1,7 @@
 """CAN buses: the bus, its frames and errors, the interfaces, the far end, the fake.
 
-Only ``_python_can.py`` knows python-can, and imports it when an interface is opened.
+Only ``_python_can.py`` and its two nodes know python-can; it is imported when an
+interface is opened.
 """
 
 from __future__ import annotations

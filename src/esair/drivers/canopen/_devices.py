@@ -1,0 +1,380 @@
+"""Objects of a CANopen node: read, received in a PDO, or written.
+
+The objects are those of the node's EDS or DCF file, by name or by index::
+
+    [sensor.position]
+    driver = "canopen"
+    bus = "drive"
+    node = 5
+    eds = "motor.eds"
+    object = "Position actual value"        # or [0x6064, 0]
+
+    [actuator.velocity]
+    driver = "canopen"
+    bus = "drive"
+    node = 5
+    eds = "motor.eds"
+    object = "Target velocity"
+    safe = 0
+
+All devices on one node share its opening: its identity is compared with the file, its
+heartbeat is watched, and it is started. Objects go through the package canopen, which
+waits for its answers, so it has a thread of its own for each bus; the frames go through
+the `esair.buses.CanBus` like all others, each with a deadline.
+
+Source: CiA 301 (object dictionary, SDO, PDO, NMT, heartbeat); CiA 306 (EDS and DCF).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+from canopen.objectdictionary import (
+    FLOAT_TYPES,
+    INTEGER_TYPES,
+)
+from canopen.sdo.exceptions import SdoAbortedError
+
+from esair.buses import CanBus
+from esair.drivers._on_can import can_bus
+from esair.drivers.canopen._dictionary import (
+    BOOLEAN,
+    TEXT,
+    Mapped,
+    bounds,
+    find_object,
+    read_eds,
+)
+from esair.drivers.canopen._node import Node, T, nodes_of_bus
+from esair.exceptions import (
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+)
+from esair.loop import CallRefused
+from esair.resources import Actuator, Resource, Sensor
+from esair.values import check_seconds
+
+# What it logs, it raises as well; a node that is not there would fill the log.
+logging.getLogger("canopen.sdo.client").addFilter(lambda _record: False)
+
+
+class _OnNode(Resource):
+    """What the sensor and the actuator have in common: an object of a node."""
+
+    def _describe(
+        self,
+        node: int,
+        eds: Path | str,
+        object_: str | int | tuple[int, int],
+        factor: float | None,
+        heartbeat: float | None,
+        sdo_timeout: float,
+    ) -> None:
+        if type(node) is not int or not 1 <= node <= 127:
+            raise ConfigError(self.name, "node", f"expected 1 to 127, not {node!r:.80}")
+        self.node = node
+        self.dictionary = read_eds(self.name, eds, node)
+        self.variable = find_object(self.name, self.dictionary, object_)
+        if factor is not None and (
+            not factor or self.variable.data_type not in INTEGER_TYPES + FLOAT_TYPES
+        ):
+            raise ConfigError(
+                self.name, "factor", "expected a factor that is not 0, for a number"
+            )
+        self.factor = factor
+        self.heartbeat = heartbeat
+        if heartbeat is not None and not 0.001 <= heartbeat <= 65.0:
+            raise ConfigError(
+                self.name, "heartbeat", f"expected 0.001 to 65 s, not {heartbeat!r}"
+            )
+        self.sdo_timeout = check_seconds(self.name, "sdo_timeout", sdo_timeout)
+        self._link: Node | None = None
+
+    def make_ready(self, remote: Any) -> None:
+        """Tell the node what must be there before it is started, in its thread."""
+
+    async def _join(self) -> Node:
+        await self._part()
+        bus = can_bus(self)
+        nodes = nodes_of_bus.setdefault(bus, {})
+        link = nodes.get(self.node)
+        if link is None or not link.usable:
+            link = nodes[self.node] = Node(bus, self.node)
+        link.users.add(self)
+        self._link = link
+        await link.open(self)
+        return link
+
+    async def _part(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            await link.leave(self)
+
+    async def _call(
+        self,
+        function: Callable[..., T],
+        *args: Any,
+        guard: Callable[[], bool] | None = None,
+    ) -> T:
+        link = self._link
+        if link is None or link.remote is None:
+            raise DeviceLostError(self.name, f"node {self.node} is not open")
+        return await link.call(self, function, *args, guard=guard)
+
+    def _object_of(self, remote: Any) -> Any:
+        """The object as canopen reads and writes it, in its thread."""
+        return remote.sdo.get_variable(self.variable.index, self.variable.subindex)
+
+    def _to_value(self, raw: Any) -> Any:
+        if self.factor is not None:
+            return raw * self.factor
+        return bytes(raw) if isinstance(raw, bytearray) else raw
+
+    @property
+    def _type(self) -> Any:
+        kind = self.variable.data_type
+        if self.factor is not None or kind in FLOAT_TYPES:
+            return float
+        if kind in INTEGER_TYPES:
+            return int
+        if kind == BOOLEAN:
+            return bool
+        return str if kind in TEXT else bytes
+
+
+class CanopenSensor(_OnNode, Sensor[Any]):
+    """An object of a CANopen node.
+
+    It is asked by SDO at its rate; or, with ``pdo``, it comes in the PDO that the node
+    is set up to send it in.
+
+    Args:
+        node: The id of the node, 1 to 127.
+        eds: Its EDS or DCF file.
+        object: The object: its name, ``"record.member"``, its index, or its index and
+            subindex.
+        factor: What the number is multiplied with, to come to its unit; the value is
+            a float then, and else of the object's own type.
+        pdo: Whether it is received in a PDO instead of being asked for.
+        heartbeat: The heartbeat period that the node is told, in seconds; it keeps its
+            own if None. Without any, the loss of the node shows when it is asked.
+        sdo_timeout: How long the node may take to answer, in seconds.
+
+    Attributes:
+        bad_frames: How many PDOs were too short.
+    """
+
+    bus: CanBus
+    deadline = 2.0
+
+    def __init__(
+        self,
+        *,
+        node: int,
+        eds: Path | str,
+        object: str | int | tuple[int, int],  # noqa: A002 - the word of the standard
+        factor: float | None = None,
+        pdo: bool = False,
+        heartbeat: float | None = None,
+        sdo_timeout: float = 0.3,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self._describe(node, eds, object, factor, heartbeat, sdo_timeout)
+        self.pdo = pdo
+        self.bad_frames = 0
+        self._mapped: Mapped | None = None
+        if not pdo and not self.variable.readable:
+            raise ConfigError(
+                self.name, "object", f"{self.variable.qualname!r} cannot be read"
+            )
+
+    @property
+    def value_type(self) -> Any:
+        """The type of the object; float if there is a factor."""
+        return self._type
+
+    @property
+    def can_be_asked(self) -> bool:
+        """Whether it is asked by SDO."""
+        return not self.pdo
+
+    @property
+    def pushes(self) -> bool:
+        """Whether it comes in a PDO."""
+        return self.pdo
+
+    async def open(self) -> None:
+        """Open the node; find the PDO that has the object, if it is to come in one."""
+        await self._join()
+        if self.pdo:
+            self._mapped = await self._call(self._find_mapped)
+
+    async def close(self) -> None:
+        """Leave the node."""
+        await self._part()
+
+    async def read(self) -> Any:
+        """Ask the node for the object."""
+        return self._to_value(await self._call(self._get))
+
+    def _get(self) -> Any:
+        assert self._link is not None
+        return self._object_of(self._link.remote).raw
+
+    async def stream(self) -> AsyncIterator[Any]:
+        """Yield the object from each PDO."""
+        mapped = self._mapped
+        assert mapped is not None  # as it is open
+        inbox = can_bus(self).frames(mapped.id, limit=64)
+        with contextlib.closing(inbox):
+            async for frame in inbox:
+                if len(frame.data) < mapped.size:
+                    self.bad_frames += 1
+                    continue
+                yield self._to_value(mapped.decode(frame.data))
+
+    def _find_mapped(self) -> Mapped:
+        """Find a PDO of the node with the object, in the thread."""
+        assert self._link is not None
+        for pdo in self._link.remote.tpdo.values():
+            try:
+                pdo.read()
+            except SdoAbortedError:
+                continue  # the file describes more of them than the node has
+            if not pdo.enabled:
+                continue
+            for mapped in pdo.map:
+                if (mapped.index, mapped.subindex) == (
+                    self.variable.index,
+                    self.variable.subindex,
+                ):
+                    bits = sum(each.length for each in pdo.map)
+                    return Mapped(
+                        self.variable,
+                        pdo.cob_id,
+                        (bits + 7) // 8,
+                        mapped.offset,
+                        mapped.length,
+                    )
+        raise DeviceFaultError(
+            self.name, f"the node sends no PDO with {self.variable.qualname!r}"
+        )
+
+
+class CanopenActuator(_OnNode, Actuator[Any]):
+    """An object of a CANopen node that is written by SDO.
+
+    Its limits are those of the file, or else what its type can hold. A write that
+    still waits when a newer one comes is not sent.
+
+    Args:
+        node: The id of the node, 1 to 127.
+        eds: Its EDS or DCF file.
+        object: The object: its name, ``"record.member"``, its index, or its index and
+            subindex.
+        safe: The safe command.
+        factor: What the number on the wire is multiplied with, to come to its unit.
+        heartbeat: The heartbeat period that the node is told, in seconds; it keeps its
+            own if None.
+        sdo_timeout: How long the node may take to answer, in seconds.
+        limits: Narrower limits than those of the file.
+    """
+
+    bus: CanBus
+    deadline = 2.0
+
+    def __init__(
+        self,
+        *,
+        node: int,
+        eds: Path | str,
+        object: str | int | tuple[int, int],  # noqa: A002 - the word of the standard
+        safe: Any,
+        factor: float | None = None,
+        heartbeat: float | None = None,
+        sdo_timeout: float = 0.3,
+        limits: tuple[float, float] | None = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self._describe(node, eds, object, factor, heartbeat, sdo_timeout)
+        if not self.variable.writable:
+            raise ConfigError(
+                self.name, "object", f"{self.variable.qualname!r} cannot be written"
+            )
+        kind = self._type
+        if kind is float and type(safe) is int:
+            safe = float(safe)
+        if type(safe) is not kind:
+            raise ConfigError(
+                self.name, "safe", f"expected {kind.__name__}, not {safe!r:.80}"
+            )
+        self.safe = safe
+        allowed = self._narrowed(limits)
+        if allowed is not None and not allowed[0] <= safe <= allowed[1]:
+            raise ConfigError(
+                self.name,
+                "safe",
+                f"expected {allowed[0]:g} to {allowed[1]:g}, not {safe!r:.80}",
+            )
+        self.limits = allowed
+        self.claim = f"{self.variable.qualname} of node {node}"
+        self._newest = 0
+
+    @property
+    def value_type(self) -> Any:
+        """The type of the object; float if there is a factor."""
+        return self._type
+
+    async def open(self) -> None:
+        """Open the node."""
+        await self._join()
+
+    async def close(self) -> None:
+        """Leave the node."""
+        await self._part()
+
+    async def write(self, command: Any) -> None:
+        """Write the object."""
+        self._newest += 1
+        mine = self._newest
+        try:
+            await self._call(self._put, command, guard=lambda: mine == self._newest)
+        except CallRefused:
+            raise BusyError(self.name, "number of waiting writes", 1) from None
+
+    def make_ready(self, remote: Any) -> None:
+        """Put the safe command there."""
+        self._object_of(remote).raw = self._to_raw(self.safe)
+
+    def _put(self, command: Any) -> None:
+        assert self._link is not None
+        self._object_of(self._link.remote).raw = self._to_raw(command)
+
+    def _to_raw(self, command: Any) -> Any:
+        raw = command if self.factor is None else command / self.factor
+        return round(raw) if self.variable.data_type in INTEGER_TYPES else raw
+
+    def _narrowed(self, given: tuple[float, float] | None) -> Any:
+        allowed = bounds(self.variable)
+        if allowed is not None and self.factor is not None:
+            low, high = sorted(end * self.factor for end in allowed)
+            allowed = (low, high)
+        if given is None:
+            return allowed
+        if allowed is not None and not (
+            allowed[0] <= given[0] <= given[1] <= allowed[1]
+        ):
+            raise ConfigError(
+                self.name,
+                "limits",
+                f"the file allows {allowed[0]:g} to {allowed[1]:g}, not {given!r:.80}",
+            )
+        return given

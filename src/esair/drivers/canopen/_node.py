@@ -1,0 +1,266 @@
+"""The life of a node: met, started, watched by its heartbeat, left."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import weakref
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
+
+import canopen
+from canopen.nmt import NmtError
+from canopen.objectdictionary import (
+    ObjectDictionary,
+)
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from esair.buses import CanBus
+from esair.exceptions import (
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
+from esair.loop import Executor
+
+T = TypeVar("T")
+
+SEND_TIMEOUT = 0.2
+"""How long one frame may wait for room on the bus, in seconds."""
+
+LOOP_TIMEOUT = 1.0
+"""How much longer the thread waits for the event loop to answer, in seconds."""
+
+HEARTBEATS_MISSED = 2.5
+"""After how many heartbeat periods of silence a node is lost."""
+
+DEVICE_TYPE = 0x1000
+
+HEARTBEAT_TIME = 0x1017
+
+IDENTITY = 0x1018
+
+_BOOT_UP = 0
+
+
+class CanopenNetwork(canopen.Network):
+    """The network of the package canopen, on a `CanBus` of esair.
+
+    Its own methods are for one thread, `executor`, which may wait; what comes in is told
+    by the event loop.
+
+    Args:
+        bus: The bus, which is open.
+    """
+
+    def __init__(self, bus: CanBus) -> None:
+        super().__init__()
+        self.executor = Executor(f"{bus.name}_canopen")
+        self._can = weakref.ref(bus)
+        self._loop = asyncio.get_running_loop()
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
+        """Send a frame from the executor.
+
+        Raises:
+            DeviceLostError: The bus is gone.
+            DriverStuckError: There was no room in time.
+        """
+        bus = self._can()
+        if remote or bus is None:
+            raise DeviceFaultError("canopen", "remote frames are not sent")
+        sending = asyncio.run_coroutine_threadsafe(
+            bus.send(
+                can_id, bytes(data), extended=can_id > 0x7FF, timeout=SEND_TIMEOUT
+            ),
+            self._loop,
+        )
+        try:
+            sending.result(SEND_TIMEOUT + LOOP_TIMEOUT)
+        except TimeoutError as error:
+            sending.cancel()
+            if isinstance(error, DriverStuckError):
+                raise
+            raise DriverStuckError(
+                bus.name, "send", SEND_TIMEOUT + LOOP_TIMEOUT
+            ) from None
+
+    def send_periodic(self, *_: Any, **__: Any) -> Any:
+        """Refuse: what repeats by itself would go on when the robot hangs."""
+        raise DeviceFaultError("canopen", "nothing is sent periodically")
+
+
+class NodeUser(Protocol):
+    """A device on a node, as the node sees it."""
+
+    deadline: float
+    dictionary: ObjectDictionary
+    heartbeat: float | None
+    sdo_timeout: float
+
+    @property
+    def name(self) -> str:
+        """The name of the device."""
+
+    def make_ready(self, remote: Any) -> None:
+        """Tell the node what must be there before it is started, in its thread."""
+
+    def report_lost(self, error: BaseException | None = None) -> None:
+        """Be told that the node is gone."""
+
+
+class Node:
+    """One node on a bus, open while at least one device uses it."""
+
+    def __init__(self, bus: CanBus, number: int) -> None:
+        self.bus = bus
+        self.number = number
+        self.users: set[NodeUser] = set()
+        self.usable = True
+        """Whether devices may still join it; a new one is made otherwise."""
+        self.opening = asyncio.Lock()
+        self._is_open = False
+        self.remote: Any = None
+        self.network: CanopenNetwork | None = None
+        self._pump: asyncio.Task[None] | None = None
+        self._watch: asyncio.TimerHandle | None = None
+        self._patience = 0.0
+
+    async def open(self, device: NodeUser) -> None:
+        """Find the node, compare its identity, start it and watch its heartbeat.
+
+        Who moves it puts its safe command there before it is started.
+        """
+        async with self.opening:
+            if self._is_open:
+                return
+            if not self.usable:
+                raise DeviceLostError(device.name, f"node {self.number} is not there")
+            self.network = CanopenNetwork(self.bus)
+            self.remote = canopen.RemoteNode(self.number, device.dictionary)
+            self.network.add_node(self.remote)
+            # Emergencies are left alone: the package keeps all of them for ever.
+            inbox = self.bus.frames(0x580 + self.number, 0x700 + self.number, limit=64)
+            self._pump = asyncio.get_running_loop().create_task(
+                self._take(inbox), name=f"{self.bus.name} node {self.number}"
+            )
+            try:
+                period = await self.call(
+                    device, self._begin, device.dictionary, device.heartbeat
+                )
+                await self.call(device, self._start, tuple(self.users))
+            except BaseException:
+                self.usable = False
+                raise
+            self.remote.nmt.add_heartbeat_callback(self._beat)
+            self._patience = HEARTBEATS_MISSED * period
+            self._is_open = True
+            self._arm_watch()
+
+    async def leave(self, device: NodeUser) -> None:
+        """Forget a device; the last one ends the thread and all listening."""
+        self.users.discard(device)
+        if self.users:
+            return
+        self.usable = False
+        nodes = nodes_of_bus.get(self.bus, {})
+        if nodes.get(self.number) is self:
+            del nodes[self.number]
+        if self._watch is not None:
+            self._watch.cancel()
+        if self._pump is not None:
+            self._pump.cancel()
+            await asyncio.wait({self._pump})
+        if self.network is not None:
+            if self.remote is not None:
+                self.remote.remove_network()
+            await self.network.executor.join(timeout=1.0)
+
+    async def call(
+        self,
+        device: NodeUser,
+        function: Callable[..., T],
+        *args: Any,
+        guard: Callable[[], bool] | None = None,
+    ) -> T:
+        """Call a function that waits for the node, in the thread of its network."""
+        assert self.network is not None
+        self.remote.sdo.RESPONSE_TIMEOUT = device.sdo_timeout
+        try:
+            return await self.network.executor.call(
+                function, *args, timeout=device.deadline, guard=guard
+            )
+        except SdoAbortedError as error:
+            raise DeviceFaultError(device.name, f"SDO abort: {error}") from error
+        except (SdoCommunicationError, NmtError) as error:
+            detail = f"node {self.number} does not answer: {error}"
+            raise DeviceLostError(device.name, detail) from error
+
+    def _begin(self, dictionary: ObjectDictionary, heartbeat: float | None) -> float:
+        """Meet the node, in the thread; returns its heartbeat period in seconds."""
+        sdo = self.remote.sdo
+        sdo.upload(DEVICE_TYPE, 0)
+        told = dictionary.device_information
+        for subindex, what, wanted in (
+            (1, "vendor", told.vendor_number),
+            (2, "product", told.product_number),
+        ):
+            if wanted:
+                found = int.from_bytes(sdo.upload(IDENTITY, subindex), "little")
+                if found != wanted:
+                    raise DeviceFaultError(
+                        f"node {self.number}",
+                        f"its {what} is {found:#x} instead of {wanted:#x}: "
+                        "another device, or another EDS file",
+                    )
+        if heartbeat is not None:
+            milliseconds = round(heartbeat * 1000)
+            sdo.download(HEARTBEAT_TIME, 0, milliseconds.to_bytes(2, "little"))
+        try:
+            period = int.from_bytes(sdo.upload(HEARTBEAT_TIME, 0), "little") / 1000
+        except SdoAbortedError:
+            period = 0.0  # a node without a heartbeat: its loss shows when it is asked
+        return period
+
+    def _start(self, users: tuple[NodeUser, ...]) -> None:
+        """Have it obey what it was told: that is what is safe; in the thread."""
+        for user in users:
+            with contextlib.suppress(SdoAbortedError):  # it may take it once it runs
+                user.make_ready(self.remote)
+        self.remote.nmt.state = "OPERATIONAL"
+
+    async def _take(self, inbox: Any) -> None:
+        assert self.network is not None
+        with contextlib.closing(inbox), contextlib.suppress(ConnectionError):
+            async for frame in inbox:
+                # Frames with wrong lengths must not end the listening.
+                with contextlib.suppress(Exception):
+                    if not frame.extended:
+                        self.network.notify(frame.id, bytearray(frame.data), frame.time)
+
+    def _beat(self, state: int) -> None:
+        if state == _BOOT_UP:
+            self._lost("it has started anew")
+        else:
+            self._arm_watch()
+
+    def _arm_watch(self) -> None:
+        if self._watch is not None:
+            self._watch.cancel()
+            self._watch = None
+        if self._patience > 0.0 and self.usable:
+            self._watch = asyncio.get_running_loop().call_later(
+                self._patience, self._lost, f"no heartbeat for {self._patience:g} s"
+            )
+
+    def _lost(self, why: str) -> None:
+        self.usable = False
+        for device in tuple(self.users):
+            device.report_lost(
+                DeviceLostError(device.name, f"node {self.number}: {why}")
+            )
+
+
+nodes_of_bus: weakref.WeakKeyDictionary[CanBus, dict[int, Node]] = (
+    weakref.WeakKeyDictionary()
+)

@@ -1,0 +1,324 @@
+"""An axis of an ODrive motor controller, over CAN.
+
+The axis is set up with the maker's tools: calibrated, with its node id, its limits, and
+the rates at which it tells its heartbeat and its encoder estimates. Set its watchdog
+too (``axis.config.watchdog_timeout`` and ``enable_watchdog``) and say so with
+``own_timeout``: nothing else stops the motor when this computer dies.
+
+Source: ODrive documentation, "CAN Protocol" (CANSimple), firmware 0.6; the names of the
+messages and of the error bits are those of that page. The controller counts in turns;
+everything here is in rad.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from typing import Any, Literal
+
+import attrs
+
+from esair.buses import CanBus, Inbox
+from esair.buses import Frame as CanFrame
+from esair.drivers._on_can import can_bus
+from esair.drivers.odrive._codec import (
+    AxisState,
+    ControlMode,
+    FrameError,
+    Heartbeat,
+    Message,
+    decode_estimates,
+    decode_heartbeat,
+    encode_input,
+    encode_mode,
+    encode_state,
+    frame_id,
+)
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.resources import Actuator, Sensor
+from esair.values import check_seconds
+
+ARM_TIMEOUT = 0.5
+"""How long an axis may take to enter closed loop control, in seconds."""
+
+
+@attrs.frozen
+class AxisReading:
+    """What an axis measures, and how it is.
+
+    Attributes:
+        position: In rad.
+        velocity: In rad/s.
+        state: What the axis does.
+        errors: The names of its errors.
+    """
+
+    position: float
+    velocity: float
+    state: AxisState
+    errors: tuple[str, ...]
+
+
+class OdriveState(Sensor[AxisReading]):
+    """What an axis measures, each time that it tells, and how it is.
+
+    An error of the axis is no fault of this sensor: it is in the reading. Without a
+    heartbeat for ``heartbeat_timeout`` the axis is lost.
+
+    Args:
+        node: The node id of the axis.
+        heartbeat_timeout: In seconds.
+
+    Attributes:
+        bad_frames: How many frames were too short.
+    """
+
+    bus: CanBus
+    deadline = 2.0
+
+    def __init__(
+        self, *, node: int, heartbeat_timeout: float = 0.5, **settings: Any
+    ) -> None:
+        super().__init__(**settings)
+        self.node = _node(self.name, node)
+        self.heartbeat_timeout = check_seconds(
+            self.name, "heartbeat_timeout", heartbeat_timeout
+        )
+        self.bad_frames = 0
+
+    async def open(self) -> None:
+        """Make sure that the axis is there."""
+        with contextlib.closing(_heartbeats(self, self.node)) as inbox:
+            await _next(self, inbox)
+
+    async def stream(self) -> AsyncIterator[AxisReading]:
+        """Yield each estimate of the encoder."""
+        heartbeat_id = frame_id(self.node, Message.HEARTBEAT)
+        loop = asyncio.get_running_loop()
+        due = loop.time() + self.heartbeat_timeout
+        heartbeat: Heartbeat | None = None
+        inbox = can_bus(self).frames(
+            heartbeat_id, frame_id(self.node, Message.GET_ENCODER_ESTIMATES), limit=64
+        )
+        with contextlib.closing(inbox):
+            while True:
+                try:
+                    frame = await inbox.take(timeout=max(0.0, due - loop.time()))
+                except TimeoutError:
+                    raise _silent(self, self.node, self.heartbeat_timeout) from None
+                except StopAsyncIteration:
+                    return
+                try:
+                    if frame.id == heartbeat_id:
+                        heartbeat = decode_heartbeat(frame.data)
+                        due = loop.time() + self.heartbeat_timeout
+                        continue
+                    position, velocity = decode_estimates(frame.data)
+                except FrameError:
+                    self.bad_frames += 1
+                    continue
+                if loop.time() >= due:  # it measures, but its heart stands still
+                    raise _silent(self, self.node, self.heartbeat_timeout)
+                if heartbeat is not None:
+                    yield AxisReading(
+                        position, velocity, heartbeat.state, heartbeat.error_names
+                    )
+
+
+class OdriveAxis(Actuator[float]):
+    """An axis that is told a velocity in rad/s, a position in rad or a torque in Nm.
+
+    It is armed, which is to say it enters closed loop control, only by a command that
+    is not the safe one. The safe command never arms it: an axis that is armed gets it
+    as its input, one that is not stays as it is.
+
+    At each opening the axis must show a heartbeat, and errors that it shows are cleared;
+    those that remain are a fault. While it is open an error, a disarming that nobody
+    asked for, or an arming that does not come about is a fault with the names of the
+    errors at once; no heartbeat for ``heartbeat_timeout`` means that it is lost. After
+    either it is opened again, and not armed until a fresh command.
+
+    Args:
+        node: The node id of the axis.
+        control: What commands are: ``"velocity"``, ``"position"`` or ``"torque"``.
+        safe: The safe command; 0 for a velocity or torque. For a position there is no
+            default, because the axis moves there.
+        idle: Whether the safe command also takes the power from the motor, so that it
+            turns freely. An axis that holds a position cannot be let go like that.
+        heartbeat_timeout: In seconds.
+    """
+
+    bus: CanBus
+    deadline = 2.0
+
+    def __init__(
+        self,
+        *,
+        node: int,
+        control: Literal["velocity", "position", "torque"] = "velocity",
+        safe: float | None = None,
+        idle: bool = False,
+        heartbeat_timeout: float = 0.5,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self.node = _node(self.name, node)
+        if str(control).upper() not in ControlMode.__members__:
+            raise ConfigError(
+                self.name,
+                "control",
+                f"expected 'velocity', 'position' or 'torque', not {control!r:.80}",
+            )
+        self.control = ControlMode[control.upper()]
+        self.claim = f"node {self.node}"
+        if safe is None:
+            if self.control is ControlMode.POSITION:
+                raise ConfigError(
+                    self.name,
+                    "safe",
+                    "expected the position in rad that is safe to move to",
+                )
+            safe = 0.0
+        if idle and self.control is ControlMode.POSITION:
+            raise ConfigError(
+                self.name,
+                "idle",
+                "expected false: an axis without power does not hold its safe position",
+            )
+        self.safe = safe
+        self.idle = idle
+        self.heartbeat_timeout = check_seconds(
+            self.name, "heartbeat_timeout", heartbeat_timeout
+        )
+        self._armed_at: float | None = None
+        """When it was told to enter closed loop control; None if it was not."""
+        self._confirmed = False
+        self._watching: asyncio.Task[None] | None = None
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the axis was told to enter closed loop control."""
+        return self._armed_at is not None
+
+    async def open(self) -> None:
+        """Make sure that it is there and without errors; it is not armed by that."""
+        inbox = _heartbeats(self, self.node)
+        try:
+            heartbeat = await _next(self, inbox)
+            if heartbeat.errors:
+                await self._send(Message.CLEAR_ERRORS, b"\0")
+                heartbeat = await self._cleared(inbox, heartbeat)
+            await self._send(Message.SET_CONTROLLER_MODE, encode_mode(self.control))
+        except BaseException:
+            inbox.close()
+            raise
+        # One that was left armed is: its safe command is the next thing that it gets.
+        was_armed = heartbeat.state is AxisState.CLOSED_LOOP_CONTROL
+        loop = asyncio.get_running_loop()
+        self._armed_at = loop.time() if was_armed else None
+        self._confirmed = was_armed
+        self._watching = loop.create_task(
+            self._watch(inbox), name=f"{self.name} heartbeat"
+        )
+
+    async def close(self) -> None:
+        """Watch it no more."""
+        task, self._watching = self._watching, None
+        if task is not None:
+            task.cancel()
+            await asyncio.wait({task})
+
+    async def write(self, command: float) -> None:
+        """Tell the axis its input, and arm it if that is no safe command."""
+        message, data = encode_input(self.control, command)
+        if command == self.safe:
+            await self._send(message, data)
+            if self.idle:
+                self._armed_at = None
+                await self._send(Message.SET_AXIS_STATE, encode_state(AxisState.IDLE))
+            return
+        if self._armed_at is None:
+            await self._send(
+                Message.SET_AXIS_STATE, encode_state(AxisState.CLOSED_LOOP_CONTROL)
+            )
+            self._armed_at = asyncio.get_running_loop().time()
+            self._confirmed = False
+        await self._send(message, data)
+
+    async def _send(self, message: Message, data: bytes) -> None:
+        await can_bus(self).send(frame_id(self.node, message), data)
+
+    async def _cleared(self, inbox: Inbox[CanFrame], heartbeat: Heartbeat) -> Heartbeat:
+        """Wait for a heartbeat without errors, which may be the second one."""
+        for _ in range(3):
+            heartbeat = await _next(self, inbox)
+            if not heartbeat.errors:
+                return heartbeat
+        raise DeviceFaultError(
+            self.name, f"errors remain: {', '.join(heartbeat.error_names)}"
+        )
+
+    async def _watch(self, inbox: Inbox[CanFrame]) -> None:
+        try:
+            while (problem := self._problem(await _next(self, inbox))) is None:
+                pass
+        except (OSError, StopAsyncIteration) as error:
+            self.report_lost(error if isinstance(error, OSError) else None)
+        else:
+            self.report_lost(DeviceFaultError(self.name, problem))
+        finally:
+            self._armed_at = None
+            inbox.close()
+
+    def _problem(self, heartbeat: Heartbeat) -> str | None:
+        if heartbeat.errors:
+            return ", ".join(heartbeat.error_names)
+        if self._armed_at is None:
+            return None
+        if heartbeat.state is AxisState.CLOSED_LOOP_CONTROL:
+            self._confirmed = True
+            return None
+        if self._confirmed:
+            return f"it has left closed loop control for {heartbeat.state.name}"
+        if asyncio.get_running_loop().time() - self._armed_at > ARM_TIMEOUT:
+            return (
+                f"it was not armed in {ARM_TIMEOUT:g} s: it is {heartbeat.state.name}"
+            )
+        return None
+
+
+def _node(component: str, node: int) -> int:
+    if type(node) is not int or not 0 <= node <= 0x3E:
+        raise ConfigError(component, "node", f"expected 0 to 62, not {node!r:.80}")
+    return node
+
+
+def _heartbeats(device: OdriveAxis | OdriveState, node: int) -> Inbox[CanFrame]:
+    return can_bus(device).frames(frame_id(node, Message.HEARTBEAT), limit=4)
+
+
+async def _next(device: OdriveAxis | OdriveState, inbox: Inbox[CanFrame]) -> Heartbeat:
+    """Wait for the next heartbeat.
+
+    Raises:
+        DeviceLostError: None came in time.
+    """
+    loop = asyncio.get_running_loop()
+    due = loop.time() + device.heartbeat_timeout
+    while True:
+        try:
+            frame = await inbox.take(timeout=max(0.0, due - loop.time()))
+            return decode_heartbeat(frame.data)
+        except FrameError:
+            continue
+        except TimeoutError:
+            raise _silent(device, device.node, device.heartbeat_timeout) from None
+
+
+def _silent(
+    device: OdriveAxis | OdriveState, node: int, seconds: float
+) -> DeviceLostError:
+    return DeviceLostError(
+        device.name, f"no heartbeat of node {node} for {seconds:g} s"
+    )

@@ -1,0 +1,189 @@
+"""Dynamixel servos of the X series, on their own half-duplex serial line.
+
+Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, and the control table of the
+XL430-W250 (the same for all of the X series as far as it is used here). The packets are
+made and checked by the maker's ``dynamixel-sdk``, whose calls block: they run on the
+bus's thread, one after the other, each with a deadline.
+
+The bus is one of its own kind, because master and servos take turns on one wire::
+
+    [bus.arm]
+    type = "esair.drivers.servo:ServoBus"
+    port = "usb:0403:6014"
+    baudrate = 57600
+
+    [actuator.elbow]
+    driver = "servo"
+    bus = "arm"
+    id = 3
+    safe = { mode = "release" }
+
+A servo goes on to the goal that it has when this computer dies, and holds it.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from typing import Any, Final
+
+import attrs
+
+from esair.drivers.servo._bus import ServoBus
+from esair.exceptions import (
+    ConfigError,
+)
+from esair.resources import Actuator, Sensor, setting
+
+TORQUE_ENABLE = 64
+
+PROFILE_VELOCITY = 112
+
+GOAL_POSITION = 116
+
+PRESENT_POSITION = 132
+
+STEPS: Final = 4096
+"""How many steps a turn has."""
+
+CENTER: Final = 2048
+"""The step in the middle, which is angle 0."""
+
+VELOCITY_UNIT: Final = 0.229 * math.tau / 60
+"""The unit of ``PROFILE_VELOCITY`` in rad/s."""
+
+
+def to_steps(angle: float) -> int:
+    """Return an angle in rad, counter-clockwise from the middle, in steps."""
+    return round(angle * STEPS / math.tau) + CENTER
+
+
+def to_angle(steps: int) -> float:
+    """Return a position in steps, as 32 bits of a control table, as angle in rad."""
+    signed = steps - (1 << 32) if steps & 0x8000_0000 else steps
+    return (signed - CENTER) * math.tau / STEPS
+
+
+class Mode(enum.Enum):
+    """What a servo shall do."""
+
+    MOVE = "move"
+    HOLD = "hold"
+    RELEASE = "release"
+
+
+@attrs.frozen
+class Goal:
+    """What a servo is told.
+
+    Attributes:
+        angle: Where to go in rad, counter-clockwise from the middle; without meaning
+            unless it moves.
+        mode: Move there and hold it; hold where it is; or release, with no torque.
+    """
+
+    angle: float = 0.0
+    mode: Mode = Mode.MOVE
+
+
+def _check_id(name: str, servo: object) -> int:
+    if type(servo) is not int or not 0 <= servo <= 252:
+        raise ConfigError(name, "id", f"expected 0 to 252, not {servo!r:.80}")
+    return servo
+
+
+def _servo_bus(name: str, bus: object) -> ServoBus:
+    if not isinstance(bus, ServoBus):
+        raise ConfigError(name, "bus", f"expected a ServoBus, not {bus!r}")
+    return bus
+
+
+class ServoPosition(Sensor[float]):
+    """Where a servo is, in rad, counter-clockwise from its middle.
+
+    Args:
+        id: The servo's id, 0 to 252; they come with 1.
+    """
+
+    bus: ServoBus
+    rate = setting(50.0, unit="Hz", min=0.1, max=500.0, doc="how often it is asked")
+
+    def __init__(self, *, id: int = 1, **keywords: Any) -> None:  # noqa: A002 - the maker's word
+        super().__init__(**keywords)
+        _servo_bus(self.name, self.bus)
+        self.id = _check_id(self.name, id)
+
+    async def open(self) -> None:
+        """Make sure that the servo answers."""
+        await self.bus.ping(self.id)
+
+    async def read(self) -> float:
+        """Ask where it is."""
+        return to_angle(await self.bus.read(self.id, PRESENT_POSITION, 4))
+
+
+class Servo(Actuator[Goal]):
+    """A servo that goes to an angle and holds it.
+
+    Args:
+        id: The servo's id, 0 to 252; they come with 1.
+        safe: What makes it safe: ``Goal(mode=Mode.RELEASE)`` takes the torque away (an
+            arm sinks), ``Goal(mode=Mode.HOLD)`` holds it where it is (a hand stays
+            squeezed). That is a question of the robot, so there is no default.
+        limits: Least and greatest angle, in rad; the whole turn, which ends one step
+            before π, unless given.
+    """
+
+    bus: ServoBus
+    speed = setting(
+        0.0, unit="rad/s", min=0.0, max=30.0, doc="how fast it moves; 0 for no limit"
+    )
+
+    def __init__(
+        self,
+        *,
+        safe: Goal,
+        id: int = 1,  # noqa: A002 - the maker's word
+        limits: tuple[float, float] = (to_angle(0), to_angle(STEPS - 1)),
+        **keywords: Any,
+    ) -> None:
+        super().__init__(**keywords)
+        _servo_bus(self.name, self.bus)
+        self.id = _check_id(self.name, id)
+        self.claim = f"servo {self.id}"
+        self.safe = safe
+        self.limits = {"angle": tuple(limits)}  # type: ignore[dict-item]
+        self._torque = False
+
+    async def open(self) -> None:
+        """Make sure that the servo answers; nothing moves by that."""
+        self._torque = False
+        await self.bus.ping(self.id)
+
+    async def apply(self, *, speed: float | None = None, **_: object) -> None:
+        """Set how fast it moves."""
+        value = self.speed if speed is None else speed
+        units = max(1, round(value / VELOCITY_UNIT)) if value else 0
+        await self.bus.write(self.id, PROFILE_VELOCITY, 4, units)
+
+    async def write(self, command: Goal) -> None:
+        """Send the goal; the servo rounds it to a step, which is 0.0015 rad.
+
+        Raises:
+            DeviceFaultError: It does not answer, or has shut down.
+        """
+        if command.mode is Mode.RELEASE:
+            self._torque = False
+            await self.bus.write(self.id, TORQUE_ENABLE, 1, 0)
+            return
+        if command.mode is Mode.HOLD:
+            steps = await self.bus.read(self.id, PRESENT_POSITION, 4)
+        else:
+            steps = to_steps(command.angle)
+        await self.bus.write(self.id, GOAL_POSITION, 4, steps)
+        if not self._torque:
+            # The goal went first, so that it does not jump to an old one; and once more,
+            # because some firmware forgets it when the torque comes.
+            await self.bus.write(self.id, TORQUE_ENABLE, 1, 1)
+            await self.bus.write(self.id, GOAL_POSITION, 4, steps)
+            self._torque = True
