@@ -7,7 +7,8 @@ import tomllib
 
 import pytest
 
-from esair.buses.can import _interfaces
+from esair.buses.can import CanState, _interfaces
+from esair.buses.can._interface import Interface
 from esair.buses.finding import _permission
 from esair.buses.finding._permission import who_may
 from esair.config import check
@@ -195,32 +196,31 @@ def test_gpio_chips_are_listed_without_libgpiod_2(monkeypatch, module) -> None:
 
 
 @pytest.mark.parametrize(
-    ("answer", "settings"),
+    ("interface", "state", "bitrate"),
     [
-        (
-            '[{"ifname": "lo", "link_type": "loopback"}, {"ifname": "can0", '
-            '"link_type": "can", "linkinfo": {"info_kind": "can", "info_data": '
-            '{"state": "BUS-OFF", "bittiming": {"bitrate": 500000}}}}]',
-            {"can0": {"state": "BUS-OFF", "bittiming": {"bitrate": 500000}}},
-        ),
-        ("no JSON: this is busybox", {}),
-        (None, {}),
+        (Interface(3, True, 16, CanState.PASSIVE, 500_000, True),
+         "up, 500 kbit/s, error-passive", 500_000),
+        (Interface(3, True, 16, CanState.ACTIVE), "up", None),
+        (OSError("no such interface"), "up", None),
     ],
-)
-def test_iproute2_is_asked_for_the_bit_rate_if_it_is_there(
-    tmp_path, monkeypatch, answer, settings
+)  # fmt: skip
+def test_the_kernel_is_asked_for_the_state_and_the_bit_rate(
+    tree, monkeypatch, interface, state, bitrate
 ) -> None:
-    """An answer that makes no sense, or an error, only leaves the bit rate unknown."""
-    program = tmp_path / "ip"
-    program.write_text("#!/bin/sh\nexit 1\n" if answer is None else _says(answer))
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    """As a bus asks before it opens; an interface that just went leaves them unknown."""
 
-    assert _interfaces._settings() == settings
+    def look_up(_name: str) -> Interface:
+        if isinstance(interface, OSError):
+            raise interface
+        return interface
 
+    tree.can("can0", flags="0x41")
+    monkeypatch.setattr(_interfaces, "ROOT", tree.root)
+    monkeypatch.setattr(_interfaces, "look_up", look_up)
 
-def _says(answer: str) -> str:
-    return f"#!/bin/sh\ncat <<'END'\n{answer}\nEND\n"
+    (found,) = _interfaces.devices(tree.root)
+
+    assert (found.state, found.bitrate) == (state, bitrate)
 
 
 def test_what_may_not_be_opened_is_told(monkeypatch, tree) -> None:

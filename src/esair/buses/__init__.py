@@ -1,5 +1,9 @@
 """Bytes, frames, registers: what all buses promise, and a folder for each medium.
 
+The folder of a medium has its far end too, which a bus is given with ``wire=``: it moves
+bytes as a wire does and can be pulled, stalled and disturbed. A fake is one with words
+for a test; physics is in `esair.sim`.
+
 Nothing here imports pyserial, python-can or smbus2 until a bus is opened. The names of
 a medium are in its package, such as `esair.buses.can`, and the usual ones here too.
 """

@@ -1,4 +1,7 @@
-"""The rover of ``esair demo``: its devices, its behaviors, and the show."""
+"""The rover of ``esair demo``: its devices, its behaviors, and the show.
+
+It pretends no hardware: what is behind its buses is `esair.sim`.
+"""
 
 from __future__ import annotations
 

@@ -267,7 +267,7 @@ def _runner(*, fast: bool, seed: int) -> Iterator[asyncio.Runner]:
         with asyncio.Runner() as runner:
             yield runner
         return
-    from esair.testing._clock import VirtualLoop
+    from esair.testing import VirtualLoop
 
     with asyncio.Runner(loop_factory=lambda: VirtualLoop(seed=seed)) as runner:
         yield runner

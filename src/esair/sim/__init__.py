@@ -8,6 +8,9 @@ is behind them is here. ``Simulation`` is all of it together; the classes of bus
     type = "serial"
     port = "/dev/ttyUSB0"
     sim = { type = "esair.sim:SimSerialBus", line = "front" }
+
+It ends where the wires begin: how bytes and frames move, and how a cable is pulled, is
+the far end in the folder of each medium (`esair.buses.serial` and its kin).
 """
 
 from esair.sim._arena import Arena, Box, Pillar, Wall

@@ -1,4 +1,8 @@
-"""The kit for tests of robots: fakes, a virtual clock, leak checks, contracts."""
+"""The kit for tests of robots: fakes, a virtual clock, leak checks, contracts.
+
+The fakes of buses and parts are far ends with words for a test; each is beside what it
+imitates, in `esair.buses` and `esair.drivers`, and is handed out here.
+"""
 
 from typing import TYPE_CHECKING, Any
 

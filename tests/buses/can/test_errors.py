@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from esair.buses import CanState
 from esair.buses.can._errors import decode_error
-from esair.buses.can._interface import Interface, decode_link, is_there, look_up
+from esair.buses.can._interface import decode_link, is_there, look_up
 
 pytestmark = pytest.mark.fault("C02", "C03")
 
@@ -81,8 +81,10 @@ def link(attributes: bytes, *, flags: int = 1, index: int = 7) -> bytes:
     return struct.pack("=IHHII", 16 + len(body), 16, 0, 1, 0) + body
 
 
-def can_info(state: int, kind: bytes = b"can") -> bytes:
+def can_info(state: int, kind: bytes = b"can", bitrate: int = 0) -> bytes:
     data = attribute(4, struct.pack("=I", state))
+    if bitrate:  # the first of eight numbers
+        data += attribute(1, struct.pack("=8I", bitrate, *range(7)))
     return attribute(18, attribute(1, kind + b"\0") + attribute(0x8002, data))
 
 
@@ -101,8 +103,17 @@ def test_what_the_kernel_says_is_decoded(
     attributes: bytes, expected: tuple[int, CanState]
 ) -> None:
     """As rtnetlink(7) and linux/can/netlink.h say."""
-    assert decode_link(link(attributes)) == Interface(7, True, *expected)
+    assert decode_link(link(attributes))[:4] == (7, True, *expected)
     assert not decode_link(link(attributes, flags=0)).is_up
+
+
+def test_the_bit_rate_is_that_of_the_controller() -> None:
+    """None where it was not set, or there is no controller."""
+    told = decode_link(link(can_info(0, bitrate=250_000)))
+    assert (told.bitrate, told.has_controller) == (250_000, True)
+    assert decode_link(link(can_info(0))).bitrate is None
+    virtual = decode_link(link(can_info(0, b"vcan", 250_000)))
+    assert (virtual.bitrate, virtual.has_controller) == (None, False)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,8 @@ _LINK: Final = struct.Struct("=BxHiII")  # family, type, index, flags, change
 _ATTRIBUTE: Final = struct.Struct("=HH")  # length, type
 
 _ERROR, _NEW_LINK, _GET_LINK, _REQUEST = 2, 16, 18, 1
-_NAME, _MTU, _LINK_INFO, _INFO_KIND, _INFO_DATA, _CAN_STATE = 3, 4, 18, 1, 2, 4
+_NAME, _MTU, _LINK_INFO, _INFO_KIND, _INFO_DATA = 3, 4, 18, 1, 2
+_CAN_TIMING, _CAN_STATE = 1, 4
 _UP = 0x1
 _TYPE_MASK = 0x3FFF  # the upper bits of an attribute's type say how it is made
 
@@ -36,12 +37,17 @@ class Interface(NamedTuple):
         is_up: Whether it was set up.
         mtu: How many bytes a frame of its socket has at most: 16, or 72 with CAN FD.
         state: The state of its controller; active where there is none, as with vcan.
+        bitrate: Bits per second that the controller is set to; None if it is not set,
+            or there is none.
+        has_controller: Whether there is a controller that has a state.
     """
 
     number: int
     is_up: bool
     mtu: int
     state: CanState
+    bitrate: int | None = None
+    has_controller: bool = False
 
 
 def look_up(name: str) -> Interface:
@@ -96,14 +102,17 @@ def decode_link(answer: bytes) -> Interface:
         raise OSError(errno.EPROTO, "the kernel's answer is too short") from error
     attributes = dict(_attributes(answer[_HEADER.size + _LINK.size :]))
     info = dict(_attributes(attributes.get(_LINK_INFO, b"")))
-    state = CanState.ACTIVE
+    state, bitrate, has_controller = CanState.ACTIVE, 0, False
     if info.get(_INFO_KIND, b"").rstrip(b"\0") == b"can":
-        said = dict(_attributes(info.get(_INFO_DATA, b""))).get(_CAN_STATE, b"")
+        data = dict(_attributes(info.get(_INFO_DATA, b"")))
+        has_controller = _CAN_STATE in data
         # Above bus-off there are "stopped" and "sleeping": the interface is down.
         with contextlib.suppress(ValueError):
-            state = CanState(int.from_bytes(said, sys.byteorder))
+            state = CanState(int.from_bytes(data.get(_CAN_STATE, b""), sys.byteorder))
+        bitrate = int.from_bytes(data.get(_CAN_TIMING, b"")[:4], sys.byteorder)
     mtu = int.from_bytes(attributes.get(_MTU, b""), sys.byteorder)
-    return Interface(index, bool(flags & _UP), mtu, state)
+    is_up = bool(flags & _UP)
+    return Interface(index, is_up, mtu, state, bitrate or None, has_controller)
 
 
 def _attributes(data: bytes) -> Iterator[tuple[int, bytes]]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import os
-import shutil
-import subprocess
 from pathlib import Path
-from typing import Any
+from typing import Final
 
+from esair.buses.can._errors import CanState
+from esair.buses.can._interface import Interface, look_up
 from esair.buses.finding import (
     ROOT,
     Device,
@@ -27,6 +27,14 @@ VIRTUAL = "virtual CAN"
 """What an interface is called that has no wire, and so no bit rate."""
 
 
+_WORDS: Final = {
+    CanState.ACTIVE: "error-active",
+    CanState.WARNING: "error-warning",
+    CanState.PASSIVE: "error-passive",
+    CanState.BUS_OFF: "bus-off",
+}
+
+
 def devices(root: Path = ROOT) -> list[Device]:
     """Return the CAN interfaces that are there, by their names."""
     places = [
@@ -34,8 +42,7 @@ def devices(root: Path = ROOT) -> list[Device]:
         for place in entries(root / "sys/class/net")
         if read(place / "type") == ARPHRD_CAN
     ]
-    settings = _settings() if places and root == ROOT else {}
-    return [_interface(place, root, settings.get(place.name, {})) for place in places]
+    return [_interface(place, root) for place in places]
 
 
 def toml(device: Device, name: str) -> list[str]:
@@ -54,7 +61,7 @@ def toml(device: Device, name: str) -> list[str]:
     ]
 
 
-def _interface(place: Path, root: Path, data: dict[str, Any]) -> Device:
+def _interface(place: Path, root: Path) -> Device:
     usb = usb_device(place / "device", root)
     identity = None if usb is None else identity_of(usb)
     if usb is not None:
@@ -64,47 +71,29 @@ def _interface(place: Path, root: Path, data: dict[str, Any]) -> Device:
         words = f"controller of the computer ({driver})"
     else:
         words = VIRTUAL
-    bitrate = data.get("bittiming", {}).get("bitrate")
+    found = None
+    if root == ROOT:  # what only the kernel knows: its files do not tell
+        with contextlib.suppress(OSError):
+            found = look_up(place.name)
     return Device(
         kind="can",
         path=place.name,
         address=place.name,
         description=words,
         identity=None if identity is None else str(identity),
-        state=_state(place, bitrate, data.get("state")),
-        bitrate=bitrate,
+        state=_state(place, found),
+        bitrate=None if found is None else found.bitrate,
     )
 
 
-def _state(place: Path, bitrate: int | None, state: str | None) -> str:
+def _state(place: Path, found: Interface | None) -> str:
     try:
         up = bool(int(read(place / "flags"), 16) & IFF_UP)
     except ValueError:
         return ""
     words = ["up" if up else "down"]
-    if bitrate is not None:
-        words.append(f"{bitrate / 1000:g} kbit/s")
-    if up and state is not None:
-        words.append(state.lower())
+    if found is not None and found.bitrate is not None:
+        words.append(f"{found.bitrate / 1000:g} kbit/s")
+    if up and found is not None and found.has_controller:
+        words.append(_WORDS[found.state])
     return ", ".join(words)
-
-
-def _settings() -> dict[str, dict[str, Any]]:
-    """Ask iproute2 for what only the kernel's netlink knows; nothing if it cannot."""
-    program = shutil.which("ip", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
-    if program is None:
-        return {}
-    try:
-        answer = subprocess.run(
-            [program, "-details", "-json", "link", "show"],
-            capture_output=True,
-            timeout=2.0,
-            check=True,
-        ).stdout
-        return {
-            link["ifname"]: link.get("linkinfo", {}).get("info_data", {})
-            for link in json.loads(answer)
-            if link.get("link_type") == "can"
-        }
-    except (OSError, subprocess.SubprocessError, ValueError, LookupError):
-        return {}
