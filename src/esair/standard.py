@@ -39,7 +39,7 @@ from esair.loop import (
     unfreeze_garbage,
 )
 from esair.messages import Policy, Recording
-from esair.plan import Plan, errors_in, examine
+from esair.plan import Plan, errors_in, examine, refuse_while_looking
 from esair.resources import Resource, adapt_resource
 from esair.supervisors import BehaviorSupervisor, Halts, ResourceSupervisor
 from esair.values import check_name, check_seconds
@@ -190,6 +190,7 @@ class Robot:
             raise StoppingError(
                 f"robot {self.name!r}", f"stopped before its start: {self._reason}"
             )
+        refuse_while_looking(self.name)
         if mistakes := errors_in(examine(self.plan)):
             raise ExceptionGroup(f"robot {self.name!r} cannot start", mistakes)
         self._entered = True

@@ -130,9 +130,20 @@ def test_it_tells_who_makes_each_actuator_safe(
 
     assert motor["safe"] == "0.0"
     assert motor["writers"] == [
-        {"behavior": "stop", "kind": "reaction", "priority": 10},
-        {"behavior": "drive", "kind": "behavior", "priority": 0},
+        {
+            "behavior": "stop",
+            "kind": "reaction",
+            "priority": 10,
+            "when_blind": "the actuator is kept safe",
+        },
+        {
+            "behavior": "drive",
+            "kind": "behavior",
+            "priority": 0,
+            "when_blind": "it has no say",
+        },
     ]
+    assert motor["guards"] == []
     assert motor["sent_by"] == "esair: 0.4 s after the last command, and at every exit"
     assert motor["own_timeout"] == 0.5
     assert motor["when_the_host_dies"] == "it stops itself after 0.5 s"

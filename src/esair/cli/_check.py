@@ -14,6 +14,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from esair.cli._target import check_robot, is_of_module
 from esair.config import FoundInFile, Report
 from esair.config import check as check_file
 
@@ -21,22 +22,22 @@ _STYLES = {"error": "bold red", "warning": "yellow"}
 
 
 def check(
-    file: Path,
+    robot: str,
     /,
     *,
     as_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
     strict: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
-    """Find every mistake of a robot.toml at once, without opening a device.
+    """Find every mistake of a robot at once, without opening a device.
 
-    Exit code: 0 no errors, 1 errors found, 2 the file cannot be read.
+    Exit code: 0 no errors, 1 errors found, 2 the file or module cannot be read.
 
     Args:
-        file: The configuration of the robot.
+        robot: A robot.toml; or the robot of a module: module:robot, file.py:robot.
         as_json: Print JSON, for programs.
         strict: Count warnings as errors.
     """
-    report = check_file(file)
+    report = check_robot(robot) if is_of_module(robot) else check_file(Path(robot))
     console = Console(highlight=False)
     if as_json:
         console.out(json.dumps(to_json(report), indent=2), highlight=False)
@@ -56,16 +57,17 @@ def to_json(report: Report) -> dict[str, Any]:
     may be added)::
 
         schema           1
-        file             string: the file, as it was named
-        digest           string: SHA-256 of the file, in hexadecimal
+        file             string: the file or module, as it was named
+        digest           string: SHA-256 of the file, in hexadecimal; "" for a module
         ok               boolean: there are no errors
         errors           integer: how many
         warnings         integer: how many
         with_simulation  boolean: the sim tables were checked too
         findings         list of
             severity         "error" | "warning"
-            rule             "configuration" | "need" | "denied" | "starve" |
-                             "rights" | "time" | "unused" | "port"
+            rule             "configuration" | "declaration" | "name" | "claim" |
+                             "need" | "denied" | "rights" | "time" | "silent" |
+                             "protect" | "starve" | "unused" | "port"
             key              string: dotted path in the file; "" for the whole
             line             integer, from 1 | null
             message          string
@@ -74,9 +76,12 @@ def to_json(report: Report) -> dict[str, Any]:
             name             string
             driver           string: module:Class
             safe             string: the safe command, in Python's words | null
-            command_timeout  number: seconds
+            command_timeout  number: seconds | null
             writers          list of {behavior, kind: "behavior" | "reaction",
-                             priority: integer}, highest priority first
+                             priority: integer, when_blind: string}, highest
+                             priority first
+            guards           list of {reaction, priority: integer, when_blind:
+                             string, latch: boolean}, first asked first
             sent_by          string: who sends the safe command, and when
             own_timeout      number: seconds | null
             when_the_host_dies   string
@@ -105,7 +110,7 @@ def _findings(findings: tuple[FoundInFile, ...]) -> Table:
         what.append("in the simulation: " if finding.only_simulated else "", "italic")
         what.append(finding.message)
         line = "" if finding.line is None else str(finding.line)
-        table.add_row(line, Text(finding.key or "the file"), what)
+        table.add_row(line, Text(finding.key or "the robot"), what)
     return table
 
 
@@ -113,16 +118,22 @@ def _actuators(report: Report) -> Panel:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)
     table.add_column("actuator", style="bold")
     table.add_column("written by (priority)", overflow="fold")
+    table.add_column("guarded by", overflow="fold")
     table.add_column("safe command", style="bold red", overflow="fold")
     table.add_column("who sends it", overflow="fold")
     table.add_column("when this computer dies", overflow="fold")
     for actuator in report.actuators:
         writers = "\n".join(
-            f"{writer.behavior} ({writer.priority})" for writer in actuator.writers
+            f"{writer.behavior} ({writer.priority}); blind: {writer.when_blind}"
+            for writer in actuator.writers
+        )
+        guards = "\n".join(
+            f"{guard.reaction}; blind: {guard.when_blind}" for guard in actuator.guards
         )
         table.add_row(
             Text(actuator.name),
             Text(writers or "nobody"),
+            Text(guards or "nobody"),
             Text("none") if actuator.safe is None else Text(actuator.safe, "green"),
             Text(actuator.sent_by),
             Text(

@@ -39,7 +39,7 @@ class Report:
     """What was found in one file.
 
     Attributes:
-        file: The file, as it was named.
+        file: The file or module, as it was named.
         digest: SHA-256 of the file as it was read, in hexadecimal.
         findings: What was found, in the order of the file, errors first.
         actuators: How each actuator is made safe.

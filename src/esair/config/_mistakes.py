@@ -112,11 +112,13 @@ class Mistakes:
         self.file = file
         self.lines = lines
         self.errors: list[ConfigFileError] = []
+        self._told: set[str] = set()
 
     def add(self, key: str, reason: str) -> None:
         """Note a mistake; the same one is noted once."""
         error = ConfigFileError(self.file, self.lines.of(key), key, reason)
-        if all(str(error) != str(known) for known in self.errors):
+        if str(error) not in self._told:
+            self._told.add(str(error))
             self.errors.append(error)
 
     def caught(self, key: str, error: BaseException, doing: str) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
+import stat
 import tomllib
 from pathlib import Path
 from typing import Any, Final
@@ -16,9 +18,13 @@ from esair.config._mistakes import ConfigFileError, Lines, Mistakes, below, dott
 LIMIT: Final = 1_048_576
 """How large a configuration file may be, in bytes."""
 
+TABLES: Final = 512
+"""How many tables a configuration file may have."""
+
 DEPTH: Final = 16
 """How deeply its tables and lists may be nested."""
 
+_HEADERS: Final = re.compile(r"^[ \t]*\[", re.MULTILINE)
 _INTEGER: Final = 2**63  # what TOML promises to keep
 
 
@@ -64,6 +70,9 @@ def read_source(path: str | os.PathLike[str]) -> Source:
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ConfigFileError(shown, line, "", "expected text in UTF-8") from None
+    # Before it is parsed: that alone may take minutes.
+    if len(_HEADERS.findall(text)) > TABLES:
+        raise ConfigFileError(shown, None, "", f"expected at most {TABLES} tables")
     try:
         data = tomllib.loads(text)
     except RecursionError:
@@ -72,6 +81,8 @@ def read_source(path: str | os.PathLike[str]) -> Source:
     except ValueError as error:  # with "(at line 3, column 5)"
         reason = f"this is no TOML: {' '.join(str(error).split())}"
         raise ConfigFileError(shown, None, "", reason) from None
+    if sum(len(each) for each in data.values() if isinstance(each, dict)) > TABLES:
+        raise ConfigFileError(shown, None, "", f"expected at most {TABLES} tables")
     mistakes = Mistakes(shown, Lines(text))
     _look_over(data, mistakes)
     digest = hashlib.sha256(raw).hexdigest()
@@ -80,8 +91,16 @@ def read_source(path: str | os.PathLike[str]) -> Source:
 
 def _bytes_of(path: str | os.PathLike[str], shown: str) -> bytes:
     try:
-        with Path(path).open("rb") as file:
-            raw = file.read(LIMIT + 1)
+        # Without a wait: nobody may ever write to a FIFO.
+        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            if not stat.S_ISREG(os.fstat(number).st_mode):
+                reason = "expected a file, not a device, pipe or folder"
+                raise ConfigFileError(shown, None, "", reason)
+            with os.fdopen(number, "rb", closefd=False) as file:
+                raw = file.read(LIMIT + 1)
+        finally:
+            os.close(number)
     except FileNotFoundError:
         raise ConfigFileError(shown, None, "", "there is no such file") from None
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path

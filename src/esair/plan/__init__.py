@@ -17,14 +17,16 @@ from esair.plan._examine import (
     examine_step,
 )
 from esair.plan._finding import Finding, Severity, errors_in, refuse
+from esair.plan._looking import only_looking, refuse_while_looking
 from esair.plan._names import in_use
 from esair.plan._plan import Plan
-from esair.plan._protection import Protection, Writer, protection
+from esair.plan._protection import Guard, Protection, Writer, protection
 from esair.plan._resources import wrong_bus
 from esair.plan._rights import denial, not_alone
 
 __all__ = [
     "Finding",
+    "Guard",
     "Plan",
     "Protection",
     "Severity",
@@ -37,7 +39,9 @@ __all__ = [
     "examine_step",
     "in_use",
     "not_alone",
+    "only_looking",
     "protection",
     "refuse",
+    "refuse_while_looking",
     "wrong_bus",
 ]

@@ -13,6 +13,7 @@ from esair.plan._finding import Finding, because
 from esair.plan._names import in_use, taken, used_already, wrong_kind
 from esair.plan._needs import unmet, untimely
 from esair.plan._plan import Plan
+from esair.plan._protection import unprotected
 from esair.plan._resources import mistakes_in_resource
 from esair.plan._rights import denied, mistakes_in_policies
 from esair.plan._together import starving, unused
@@ -34,6 +35,7 @@ def examine(plan: Plan) -> list[Finding]:
         *_about_actions(plan, plan.behaviors),
         *mistakes_in_policies(plan),
         *starving(plan),
+        *unprotected(plan),
         *unused(plan),
         *odd_buses(plan),
     ]

@@ -1,13 +1,19 @@
-"""How each actuator is made safe: who moves it, and who stops it."""
+"""How each actuator is made safe: who moves it, who guards it, and who stops it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import attrs
 
-from esair.actions import Reaction
+from esair.actions import Behavior, Guards, Reaction, Writes
+from esair.plan._finding import Finding, warning
 from esair.plan._plan import Plan
 from esair.resources import Actuator
 from esair.values import is_positive
+
+_MUTE_LIMIT = Reaction.mute_limit
+"""What a class has that says nothing about it, in seconds."""
 
 
 @attrs.frozen
@@ -18,11 +24,30 @@ class Writer:
         behavior: The name of the behavior or reaction.
         kind: ``"behavior"`` or ``"reaction"``.
         priority: With which priority it writes.
+        when_blind: What happens while it cannot decide.
     """
 
     behavior: str
     kind: str
     priority: int
+    when_blind: str
+
+
+@attrs.frozen
+class Guard:
+    """Who guards an actuator: every command passes it.
+
+    Attributes:
+        reaction: The name of the reaction.
+        priority: Which guard is asked first; higher is earlier.
+        when_blind: What happens while it cannot see.
+        latch: Whether nothing passes any more, once it has refused, until a reset.
+    """
+
+    reaction: str
+    priority: int
+    when_blind: str
+    latch: bool
 
 
 @attrs.frozen
@@ -36,6 +61,7 @@ class Protection:
         command_timeout: After how many seconds without a command it is sent; None if
             it does not say so as it must.
         writers: Who moves it, highest priority first.
+        guards: Who guards it, in the order in which they are asked.
         sent_by: Who sends the safe command, and when.
         own_timeout: After how many seconds the device stops by itself when it
             hears nothing more; None if it does not.
@@ -47,9 +73,28 @@ class Protection:
     safe: str | None
     command_timeout: float | None
     writers: tuple[Writer, ...]
+    guards: tuple[Guard, ...]
     sent_by: str
     own_timeout: float | None
     when_the_host_dies: str
+
+    def __str__(self) -> str:
+        lines = [f"{self.name}: safe is {self.safe or 'not declared'}"]
+        lines.extend(
+            f"  guarded by {guard.reaction} ({guard.priority}); blind: "
+            f"{guard.when_blind}" + ("; latches" if guard.latch else "")
+            for guard in self.guards
+        )
+        lines.extend(
+            f"  written by {writer.behavior} ({writer.kind}, {writer.priority}); "
+            f"blind: {writer.when_blind}"
+            for writer in self.writers
+        )
+        lines += [
+            f"  safe is sent by {self.sent_by}",
+            f"  when this computer dies: {self.when_the_host_dies}",
+        ]
+        return "\n".join(lines)
 
 
 def protection(plan: Plan) -> list[Protection]:
@@ -62,16 +107,6 @@ def protection(plan: Plan) -> list[Protection]:
 
 
 def _of(plan: Plan, name: str, actuator: Actuator[object]) -> Protection:
-    writers = [
-        Writer(
-            behavior,
-            "reaction"
-            if isinstance(plan.action_of[behavior], Reaction)
-            else "behavior",
-            need.priority,
-        )
-        for behavior, need in plan.writes_of(name).items()
-    ]
     timeout, own = actuator.command_timeout, actuator.own_timeout
     good = is_positive(timeout)
     after = f"{timeout:g} s after the last command, and " if good else ""
@@ -80,7 +115,16 @@ def _of(plan: Plan, name: str, actuator: Actuator[object]) -> Protection:
         driver=f"{type(actuator).__module__}:{type(actuator).__qualname__}",
         safe=repr(actuator.safe) if hasattr(actuator, "safe") else None,
         command_timeout=float(timeout) if good else None,
-        writers=tuple(sorted(writers, key=lambda writer: -writer.priority)),
+        writers=tuple(
+            sorted(
+                _writers(plan, name), key=lambda each: (-each.priority, each.behavior)
+            )
+        ),
+        guards=tuple(
+            sorted(
+                _guards(plan, name), key=lambda each: (-each.priority, each.reaction)
+            )
+        ),
         sent_by=f"esair: {after}at every exit",
         own_timeout=own,
         when_the_host_dies=(
@@ -89,3 +133,148 @@ def _of(plan: Plan, name: str, actuator: Actuator[object]) -> Protection:
             else "it keeps its last command"
         ),
     )
+
+
+def _writers(plan: Plan, resource: str) -> Iterator[Writer]:
+    for name, need in plan.writes_of(resource).items():
+        action = plan.action_of[name]
+        holds = action.holds_when_blind(need)
+        kind = "reaction" if isinstance(action, Reaction) else "behavior"
+        told = "the actuator is kept safe" if holds else "it has no say"
+        yield Writer(name, kind, need.priority, told)
+
+
+def _guards(plan: Plan, resource: str) -> Iterator[Guard]:
+    for name, action, _, need in plan.needs():
+        if (
+            isinstance(need, Guards)
+            and need.resource == resource
+            and isinstance(action, Reaction)
+            and type(need.priority) is int
+        ):
+            decides = type(action).blind is not Reaction.blind
+            told = "its blind() decides" if decides else "nothing passes"
+            yield Guard(name, need.priority, told, need.latch)
+
+
+def unprotected(plan: Plan) -> Iterator[Finding]:
+    """Find what moves without protection, and protection that is not what it seems."""
+    rows = {row.name: row for row in protection(plan)}
+    for name, row in rows.items():
+        yield from _bare(plan, name, row)
+        yield from _level(plan, name, row)
+    for name, action, attribute, need in plan.needs():
+        if not isinstance(action, Reaction):
+            continue
+        if isinstance(need, Guards) and need.latch is True:
+            yield warning(
+                "protect",
+                action,
+                name,
+                f"{attribute}.latch",
+                f"once it has refused a command for {need.resource!r}, nothing passes "
+                f"until robot.behaviors.reset({name!r})",
+                "see that somebody is there to call it",
+            )
+    yield from _mutable(plan)
+    yield from _half_guarded(plan, rows)
+
+
+def _bare(plan: Plan, name: str, row: Protection) -> Iterator[Finding]:
+    actuator = plan.resource_of[name]
+    behaviors = [each.priority for each in row.writers if each.kind == "behavior"]
+    if not behaviors or row.guards or not _moves(actuator):
+        return
+    above = [
+        each
+        for each in row.writers
+        if each.kind == "reaction" and each.priority > max(behaviors)
+    ]
+    if not above:
+        yield warning(
+            "protect",
+            actuator,
+            name,
+            "",
+            "it moves, and nothing protects it: it has no guard, and no reaction above "
+            "its behaviors",
+            f"write a reaction with esair.guards(..., name={name!r})",
+        )
+
+
+def _moves(actuator: object) -> bool:
+    """Tell whether an actuator declares a command time-out of its own: it moves."""
+    classes = type(actuator).__mro__
+    own = classes[: classes.index(Actuator)]
+    return "command_timeout" in vars(actuator) or any(
+        "command_timeout" in vars(each) for each in own
+    )
+
+
+def _level(plan: Plan, name: str, row: Protection) -> Iterator[Finding]:
+    """Find blind holds at the priority of those that they are against."""
+    writes = plan.writes_of(name)
+    for holder, need in writes.items():
+        action = plan.action_of[holder]
+        if not isinstance(action, Reaction) or not action.holds_when_blind(need):
+            continue
+        equal = [
+            each.behavior
+            for each in row.writers
+            if each.behavior != holder and each.priority == need.priority
+        ]
+        if equal:
+            yield warning(
+                "protect",
+                action,
+                holder,
+                need.attribute,
+                f"while it is blind it keeps {name!r} safe against {_and(equal)}, but "
+                f"while it sees they have the same priority ({need.priority})",
+                "raise its priority",
+            )
+
+
+def _mutable(plan: Plan) -> Iterator[Finding]:
+    for name, action in plan.action_of.items():
+        if not isinstance(action, Reaction) or action.mute_limit == _MUTE_LIMIT:
+            continue
+        protects = any(action.holds_when_blind(need) for need in action.needs.values())
+        if protects and is_positive(action.mute_limit):
+            yield warning(
+                "protect",
+                action,
+                name,
+                "mute_limit",
+                f"the user may mute what it protects for {action.mute_limit:g} s",
+                "0 if never",
+            )
+
+
+def _half_guarded(plan: Plan, rows: dict[str, Protection]) -> Iterator[Finding]:
+    """Find commands of several parts of which only some are guarded."""
+    for name, action in plan.action_of.items():
+        parts = [
+            need.resource
+            for need in action.needs.values()
+            if isinstance(need, Writes) and need.resource in rows
+        ]
+        if isinstance(action, Behavior) or len(parts) < 2:
+            continue
+        guarded = [each for each in parts if rows[each].guards]
+        bare = [each for each in parts if not rows[each].guards]
+        if guarded and bare:
+            yield warning(
+                "protect",
+                action,
+                name,
+                "",
+                f"it commands {_and(parts)} together, but only {_and(guarded)} "
+                f"{'is' if len(guarded) == 1 else 'are'} guarded",
+                f"guard {_and(bare)} too",
+            )
+
+
+def _and(names: list[str]) -> str:
+    shown = [repr(name) for name in names]
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"

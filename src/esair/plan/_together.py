@@ -19,6 +19,11 @@ def starving(plan: Plan) -> Iterator[Finding]:
             sorted(writers.items(), key=lambda item: item[1].priority), 2
         ):
             action = plan.action_of[other]
+            if low.priority == high.priority and (
+                plan.action_of[one].holds_when_blind(low)
+                or action.holds_when_blind(high)
+            ):
+                continue  # that is told of the one that keeps the other out
             if low.priority == high.priority:
                 yield warning(
                     "starve",
