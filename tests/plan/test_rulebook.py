@@ -288,8 +288,20 @@ def test_a_sensor_that_may_be_silent_is_a_warning() -> None:
     (finding,) = examine(plan)
     assert finding.severity is Severity.WARNING
     assert finding.text == (
-        "it is blind until 'bumper' first speaks: give Bumper a read, or an initial value"
+        "it is blind until 'bumper' first speaks: give Bumper a read, an initial value, "
+        "or a period (its greatest silence)"
     )
+
+
+@pytest.mark.promise("PRO-4")
+@pytest.mark.parametrize("says", ["initial", "period"])
+def test_a_sensor_that_says_how_it_begins_is_fine(says: str) -> None:
+    """Its value at each opening, or how soon it speaks."""
+    bumper = parts.Bumper()
+    setattr(bumper, says, 0.5 if says == "period" else False)
+    plan = Plan(resources=[bumper, parts.Wheels()], behaviors=[parts.Bumped()])
+
+    assert examine(plan) == []
 
 
 async def test_two_nodes_of_one_name_on_a_bus_are_told_once() -> None:

@@ -95,13 +95,14 @@ def _silent(
     """A device that pushes when something happens may have nothing to say at first."""
     if not sensor.pushes or sensor.can_be_asked or need.optional:
         return
-    if hasattr(sensor, "initial"):
-        return
+    if hasattr(sensor, "initial") or sensor.period is not None:
+        return  # it says its value at once, or how soon it speaks
     yield warning(
         "silent",
         action,
         action.name,
         attribute,
         f"it is blind until {need.resource!r} first speaks",
-        f"give {type(sensor).__name__} a read, or an initial value",
+        f"give {type(sensor).__name__} a read, an initial value, or a period (its "
+        "greatest silence)",
     )
