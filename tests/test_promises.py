@@ -49,12 +49,10 @@ FAULTS = {
     for number in range(1, count + 1)
 }
 
-GUARD = "the watchdog process is there, but no robot starts it yet"
 SOCKET = "there is no control socket yet"
 RECORDER = "there is no recorder yet"
 
 EXCLUDED = {
-    **dict.fromkeys(["B06", "O06", "O07"], GUARD),
     "O10": "it is a measurement: P13 of the benchmarks",
     "O12": "out of memory ends the process: see O04",
     "O18": "a lock for a whole robot needs the control socket; ports have theirs (D07)",

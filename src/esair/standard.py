@@ -8,7 +8,7 @@ import logging
 import signal
 from collections.abc import Callable, Coroutine, Iterable
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import anyio
 
@@ -41,8 +41,9 @@ from esair.loop import (
 from esair.messages import Policy, Recording
 from esair.plan import Plan, errors_in, examine, refuse_while_looking
 from esair.resources import Resource, adapt_resource
-from esair.supervisors import BehaviorSupervisor, Halts, ResourceSupervisor
+from esair.supervisors import BehaviorSupervisor, Halts, Keeper, ResourceSupervisor
 from esair.values import check_name, check_seconds
+from esair.watchdog import LIMIT
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,6 +55,8 @@ BUS_TIMEOUT = 2.0
 """How long a bus may take to open or to close, in seconds."""
 
 _log = logging.getLogger("esair")
+
+T = TypeVar("T", bound=str)
 
 
 class Robot:
@@ -73,6 +76,13 @@ class Robot:
         record: Where to keep what happens; needs ``esair[record]``.
         start_patience: How long ``run`` of the behaviors waits at the start for the
             first decision of each reaction and guard that can see, in seconds.
+        watchdog: Whether a second process makes the actuators safe when this one is
+            killed, stopped or stuck. ``esair check`` names those that it cannot reach.
+        watchdog_limit: How long this process may be stuck while something moves, in s.
+        watchdog_policy: What becomes of this process then: ``"kill"`` ends it,
+            ``"freeze"`` leaves it stopped.
+        watchdog_death: What happens when the watchdog itself dies: ``"stop"`` halts the
+            robot until it is resumed, ``"alarm"`` only says so. It is started anew.
 
     Attributes:
         resources: The resource supervisor (RS).
@@ -96,6 +106,10 @@ class Robot:
         grace: float = 1.0,
         record: Recording | None = None,
         start_patience: float = 1.0,
+        watchdog: bool = False,
+        watchdog_limit: float = LIMIT,
+        watchdog_policy: Literal["kill", "freeze"] = "kill",
+        watchdog_death: Literal["stop", "alarm"] = "stop",
     ) -> None:
         self.name = check_name("robot", name)
         self._recording = record
@@ -137,6 +151,21 @@ class Robot:
             halt=self._halts.halt,
             stop=self.stop,
         )
+        self._keeper: Keeper | None = None
+        if watchdog:
+            self._keeper = Keeper(
+                self.resources,
+                limit=check_seconds(
+                    f"robot {name!r}", "watchdog_limit", watchdog_limit
+                ),
+                policy=_one_of(
+                    name, "watchdog_policy", watchdog_policy, "kill", "freeze"
+                ),
+                on_death=_one_of(
+                    name, "watchdog_death", watchdog_death, "stop", "alarm"
+                ),
+                halt=self._halts.halt,
+            )
         self.stopped = Stopped()
         """After the stop: what each actuator was told last, whether it answered, and
         in ``reason`` why the robot stopped."""
@@ -215,6 +244,8 @@ class Robot:
             self._glances = Scheduler.of(loop).every(GLANCE, lambda _now: None)
         try:
             self.behaviors.accept(self._list_of_behaviors)
+            if self._keeper is not None:
+                await self._keeper.start()
             await self._open_buses()
             await self.resources.start(self._list_of_resources)
             await self.behaviors.start()
@@ -404,6 +435,8 @@ class Robot:
             await self._halts.close()
             await self.resources.stop()
             await self._close_buses()
+            if self._keeper is not None:
+                await self._keeper.close()
             Scheduler.of(asyncio.get_running_loop()).suspends.forget(
                 self.resources.resumed
             )
@@ -515,3 +548,12 @@ def _reason_of(error: BaseException | None) -> str:
 def _by_name(component: Any) -> str:
     """Order components: nothing depends on the order in which they were given."""
     return str(component.name)
+
+
+def _one_of(robot: str, field: str, value: T, *choices: T) -> T:
+    if value in choices:
+        return value
+    expected = " or ".join(repr(choice) for choice in choices)
+    raise ConfigError(
+        f"robot {robot!r}", field, f"expected {expected}, not {value!r:.80}"
+    )

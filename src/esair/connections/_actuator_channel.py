@@ -254,6 +254,8 @@ class ActuatorChannel(ProtectedDevice):
         command = self._checked(command)
         if self._busy:
             return self._when_idle(registration, command, hold)
+        if self.watch is not None and not self.watch.may_move():
+            raise StoppingError(self.name, "made safe by the watchdog")
         if self._slews:
             # After a pause it starts from the safe command, not with a jump.
             seconds = min(now - self._last_write, self.command_timeout)

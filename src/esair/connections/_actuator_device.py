@@ -6,7 +6,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from esair.connections._call import Call, Calls
 from esair.connections._driver import Driver, translate
@@ -30,6 +30,16 @@ TURN_WITHIN = 0.3
 """How long the safe command waits at most for a write in flight, in seconds."""
 
 _log = logging.getLogger("esair")
+
+
+class Watched(Protocol):
+    """The watchdog, as an actuator sees it."""
+
+    def may_move(self) -> bool:
+        """Hear that it is about to move; false once the watchdog has acted."""
+
+    def is_safe(self) -> None:
+        """Hear that it has taken its safe command."""
 
 
 class LastCommand(NamedTuple):
@@ -92,6 +102,7 @@ class ActuatorDevice:
         "name",
         "registrations",
         "state",
+        "watch",
     )
 
     def __init__(
@@ -121,6 +132,8 @@ class ActuatorDevice:
         """A write, or the safe command, is on its way."""
         self._safe_task: asyncio.Task[bool] | None = None
         self._pulses: list[asyncio.Future[None]] = []
+        self.watch: Watched | None = None
+        """Told when it moves and when it is safe, if there is a watchdog."""
         self.command_timeout = 0.0
         self.attach(actuator)
 
@@ -353,6 +366,8 @@ class ActuatorDevice:
             self._told_error = ""
             if command is HOLD and applied is not None:
                 self._base = applied
+            if self.watch is not None:
+                self.watch.is_safe()
             if self._journal.heard:
                 self._journal.publish(Kind.SAFE, self.name, "", command)
 

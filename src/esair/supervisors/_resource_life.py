@@ -28,9 +28,11 @@ from esair.loop import Door, spawn
 from esair.messages import ResourceState, Restart
 from esair.resources import Resource, settings_of
 from esair.supervisors._restart_budget import RestartBudget
+from esair.supervisors._watch import Watch
 
 if TYPE_CHECKING:
     from esair.buses import Bus
+    from esair.watchdog import Watchdog
 
 FIRST_DELAY = 0.1
 """The pause before a lost device is tried again, in seconds; it doubles each time."""
@@ -52,8 +54,13 @@ class ResourceLife:
         resource: Resource,
         channel: SensorChannel | ActuatorChannel,
         restart: Restart,
+        watchdog: Watchdog | None = None,
     ) -> None:
         self.resource = resource
+        self.watch: Watch | None = None
+        """The watchdog's eye on it, if it is an actuator and there is a watchdog."""
+        if isinstance(channel, ActuatorChannel) and watchdog is not None:
+            self.watch = Watch(channel.actuator, watchdog)
         self.channel = channel
         self.losses = 0
         self.faults = 0
@@ -136,6 +143,8 @@ class ResourceLife:
         for name, value in changes.items():
             setattr(resource, name, value)
         self.channel.configured()
+        if self.watch is not None:
+            await self.watch.arm()
 
     async def _apply(self, changes: dict[str, Any]) -> None:
         await self._call("apply", **changes)
@@ -322,6 +331,9 @@ class ResourceLife:
             await self._call("apply", **changes)
         if isinstance(self.channel, ActuatorChannel):
             await self.channel.open_safe()
+            self.channel.watch = self.watch
+            if self.watch is not None:
+                await self.watch.arm()
 
     def _identify(self, answer: Any) -> None:
         """Remember who the device is, or refuse another one in its place."""
@@ -381,6 +393,8 @@ class ResourceLife:
         if not self._is_open:
             return
         self._is_open = False
+        if self.watch is not None:
+            await self.watch.drop()
         try:
             await self._run("close", self._driver.method("close"), limit)
         except Exception as error:

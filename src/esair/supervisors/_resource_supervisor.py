@@ -48,6 +48,7 @@ from esair.values import check_name, is_positive, same_type
 
 if TYPE_CHECKING:
     from esair.buses import Bus
+    from esair.watchdog import Watchdog
 
 _log = logging.getLogger("esair")
 
@@ -78,6 +79,8 @@ class ResourceSupervisor(abc.Supervisor):
         self._lives: dict[str, ResourceLife] = {}
         self._leaving: set[str] = set()
         self._left: set[Call] = set()
+        self.watchdog: Watchdog | None = None
+        """The second process that makes safe what this one cannot; the robot's."""
         self.buses: list[Bus] = []
         """Every bus that a resource of this robot is or was on."""
         self.journal = registrations.journal
@@ -467,6 +470,12 @@ class ResourceSupervisor(abc.Supervisor):
             if actuator.state is ResourceState.READY:
                 actuator.make_safe()
 
+    async def rearm(self) -> None:
+        """Have everything watched that is open: there is a new watchdog process."""
+        for life in tuple(self._lives.values()):
+            if life.watch is not None and life.channel.state is ResourceState.READY:
+                await life.watch.arm()
+
     async def make_safe(self) -> list[LastCommand]:
         """Send every actuator its safe command, whatever was sent before.
 
@@ -541,7 +550,10 @@ class ResourceSupervisor(abc.Supervisor):
                 )
                 self._sensors.channels[resource.name] = channel
         life = ResourceLife(
-            resource, channel, restart if isinstance(restart, Restart) else Restart()
+            resource,
+            channel,
+            restart if isinstance(restart, Restart) else Restart(),
+            self.watchdog,
         )
         self._lives[resource.name] = life
         life.start()

@@ -82,6 +82,7 @@ class Watchdog:
             os.ftruncate(shared, _PAGE)
             self._page = mmap.mmap(shared, _PAGE)
             self._numbers = memoryview(self._page).cast("Q")
+            self._numbers[1] = len(self._moving)
             descriptors = (its.fileno(), me, shared)
             arguments = [*descriptors, os.getpid(), self.limit, self.policy]
             self._process = await asyncio.to_thread(

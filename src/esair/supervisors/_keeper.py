@@ -1,0 +1,101 @@
+"""The keeper of a robot's watchdog: it starts it, feeds it, and starts it anew."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import Literal
+
+from esair.exceptions import describe
+from esair.loop import Job, Scheduler, spawn
+from esair.supervisors._resource_supervisor import ResourceSupervisor
+from esair.watchdog import Watchdog
+
+BEATS = 5
+"""How many beats the watchdog gets in its limit."""
+
+STARTS = 3
+"""How often a watchdog that dies is started anew in the life of a robot."""
+
+_log = logging.getLogger("esair")
+
+
+class Keeper:
+    """Has the watchdog process of one robot run as long as the robot does.
+
+    Args:
+        resources: Whose actuators are watched.
+        limit: How long the scheduler may stand still while something moves, in s.
+        policy: What becomes of a process that the watchdog has stopped.
+        on_death: What is done when the watchdog dies: ``"stop"`` halts the robot until
+            the user resumes it, ``"alarm"`` only says so. It is started anew.
+        halt: Halts the robot.
+    """
+
+    def __init__(
+        self,
+        resources: ResourceSupervisor,
+        *,
+        limit: float,
+        policy: Literal["kill", "freeze"],
+        on_death: Literal["stop", "alarm"],
+        halt: Callable[[str], object],
+    ) -> None:
+        self._resources = resources
+        self._halt = halt
+        self._on_death = on_death
+        self._limit = limit
+        self._watchdog = Watchdog(limit=limit, policy=policy, on_death=self._died)
+        self._deaths = 0
+        self._job: Job | None = None
+        self._again: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        """Start the watchdog before anything can move.
+
+        Where it cannot be started the robot starts halted, or, with ``"alarm"``,
+        unwatched.
+        """
+        loop = asyncio.get_running_loop()
+        if getattr(loop, "virtual", False):
+            _log.info("watchdog: none on a virtual clock")
+            return
+        self._resources.watchdog = self._watchdog
+        self._job = Scheduler.of(loop).every(self._limit / BEATS, self._beat)
+        await self._try_to_start()
+
+    def _beat(self, _now: float) -> None:
+        self._watchdog.beat()
+
+    async def _try_to_start(self) -> None:
+        try:
+            await self._watchdog.start()
+        except OSError as error:
+            self._missing(f"the watchdog cannot be started: {describe(error)}")
+
+    def _missing(self, why: str) -> None:
+        _log.critical("%s", why)
+        if self._on_death == "stop":
+            self._halt(why)
+
+    def _died(self) -> None:
+        self._deaths += 1
+        self._missing("the watchdog process died")
+        if self._deaths <= STARTS:
+            loop = asyncio.get_running_loop()
+            self._again = spawn(loop, self._start_again(), name="watchdog start")
+        else:
+            _log.critical("watchdog: it died %d times; nothing is watched", STARTS + 1)
+
+    async def _start_again(self) -> None:
+        await self._try_to_start()
+        await self._resources.rearm()
+
+    async def close(self) -> None:
+        """Let it go: every actuator is safe, and closed."""
+        if self._again is not None:
+            self._again.cancel()
+        if self._job is not None:
+            self._job.stop()
+        await self._watchdog.close()
