@@ -85,7 +85,8 @@ def run(way: str, policy: str = "kill") -> tuple[Run, str]:
 def test_safe_is_the_last_thing_on_the_wire(way: str) -> None:
     """However the process dies or hangs, and with a motion that was cut in half."""
     victim, errors = run(way)
-    assert victim.data.endswith(b"GO\nGO\nSTOP\n")
+    # What was cut in half is ended by an empty line, or was thrown away with the queue.
+    assert victim.data.endswith((b"GO\nGO\nSTOP\n", b"GO\n\nSTOP\n"))
     assert "esair watchdog: " in errors
     assert "wheels safe" in errors
     if way in STUCK:
