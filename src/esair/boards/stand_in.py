@@ -23,6 +23,9 @@ echoes = {}  # type: ignore[var-annotated]
 chips = {}  # type: ignore[var-annotated]
 """The registers of each I2C part: address to register to byte."""
 
+used = {}  # type: ignore[var-annotated]
+"""The pins that were used, and whether they are driven."""
+
 
 class Pin:
     """A pin; called, or by `value`, it gives or takes a level."""
@@ -41,6 +44,7 @@ class Pin:
     ) -> None:
         self.number = number
         self.idle = 1 if pull == self.PULL_UP else 0
+        used[number] = bool(used.get(number)) or mode == self.OUT
         if value is not None:
             self.value(value)
 
@@ -59,6 +63,7 @@ class PWM:
 
     def __init__(self, pin: Pin, freq: int = 0, duty_ns: "int | None" = None) -> None:
         self.number = pin.number
+        used[pin.number] = True
         if duty_ns is not None:
             self.duty_ns(duty_ns)
 
@@ -114,6 +119,35 @@ class I2C:
             raise OSError(19)  # ENODEV, as MicroPython says it
         found: dict[int, int] = chips[address]
         return found
+
+
+PWRON_RESET = 1
+HARD_RESET = 2
+WDT_RESET = 3
+DEEPSLEEP_RESET = 4
+SOFT_RESET = 5
+
+cause = PWRON_RESET
+"""What `reset_cause` answers."""
+
+fed = []  # type: ignore[var-annotated]
+"""The time-out of each watchdog that was made, in milliseconds, then 0 for each feed."""
+
+
+def reset_cause() -> int:
+    """Give the reason why the board has started."""
+    return cause
+
+
+class WDT:
+    """A watchdog that never bites."""
+
+    def __init__(self, timeout: int = 5000) -> None:
+        fed.append(timeout)
+
+    def feed(self) -> None:
+        """Take note that it was fed."""
+        fed[1:] = [0]
 
 
 def time_pulse_us(pin: Pin, level: int, timeout_us: int) -> int:

@@ -1,4 +1,4 @@
-"""``esair min build``: the robot of a file for a microcontroller."""
+"""``esair min``: the robot of a file for a microcontroller."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from esair.firmware import Built
+from esair.firmware import Built, Trial, run_folder
 from esair.firmware import build as build_files
 
 minimal = App(name="min", help="Robots on a microcontroller.")
@@ -22,30 +22,66 @@ def build(
     /,
     *,
     out: Path,
-    board: str = "micropython",
+    board: str = "pico",
     rate: float | None = None,
     watchdog: float | None = None,
+    arm: str = "host",
 ) -> int:
     """Write the files that a microcontroller needs to run the robot of a robot.toml.
 
-    Everything that does not fit is told at once; then nothing is written.
+    Everything that does not fit is told at once; then nothing is written. With a
+    MicroPython on this computer (pip install 'esair[min]') what was written runs there
+    for a second, and what fails is told with file and line.
 
     Args:
         file: The configuration of the robot.
         out: The folder to write; copy what is in it to the board.
-        board: "micropython", or "microbit" for its tiny memory.
+        board: "pico", "pico2", "esp32", or "esp32s3".
         rate: Steps per second; the highest rate of a part, or 50, unless given.
         watchdog: Time-out of the board's hardware watchdog, in seconds.
+        arm: When the board may move after a start: "host" (it is told so), "pin:NUMBER"
+            (while that pin is low), or "always".
     """
-    built = build_files(file, out, board=board, rate=rate, watchdog=watchdog)
+    built = build_files(file, out, board=board, rate=rate, watchdog=watchdog, arm=arm)
     console = Console(highlight=False)
     console.print(_files(built))
     compiled = "; compiled files are in compiled/" if built.compiled else ""
-    console.print(
-        Text(f"{built.folder} is ready: {built.rate:g} steps per second{compiled}"),
-        soft_wrap=True,
-    )
+    told = [f"{built.folder} is ready: {built.rate:g} steps per second{compiled}"]
+    if built.trial is None:
+        told.append("not tried: there is no MicroPython here: pip install 'esair[min]'")
+    else:
+        used = f"{built.trial.memory / 1000:.1f} of {built.board.memory} KB"
+        told.append(
+            f"it ran in MicroPython; on a {built.board.name} it takes about {used}"
+        )
+    for line in told:
+        console.print(Text(line), soft_wrap=True)
     return 0
+
+
+@minimal.command
+def run(folder: Path, /, *, seconds: float = 5.0) -> int:
+    """Run a built folder under a real MicroPython on this computer.
+
+    Nothing is connected to its pins; what it prints is shown.
+
+    Args:
+        folder: What esair min build has written.
+        seconds: How long it runs.
+    """
+    trial = run_folder(folder, seconds=seconds, show=True)
+    console = Console(highlight=False)
+    for line in _seen(trial):
+        console.print(Text(line), soft_wrap=True)
+    return 1 if trial.mistakes else 0
+
+
+def _seen(trial: Trial) -> list[str]:
+    told = [*trial.faults]
+    if trial.late:
+        told.append(f"{trial.late} steps came too late on this computer")
+    told.append(f"{trial.steps} steps, {trial.refused} commands refused")
+    return told
 
 
 def _files(built: Built) -> Table:

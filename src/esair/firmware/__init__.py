@@ -4,7 +4,20 @@
 copied to a board: ``esair/minimal.py``, the modules of the parts, and ``main.py``.
 """
 
+from esair.firmware._boards import BOARDS, Board
 from esair.firmware._build import Built, build
+from esair.firmware._micropython import Trial, find_micropython, run_folder
+from esair.firmware._mistakes import mistakes
 from esair.firmware._modules import KNOWN_MODULES
 
-__all__ = ["KNOWN_MODULES", "Built", "build"]
+__all__ = [
+    "BOARDS",
+    "KNOWN_MODULES",
+    "Board",
+    "Built",
+    "Trial",
+    "build",
+    "find_micropython",
+    "mistakes",
+    "run_folder",
+]

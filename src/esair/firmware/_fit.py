@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,9 +9,9 @@ from typing import Any
 
 import attrs
 
-from esair import minimal
 from esair.actions import Behavior, MinimalReaction, Reaction
 from esair.config import Description
+from esair.firmware._mistakes import mistakes
 from esair.resources import Actuator, MinimalActuator, MinimalSensor, Sensor
 
 Misfit = Callable[[str, str], None]
@@ -83,9 +82,6 @@ def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Pa
             misfit(key, "it is a behavior: MIN has reactions, and nothing that waits")
         elif isinstance(action, Reaction):
             whole = action.reaction if isinstance(action, MinimalReaction) else action
-            code = getattr(whole.react, "__code__", None)
-            if code is not None and code.co_flags & inspect.CO_VARKEYWORDS:
-                misfit(key, "react: a board needs the names of its readings, not **")
             parts.append(Part("behavior", name, whole, _values(table)))
     return parts
 
@@ -133,7 +129,7 @@ def loop_mistakes(
             part.made.name = part.name
         by_kind[part.kind].append(part.made)
         keys[part.name] = part.key
-    for text in minimal.mistakes(
+    for text in mistakes(
         by_kind["behavior"], by_kind["sensor"], by_kind["actuator"], rate
     ):
         name, _, reason = text.partition(": ")

@@ -10,14 +10,9 @@ from esair.firmware._fit import Part
 
 
 class Imports:
-    """What a file has to import.
+    """What a file has to import."""
 
-    Args:
-        rename: Whether two modules may have the same name; else the file says it twice.
-    """
-
-    def __init__(self, *, rename: bool = True) -> None:
-        self._rename = rename
+    def __init__(self) -> None:
         self._owners: dict[str, tuple[str, str]] = {}
         """The module of each name in the file, and what it is called there."""
 
@@ -28,13 +23,13 @@ class Imports:
         while self._owners.setdefault(called, (module, first)) != (module, first):
             number += 1
             called = f"{first}_{number}"
-        return (called if self._rename else first) + dot + rest
+        return called + dot + rest
 
     def lines(self) -> list[str]:
         """Return the lines that import everything."""
         names: dict[str, list[str]] = {}
         for called, (module, name) in sorted(self._owners.items()):
-            plain = called == name or not self._rename
+            plain = called == name
             text = name if plain else f"{name} as {called}"
             names.setdefault(module, []).append(text)
         return [
@@ -48,7 +43,8 @@ def main_file(
     parts: list[Part],
     keywords: Mapping[str, frozenset[str]],
     rate: float,
-    watchdog: float | None,
+    watchdog: int,
+    arm: str | int,
 ) -> str:
     """Return the text of ``main.py``.
 
@@ -57,10 +53,12 @@ def main_file(
         parts: What is wired.
         keywords: Which keys of each part its constructor takes.
         rate: Steps per second.
-        watchdog: The time-out of the hardware watchdog, in seconds.
+        watchdog: The time-out of the hardware watchdog, in milliseconds; 0 for none.
+        arm: As `esair.boards.start.Start` takes it.
     """
     imports = Imports()
     imports.add("esair.minimal", "Loop")
+    start = imports.add("esair.boards.start", "Start")
     body = [line for part in parts for line in made(part, keywords, imports)]
     body += ["", "_loop = Loop("]
     for word, kind in (
@@ -70,23 +68,16 @@ def main_file(
     ):
         names = ", ".join(part.variable for part in parts if part.kind == kind)
         body.append(f"    {word}=[{names}],")
+    devices = "".join(f"{each.variable}, " for each in parts if each.kind != "behavior")
     body += [
         f"    rate={rate:.10g},",
+        "    armed=False,",
         ")",
-        f"_loop.run({feeding(watchdog, imports)})",
+        f"_loop.run(feed={start}(_loop, {arm!r}, {watchdog}, ({devices})))",
         "",
     ]
     first = f"# Made by `esair min build` from {source}: change that, and make it anew."
     return "\n".join([first, *imports.lines(), "", *body])
-
-
-def feeding(watchdog: float | None, imports: Imports) -> str:
-    """Return the argument that has a loop feed the board's watchdog; none without one."""
-    if watchdog is None:
-        return ""
-    return (
-        f"feed={imports.add('machine', 'WDT')}(timeout={round(watchdog * 1000)}).feed"
-    )
 
 
 def made(

