@@ -211,6 +211,7 @@ def test_the_fixed_names_are_exported() -> None:
         "Sensor",
         "Actuator",
         "Reading",
+        "Stamped",
         "Access",
         "Policy",
         "Restart",

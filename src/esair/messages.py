@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, Self, TypeVar
 
 import attrs
 
@@ -70,13 +70,57 @@ class Reading(NamedTuple, Generic[T]):
 
     Attributes:
         value: The value.
-        time: When it arrived, in seconds of the event loop's monotonic clock.
+        time: When it was measured, in seconds of the event loop's monotonic clock; when
+            it arrived, if the driver cannot tell.
         sequence: 1 for the first reading of a sensor, then one more each time.
     """
 
     value: T
     time: float
     sequence: int
+
+    @property
+    def arrived(self) -> float:
+        """When it came in, on the same clock; its age counts from ``time``."""
+        return self.time
+
+
+class StampedReading(Reading[T]):
+    """A reading whose driver knows when it was measured."""
+
+    _arrived: float
+
+    @classmethod
+    def at(cls, value: T, time: float, sequence: int, arrived: float) -> Self:
+        """Make one that was measured at a time, and came in later."""
+        reading = cls(value, time, sequence)
+        reading._arrived = arrived
+        return reading
+
+    @property
+    def arrived(self) -> float:
+        """When it came in, on the same clock; its age counts from ``time``."""
+        return self._arrived
+
+
+@attrs.frozen
+class Stamped(Generic[T]):
+    """What a driver gives that knows when its device has measured a value.
+
+    Attributes:
+        value: The value.
+        time: When it was measured, in seconds of `esair.now`; or None, with an age.
+        age: How long ago it was measured, in seconds.
+
+    Example:
+        >>> async def read(self) -> esair.Stamped[float]:
+        ...     metres, milliseconds = await self.bus.ask(b"R?")
+        ...     return esair.Stamped(metres, age=milliseconds / 1000)
+    """
+
+    value: T
+    time: float | None = None
+    age: float = attrs.field(default=0.0, kw_only=True)
 
 
 class Answer:

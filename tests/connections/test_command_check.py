@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import collections
+import copy
 import dataclasses
 import decimal
 import enum
@@ -12,12 +14,14 @@ import numbers
 from typing import Any, NamedTuple
 
 import attrs
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
 from esair.connections._command_check import CommandCheck
+from esair.messages import Refused
 from esair.plan import Finding, examine_resource
 from esair.plan import Plan as RobotPlan
 from esair.testing import FakeActuator
@@ -462,3 +466,116 @@ def test_a_safe_command_that_the_device_refuses_is_a_mistake() -> None:
     (mistake,) = check_declaration(even)
 
     assert "even number" in str(mistake)
+
+
+# What was checked is what leaves.
+
+
+@attrs.define
+class Arm:
+    """A command that can be changed."""
+
+    left: float
+    right: float
+
+
+class Recorder(esair.Actuator[Any]):
+    """Writes down what a command held when it landed; a write takes a while."""
+
+    def __init__(self, safe: Any, takes: float = 0.0, **declared: Any) -> None:
+        super().__init__(name="arm")
+        self.safe = safe
+        self.takes = takes
+        self.landed: list[Any] = []
+        vars(self).update(declared)
+
+    async def write(self, command: Any) -> None:
+        if self.takes:
+            await asyncio.sleep(self.takes)
+        self.landed.append(copy.deepcopy(command))
+
+
+MUTABLE = [
+    ({"left": 0.0, "right": 0.0}, lambda command, value: command.update(left=value)),
+    (Arm(0.0, 0.0), lambda command, value: setattr(command, "left", value)),
+    ([0.0, 0.0], lambda command, value: command.__setitem__(0, value)),
+    (np.zeros(2), lambda command, value: command.__setitem__(0, value)),
+]
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("AC-5")
+@pytest.mark.parametrize(
+    ("safe", "change"), MUTABLE, ids=["dict", "attrs", "list", "array"]
+)
+async def test_a_command_changed_while_the_driver_is_busy_leaves_as_it_was_checked(
+    safe: Any, change: Any
+) -> None:
+    """NaN never reaches the device through an object that was good at its check."""
+    arm = Recorder(safe, takes=0.05)
+    user: Any = esair.Behavior(name="user", writes={"arm": esair.writes(type(safe))})
+    async with esair.Robot(resources=[arm], behaviors=[user]):
+        command = copy.deepcopy(safe)
+        writes = []
+        for value in (1.0, 2.0):
+            change(command, value)
+            writes.append(asyncio.create_task(user.arm.write(command)))
+            await asyncio.sleep(0.01)
+        change(command, float("nan"))
+        await asyncio.wait(writes)
+        assert len(arm.landed) == 3
+        for value, landed in zip((1.0, 2.0), arm.landed[1:], strict=True):
+            wanted = copy.deepcopy(safe)
+            change(wanted, value)
+            assert np.array_equal(landed, wanted)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("AC-5")
+async def test_a_reused_dictionary_does_not_bypass_slew() -> None:
+    """What the device was told last is kept apart from the object that told it."""
+    arm = Recorder({"speed": 0.0}, slew={"speed": 1.0})
+    user: Any = esair.Behavior(name="user", writes={"arm": esair.writes(dict)})
+    async with esair.Robot(resources=[arm], behaviors=[user]):
+        command = {"speed": 0.0}
+        for speed in (0.0, 100.0):
+            command["speed"] = speed
+            written = await user.arm.write(command)
+            written.command["speed"] = speed
+            await asyncio.sleep(0.1)
+        command["speed"] = 100.0
+        await user.arm.write(command)
+        assert all(each["speed"] <= 0.5 for each in arm.landed)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("AC-1", "AC-5")
+async def test_a_wrong_type_under_slew_is_a_bad_value() -> None:
+    """It names the field, and nothing leaves."""
+    arm = Recorder({"speed": 0.0}, slew={"speed": 1.0})
+    user: Any = esair.Behavior(name="user", writes={"arm": esair.writes(dict)})
+    async with esair.Robot(resources=[arm], behaviors=[user]):
+        for wrong in ("fast", None, [1.0]):
+            with pytest.raises(esair.BadValueError, match="speed"):
+                await user.arm.write({"speed": wrong})
+        assert arm.landed == [{"speed": 0.0}]
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("AC-1")
+async def test_a_driver_that_refuses_has_not_written() -> None:
+    """Its answer is the writer's, and false in a condition."""
+
+    class Proud(esair.Actuator[float]):
+        safe = 0.0
+
+        async def write(self, command: float) -> Any:
+            if command:
+                return Refused("device", 0, "it is locked", 0.0, 0.0)
+            return None
+
+    user: Any = esair.Behavior(name="user", writes={"proud": esair.writes(float)})
+    async with esair.Robot(resources=[Proud()], behaviors=[user]):
+        outcome = await user.proud.write(1.0)
+        assert not outcome
+        assert outcome.rule == "it is locked"

@@ -37,10 +37,10 @@ class SensorPort(Generic[T]):
         resource: The name of the sensor.
         registration: The right to read it.
         max_age: The greatest age of a reading unless a call says otherwise, in
-            seconds; infinite if there is no limit.
+            seconds; the sensor's own limit unless given, infinite if it has none.
     """
 
-    __slots__ = ("_channel", "_configure", "max_age", "registration")
+    __slots__ = ("_channel", "_configure", "_max_age", "registration")
 
     def __init__(
         self,
@@ -51,8 +51,13 @@ class SensorPort(Generic[T]):
     ) -> None:
         self._channel = channel
         self.registration = registration
-        self.max_age = _ANY_AGE if max_age is None else max_age
+        self._max_age = max_age
         self._configure = configure
+
+    @property
+    def max_age(self) -> float:
+        """The greatest age of a reading unless a call says otherwise, in seconds."""
+        return self._channel.max_age if self._max_age is None else self._max_age
 
     @property
     def resource(self) -> str:
@@ -88,7 +93,10 @@ class SensorPort(Generic[T]):
             newest = channel.newest
             if newest is not None and self.registration.usable:
                 age = channel.time() - newest.time
-                if age <= channel.good_for and age <= self.max_age:
+                limit = self._max_age
+                if limit is None:
+                    limit = channel.max_age
+                if age <= channel.good_for and age <= limit:
                     return newest.value  # type: ignore[no-any-return]
         return (await self.reading(fresh=fresh, max_age=max_age, timeout=timeout)).value
 

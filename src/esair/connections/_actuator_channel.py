@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import math
 from collections.abc import Callable, Generator
 from typing import Any
@@ -271,7 +272,8 @@ class ActuatorChannel(ProtectedDevice):
             if stop is not None:
                 self._stay()
                 return self._refuse(registration, stop.refusal())
-        self._told = command
+        # A copy of its own: who has the answer may change what is in it.
+        self._told = copy.deepcopy(command) if self._check.copies else command
         self._told_safe = False
         if self._dead_man is None:
             self._dead_man = self._loop.call_at(

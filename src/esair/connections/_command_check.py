@@ -40,6 +40,8 @@ class CommandCheck:
             )
         else:
             self._get = operator.attrgetter(*self._fields)
+        self.copies = not _is_frozen(self.wanted)
+        """Whether somebody could change a command after its check."""
         self.slews = bool(self._slew)
         """Whether how fast a command changes is limited."""
 
@@ -57,6 +59,8 @@ class CommandCheck:
             if wanted is float and math.isfinite(command):
                 return command
             if self._get is not None:
+                if self.copies:
+                    command = copy.copy(command)  # its parts are numbers
                 try:
                     if all(map(math.isfinite, self._get(command))):
                         return command
@@ -65,6 +69,8 @@ class CommandCheck:
         try:
             if wanted is not None and type(command) is not wanted:
                 command = self._accept(command, wanted)
+            if not isinstance(command, _ATOMS_AND_NUMBERS):
+                command = copy.deepcopy(command)  # what is checked is what leaves
             self._check_finite("", command)
             if self._limits:
                 command = self._limited(command)
@@ -98,7 +104,14 @@ class CommandCheck:
                     self.name, field, "its change is limited: each command must have it"
                 ) from None
             step = slew * max(seconds, 0.0)
-            bounded = min(before + step, max(before - step, value))
+            try:
+                bounded = min(before + step, max(before - step, value))
+            except TypeError:
+                raise BadValueError(
+                    self.name,
+                    field or "command",
+                    f"its change is limited: expected a number, not {value!r:.80}",
+                ) from None
             if bounded != value:
                 changes[field] = bounded
         return _changed(command, changes)
@@ -159,6 +172,21 @@ class CommandCheck:
         return _changed(command, changes)
 
 
+def _is_frozen(wanted: Any) -> bool:
+    """Whether nobody can change a value of a class whose parts are numbers."""
+    if wanted is None:
+        return False
+    if wanted in {int, float, bool, str, bytes} or issubclass(
+        wanted, tuple | enum.Enum
+    ):
+        return True
+    options = getattr(wanted, "__dataclass_params__", None)
+    if options is not None:
+        return bool(options.frozen)
+    # A frozen class of attrs, which has no other way to say so.
+    return getattr(wanted.__setattr__, "__name__", "") == "_frozen_setattrs"
+
+
 def limits_by_field(value: Any) -> dict[str, Any]:
     """One entry for each field; the command itself is the field without a name."""
     if value is None:
@@ -181,6 +209,9 @@ def _all_numbers(safe: Any, fields: list[str]) -> bool:
     """Whether a structured command has no other parts than its number fields."""
     return bool(fields) and len(fields) == len(_parts(safe))
 
+
+_ATOMS_AND_NUMBERS = (int, float, complex, str, bytes, enum.Enum, type(None))
+"""What cannot be changed."""
 
 _ATOMS = (str, bytes, bytearray, memoryview, range, type, types.ModuleType)
 """What cannot hide a number that is not finite."""

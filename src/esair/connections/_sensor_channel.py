@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from esair.connections._call import Call, Calls, End
 from esair.connections._driver import Driver, Method, translate
+from esair.connections._measured import measured_at
 from esair.connections._reading_check import ReadingCheck
 from esair.connections._registrations import Registration, Registrations
 from esair.exceptions import (
@@ -25,18 +26,18 @@ from esair.exceptions import (
 )
 from esair.journal import Kind
 from esair.loop import Deadlines, Job, Order, Scheduler, clock_of
-from esair.messages import Reading, ResourceState
+from esair.messages import Reading, ResourceState, Stamped, StampedReading
 from esair.resources import Sensor
 from esair.values import passes_as
 
 WAITING_LIMIT = 1024
 """How many readers may wait for one sensor at a time."""
 
+PERIODS = 3.0
+"""How many periods old a reading of a device that is asked may be, if nobody says."""
+
 LISTEN_AGAIN = 0.1
 """The pause before a stream that raised is asked for again, in seconds."""
-
-PERIODS = 3.0
-"""How many of its periods a reading of a polled sensor is current."""
 
 READ_TIMEOUT = 1.0
 """How long a read waits for the device unless it says otherwise, in seconds."""
@@ -76,12 +77,12 @@ class SensorChannel:
         self.newest: Reading[Any] | None = None
         self.transactions = 0
         """How many times the device was asked."""
+        self.bad = 0
+        """How many readings were of a wrong type, not finite, or outside the limits."""
         self.missed = 0
         """How many polls were left out because the device had not answered yet."""
         self.dropped = 0
         """How many readings a slow follower has not seen."""
-        self.bad = 0
-        """How many values were of no use: of another type, not finite, out of limits."""
         self.sequence = 0
         self.registrations = registrations
         self._journal = registrations.journal
@@ -153,10 +154,10 @@ class SensorChannel:
             "readings": self.sequence,
             "transactions": self.transactions,
             "missed": self.missed,
+            "bad": self.bad,
             "dropped": self.dropped,
             "abandoned": self.calls.abandoned,
             "late": self.calls.late,
-            "bad": self.bad,
         }
 
     # State, told by the supervisor.
@@ -455,7 +456,16 @@ class SensorChannel:
 
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""
-        wrong = self._check_value(value)
+        now = time = self.time()
+        wrong: str | None = None
+        if type(value) is Stamped:
+            measured = measured_at(value, now)
+            if isinstance(measured, str):
+                wrong = measured
+            else:
+                time = measured
+            value = value.value
+        wrong = wrong or self._check_value(value)
         if wrong is not None:
             self.bad += 1
             self._fail(DeviceFaultError(self.name, wrong), number)
@@ -465,7 +475,11 @@ class SensorChannel:
             self._fail(DeviceFaultError(self.name, frozen), number)
             return
         self.sequence += 1
-        reading = Reading(value, self.time(), self.sequence)
+        reading: Reading[Any]
+        if time == now:
+            reading = Reading(value, now, self.sequence)
+        else:
+            reading = StampedReading.at(value, time, self.sequence, now)
         self.newest = reading
         self._history.append(reading)
         if self._journal.heard:

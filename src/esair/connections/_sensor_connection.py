@@ -50,7 +50,8 @@ class SensorConnection(Connection):
         Args:
             registration: The right to read.
             fresh: Only a value that was measured after this call.
-            max_age: The greatest age of the reading, in seconds.
+            max_age: The greatest age of the reading, in seconds; the sensor's own limit
+                unless given.
             timeout: How long to wait for the device, in seconds.
 
         Raises:
@@ -66,7 +67,8 @@ class SensorConnection(Connection):
         for field, seconds in (("max_age", max_age), ("timeout", timeout)):
             if seconds is not None:
                 check_duration(channel.name, field, seconds)
-        limit = channel.good_for if max_age is None else min(channel.good_for, max_age)
+        max_age = channel.max_age if max_age is None else max_age
+        limit = min(channel.good_for, max_age)
         if not fresh:
             reading = channel.cached(registration, limit)
             if reading is not None:
@@ -74,7 +76,7 @@ class SensorConnection(Connection):
         return await channel.ask(
             registration,
             fresh=fresh,
-            max_age=float("inf") if max_age is None else max_age,
+            max_age=max_age,
             timeout=READ_TIMEOUT if timeout is None else timeout,
         )
 

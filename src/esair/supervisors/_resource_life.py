@@ -40,6 +40,9 @@ FIRST_DELAY = 0.1
 LAST_TRY = 0.5
 """How long a stop tries to reach an actuator that is not there, in seconds."""
 
+LAST_CLOSE = 0.05
+"""How long a close may take at least, when nothing is left of its deadline, in s."""
+
 MAX_DELAY = 5.0
 """The longest pause between two tries, in seconds."""
 
@@ -102,6 +105,16 @@ class ResourceLife:
                 bus.on_arrival(lambda: self._told(None)),
             )
         self._task = spawn(self._loop, self._live(), name=f"{self.resource.name} life")
+
+    def restart(self) -> None:
+        """Close the device and open it again; its budget is full."""
+        self._budget = RestartBudget(self._budget.policy)
+        self.tried = self._loop.create_future()
+        if self.channel.state is ResourceState.READY:
+            self._hear(DeviceLostError(self.resource.name, "it is restarted"))
+            self._arrived = True
+        else:
+            self._hear(None)
 
     def on_error(self, error: Exception) -> None:
         """Take note of an error that the connection met."""
@@ -199,13 +212,18 @@ class ResourceLife:
             self.tried.exception()  # nobody may wait for it
         self._calls.next_opening(DeviceLostError(self.resource.name, "it was closed"))
         if self._is_open:
-            await self._calls.quiet(until)
+            await self._calls.quiet(until - LAST_CLOSE)
             stuck = self._driver.is_stuck
-            await self._close(0.1 if stuck else max(0.1, until - self._loop.time()))
-        if not await self._driver.end_executors(timeout=0.1):
+            await self._close(
+                LAST_CLOSE if stuck else max(LAST_CLOSE, self._left(until))
+            )
+        if not await self._driver.end_executors(timeout=LAST_CLOSE):
             _log.warning(
                 "%s: a driver call is stuck; its thread is left", self.resource.name
             )
+
+    def _left(self, until: float) -> float:
+        return until - self._loop.time()
 
     def _opened_late(self, _call: Call) -> None:
         """An opening has ended that was given up: the device must not stay open."""

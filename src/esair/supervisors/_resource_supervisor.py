@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, overload
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from esair import abc, minimal
 from esair.connections import (
@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from esair.buses import Bus
     from esair.watchdog import Watchdog
 
+T = TypeVar("T")
+
 _log = logging.getLogger("esair")
 
 
@@ -78,6 +80,8 @@ class ResourceSupervisor(abc.Supervisor):
         self._command_queue = CommandQueue("resources", asleep=True)
         self._lives: dict[str, ResourceLife] = {}
         self._leaving: set[str] = set()
+        self._departures: dict[str, asyncio.Future[None]] = {}
+        self._works: set[asyncio.Task[Any]] = set()
         self._left: set[Call] = set()
         self.watchdog: Watchdog | None = None
         """The second process that makes safe what this one cannot; the robot's."""
@@ -192,18 +196,28 @@ class ResourceSupervisor(abc.Supervisor):
         """
         resource: Resource = adapt_resource(component)
 
-        async def work() -> None:
-            self._refuse(examine_resource(self._plan(resource), resource))
-            self._deploy(resource)
-            try:
-                await self._lives[resource.name].tried
-            except BaseException:
-                until = self._loop_time() + self._grace
-                await self._undeploy(resource.name, ResourceState.REMOVED, until)
-                raise
-            self.journal.publish(Kind.ADDED, resource.name, "resource")
+        life: ResourceLife | None = None
 
-        await self._command_queue.run(work, name=f"add {resource!r:.80}", undo=True)
+        async def deploy() -> ResourceLife:
+            nonlocal life
+            self._refuse(examine_resource(self._plan(resource), resource))
+            life = self._deploy(resource)
+            return life
+
+        title = f"add {resource!r:.80}"
+        await self._departed(getattr(resource, "name", ""))
+        try:
+            deployed = await self._command_queue.run(deploy, name=title, undo=True)
+            await asyncio.shield(deployed.tried)
+        except BaseException:
+            # Undone, unless somebody has taken it away meanwhile.
+            if life is not None and self._lives.get(resource.name) is life:
+                self._depart(resource.name)
+                until = self._deadline()
+                undoing = self._apart(self._leave(resource.name, life, until), title)
+                await asyncio.wait({undoing})
+            raise
+        self.journal.publish(Kind.ADDED, resource.name, "resource")
 
     async def remove(self, name: str) -> None:
         """Take a resource away; nobody needs to agree.
@@ -215,21 +229,37 @@ class ResourceSupervisor(abc.Supervisor):
             UnknownNameError: No resource has the name.
             StoppingError: The robot is not running.
         """
+        until = self._deadline()
 
-        async def work() -> None:
-            self._life(name)
-            self._leaving.add(name)
-            for registration in self._registrations.of_resource(name):
-                self._registrations.revoke(
-                    registration, lambda: ResourceRemovedError(name)
-                )
-            until = self._loop_time() + self._grace
-            await self._make_safe(name, until)
-            await self._undeploy(name, ResourceState.REMOVED, until)
-            self._leaving.discard(name)
-            self.journal.publish(Kind.REMOVED, name, "resource")
+        title = f"remove {name}"
 
-        await self._command_queue.run(work, name=f"remove {name}", undo=False)
+        async def fence() -> asyncio.Task[None] | None:
+            life = self._life(name)
+            if name in self._departures:
+                return None
+            self._depart(name)
+            self._fence(name)
+            return self._apart(self._leave(name, life, until), title)
+
+        await self._fenced(name, fence, title)
+
+    async def restart(self, name: str) -> None:
+        """Close a device and open it again, also one that has failed for good.
+
+        It returns when the device was tried once; its budget of restarts is full again.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+            StoppingError: The robot is not running.
+        """
+
+        async def begin() -> ResourceLife:
+            life = self._life(name)
+            life.restart()
+            return life
+
+        life = await self._command_queue.run(begin, name=f"restart {name}", undo=False)
+        await asyncio.shield(life.tried)
 
     async def replace(
         self, name: str, component: Resource | minimal.Sensor | minimal.Actuator
@@ -246,8 +276,14 @@ class ResourceSupervisor(abc.Supervisor):
         """
         resource: Resource = adapt_resource(component)
 
-        async def work() -> None:
+        until = self._deadline()
+
+        title = f"replace {name}"
+
+        async def fence() -> asyncio.Task[ResourceLife] | None:
             old = self._life(name).resource
+            if name in self._departures:
+                return None
             if isinstance(resource, Resource) and not in_use(resource):
                 resource._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
             plan = self._plan(resource, without=old)
@@ -255,35 +291,113 @@ class ResourceSupervisor(abc.Supervisor):
             keep = _kind(old) is _kind(resource) and same_type(
                 resource.value_type, old.value_type
             )
+            self._depart(name)
+            channel = self._lives[name].channel
             if not keep:
-                self._leaving.add(name)  # nobody gets a right to what goes
-                for registration in self._registrations.of_resource(name):
-                    self._registrations.revoke(
-                        registration, lambda: ResourceRemovedError(name)
-                    )
-            life = self._lives[name]
-            channel = life.channel
-            error = DeviceLostError(name, "it is being replaced")
-            if keep and isinstance(channel, ActuatorChannel):
-                channel.leaving(error)
-            until = self._loop_time() + self._grace
+                self._fence(name)
+            elif isinstance(channel, ActuatorChannel):
+                channel.leaving(DeviceLostError(name, "it is being replaced"))
+            work = self._exchange(name, resource, keep=keep, until=until)
+            return self._apart(work, title)
+
+        life = await self._fenced(name, fence, title)
+        await asyncio.shield(life.tried)
+
+    async def _exchange(
+        self, name: str, resource: Resource, *, keep: bool, until: float
+    ) -> ResourceLife:
+        """Put a resource in the place of one that is fenced off."""
+        life = self._lives[name]
+        channel = life.channel
+        try:
             await self._make_safe(name, until)
             if keep:
+                error = DeviceLostError(name, "it is being replaced")
                 channel.down(ResourceState.LOST, error)
             else:
                 channel.removed()
             await life.stop(until)
             if keep:
                 channel.attach(resource)  # type: ignore[arg-type]
-                self._deploy(resource, channel)
+                new = self._deploy(resource, channel)
             else:
                 self._forget(name, ResourceState.REMOVED)
-                self._deploy(resource)
-                self._leaving.discard(name)
-            await self._lives[name].tried
+                new = self._deploy(resource)
             self.journal.publish(Kind.ADDED, name, "resource", resource, "in its place")
+            return new
+        finally:
+            self._has_departed(name)
 
-        await self._command_queue.run(work, name=f"replace {name}", undo=False)
+    # How a resource goes: fenced in one step, then closed outside the command queue.
+
+    def _deadline(self) -> float:
+        """Until when a command of the user that begins now may wait, in all."""
+        return asyncio.get_running_loop().time() + self._grace
+
+    def _depart(self, name: str) -> None:
+        self._departures[name] = asyncio.get_running_loop().create_future()
+
+    async def _departed(self, name: str) -> None:
+        """Wait until what has the name now, and is going, has gone."""
+        while (departure := self._departures.get(name)) is not None:
+            await asyncio.shield(departure)
+
+    async def _fenced(
+        self,
+        name: str,
+        fence: Callable[[], Coroutine[Any, Any, asyncio.Task[T] | None]],
+        title: str,
+    ) -> T:
+        """Fence a resource off in one step, and wait for what that has begun."""
+        while True:
+            await self._departed(name)
+            begun = await self._command_queue.run(fence, name=title, undo=False)
+            if begun is not None:  # else another command for the name was first
+                return await self._join(begun)
+
+    def _has_departed(self, name: str) -> None:
+        self._leaving.discard(name)
+        departure = self._departures.pop(name, None)
+        if departure is not None:
+            departure.set_result(None)
+
+    def _fence(self, name: str) -> None:
+        """From now on nobody has, or gets, a right to what goes."""
+        self._leaving.add(name)
+        for registration in self._registrations.of_resource(name):
+            self._registrations.revoke(registration, lambda: ResourceRemovedError(name))
+
+    async def _leave(self, name: str, life: ResourceLife, until: float) -> None:
+        """Make a resource safe, close it, and forget it; bounded."""
+        try:
+            await self._make_safe(name, until)
+        finally:
+            try:
+                if self._lives.get(name) is life:
+                    await self._undeploy(name, ResourceState.REMOVED, until)
+            finally:
+                self._has_departed(name)
+        self.journal.publish(Kind.REMOVED, name, "resource")
+
+    def _apart(self, work: Coroutine[Any, Any, T], title: str) -> asyncio.Task[T]:
+        """Do what takes a while, outside the command queue, and to its end."""
+        task = spawn(asyncio.get_running_loop(), work, name=title)
+        self._works.add(task)
+        task.add_done_callback(self._done)
+        return task
+
+    def _done(self, task: asyncio.Task[Any]) -> None:
+        self._works.discard(task)
+        if not task.cancelled():
+            task.exception()  # its caller may have gone
+
+    async def _join(self, task: asyncio.Task[T]) -> T:
+        try:
+            return await asyncio.shield(task)
+        except asyncio.CancelledError:
+            if task.cancelled():
+                raise StoppingError("resources", self.phase.value) from None
+            raise
 
     # What behaviors may ask for.
 
@@ -490,17 +604,17 @@ class ResourceSupervisor(abc.Supervisor):
     async def stop(self) -> None:
         """Close every device, all at the same time; each has a deadline."""
         await self._command_queue.close()
-        until = self._loop_time() + self._grace
+        until = self._deadline()
+        for task in tuple(self._works):
+            task.cancel()
+        if self._works:
+            await asyncio.wait(tuple(self._works), timeout=self._grace)
         closed = ResourceState.CLOSED
         await asyncio.gather(
             *(self._undeploy(name, closed, until) for name in tuple(self._lives))
         )
 
     # Inside.
-
-    @staticmethod
-    def _loop_time() -> float:
-        return asyncio.get_running_loop().time()
 
     def _counted(self) -> Iterator[tuple[str, Mapping[str, int]]]:
         for name, life in self._lives.items():
@@ -525,7 +639,7 @@ class ResourceSupervisor(abc.Supervisor):
 
     def _deploy(
         self, resource: Resource, channel: SensorChannel | ActuatorChannel | None = None
-    ) -> None:
+    ) -> ResourceLife:
         loop = asyncio.get_running_loop()
         restart = getattr(resource, "restart", None)
 
@@ -557,6 +671,7 @@ class ResourceSupervisor(abc.Supervisor):
         )
         self._lives[resource.name] = life
         life.start()
+        return life
 
     async def _make_safe(self, name: str, until: float = math.inf) -> None:
         channel = self._actuators.channels.get(name)

@@ -124,6 +124,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         if self._turns > STEP_BUDGET:
             self._turns = 0
             raise LivelockError(f"time does not pass:\n{self._tasks()}")
+        del ready, scheduled  # asyncio makes new lists; the old ones keep tasks alive
         super()._run_once()  # type: ignore[misc]
 
     def _door_is_quiet(self) -> bool:

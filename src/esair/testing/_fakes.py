@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import copy
 from collections.abc import AsyncIterator, Callable
 from typing import Any, Generic, TypeVar
 
@@ -26,6 +27,9 @@ class _Faults:
         self._error: BaseException | None = None
         self._after = 0
         self._times: int | None = 0
+        self.delay = 0.0
+        self.ack = 0.0
+        self.deaf = 0
 
     def fail(self, error: BaseException, after: int, times: int | None) -> None:
         self._error, self._after, self._times = error, after, times
@@ -38,8 +42,15 @@ class _Faults:
 
     async def call(self) -> None:
         """One call of the device: wait, be gone, or fail, as told."""
-        if not self._go.is_set():
-            await self._go.wait()
+        while not self._go.is_set():
+            try:
+                await self._go.wait()
+            except asyncio.CancelledError:
+                if self.deaf <= 0:
+                    raise
+                self.deaf -= 1
+        if self.delay:
+            await self.wait(self.delay)
         self.check()
         if self._error is None:
             return
@@ -52,6 +63,18 @@ class _Faults:
             if self._times <= 0:
                 self._error = None
         raise error
+
+    async def wait(self, seconds: float) -> None:
+        """Take time, and swallow as many cancellations as told."""
+        loop = asyncio.get_running_loop()
+        until = loop.time() + seconds
+        while (left := until - loop.time()) > 1e-9:
+            try:
+                await asyncio.sleep(left)
+            except asyncio.CancelledError:
+                if self.deaf <= 0:
+                    raise
+                self.deaf -= 1
 
     def check(self) -> None:
         if not self.plugged:
@@ -69,11 +92,15 @@ class _Fake(Resource):
     is_open = False
     """Whether it is open now."""
 
+    has_power_cycled = False
+    """Whether its set-up is gone, because its power was, since it was opened."""
+
     async def open(self) -> None:
         """Be opened, unless it is unplugged."""
         self._faults.check()
         self.opened += 1
         self.is_open = True
+        self.has_power_cycled = False
 
     async def close(self) -> None:
         """Be closed."""
@@ -88,6 +115,29 @@ class _Fake(Resource):
         """Be there again."""
         self._faults.plugged = True
         self.report_arrived()
+
+    async def is_set_up(self) -> bool:
+        """Tell whether its power has been on since it was opened."""
+        await self._faults.call()
+        return not self.has_power_cycled
+
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: its set-up is gone, and nobody is told."""
+        self.has_power_cycled = True
+
+    def slow(self, seconds: float, *, acknowledge: float = 0.0) -> None:
+        """Take so long for each call from now on.
+
+        Args:
+            seconds: Until a command lands, or a value is taken.
+            acknowledge: From then until the call returns; longer than the deadline,
+                and it returns after it.
+        """
+        self._faults.delay, self._faults.ack = seconds, acknowledge
+
+    def swallow(self, times: int) -> None:
+        """Go on with so many calls, or waits, that are cancelled from now on."""
+        self._faults.deaf = times
 
     def fail(
         self, error: BaseException, *, after: int = 0, times: int | None = 1
@@ -160,7 +210,9 @@ class FakeSensor(_Fake, Sensor[T], Generic[T]):
         """Answer with the newest value."""
         self.reads += 1
         await self._faults.call()
-        return self._value
+        value = self._value
+        await self._faults.wait(self._faults.ack)
+        return value
 
     async def stream(self) -> AsyncIterator[T]:
         """Push what is fed."""
@@ -182,7 +234,9 @@ class FakeActuator(_Fake, Actuator[T], Generic[T]):
         **options: ``limits``, ``clamp``, ``slew``, and what `Resource` takes.
 
     Attributes:
-        commands: Every command that reached the device, in order.
+        commands: Every command that reached the device, in the order in which they
+            landed there.
+        landed: When each of them did, in seconds of the event loop's clock.
     """
 
     def __init__(
@@ -205,15 +259,18 @@ class FakeActuator(_Fake, Actuator[T], Generic[T]):
         self.clamp = clamp
         self.slew = slew
         self.commands: list[T] = []
+        self.landed: list[float] = []
         self._waiting: list[tuple[Callable[[T], bool], asyncio.Future[T]]] = []
 
     async def write(self, command: T) -> None:
         """Take a command."""
         await self._faults.call()
-        self.commands.append(command)
+        self.commands.append(copy.deepcopy(command))
+        self.landed.append(asyncio.get_running_loop().time())
         for matches, future in self._waiting:
             if not future.done() and matches(command):
                 future.set_result(command)
+        await self._faults.wait(self._faults.ack)
 
     async def until(
         self, wanted: T | Callable[[T], bool], *, timeout: float = 1.0

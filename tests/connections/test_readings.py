@@ -1,0 +1,174 @@
+"""Readings: checked, as old as their measurement, and never from before."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import attrs
+import pytest
+
+import esair
+from esair import ResourceState
+from esair.messages import Stamped
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@attrs.frozen
+class Fix:
+    """Where it is, and how sure."""
+
+    x: float
+    y: float
+    ranges: tuple[float, ...] = ()
+
+
+def now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+class Copy(esair.Reaction):
+    """Hands the sensor on to the wheels."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(float)
+
+    def react(self, sonar: float) -> float:
+        return sonar
+
+
+@pytest.mark.promise("SC-3")
+@pytest.mark.parametrize("bad", [math.nan, math.inf, "near", True, 9.0])
+async def test_a_bad_reading_reaches_no_action(bad: Any, user_of: Any) -> None:
+    """It is counted; what reads it is told of a fault, what follows sees nothing."""
+    sonar = FakeSensor("sonar", 0.5, type=float, rate=20.0)
+    sonar.limits = (0.0, 5.0)
+    sonar.fault_limit = 1000
+    wheels, user = (
+        FakeActuator("wheels", safe=0.0),
+        user_of("u", sonar=esair.reads(float)),
+    )
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[Copy(), user]
+    ) as robot:
+        await wheels.until(0.5)
+        sonar.feed(bad)
+        with pytest.raises(esair.DeviceFaultError, match="sonar"):
+            await user.sonar.read(fresh=True)
+        await asyncio.sleep(0.5)
+        assert set(wheels.commands) == {0.0, 0.5}
+        assert robot.journal.counts()["sonar"]["bad"] >= 1
+
+
+@pytest.mark.promise("SC-3")
+async def test_each_number_of_a_structure_is_looked_at(user_of: Any) -> None:
+    """Its fields, not what lies deeper: a scan may have seen nothing somewhere."""
+    gps = FakeSensor("gps", Fix(0.0, 0.0), type=Fix)
+    gps.limits = {"x": (-1.0, 1.0)}
+    user = user_of("user", gps=esair.reads(Fix))
+    async with esair.Robot(resources=[gps], behaviors=[user]):
+        gps.feed(Fix(0.0, 5.0, (math.inf, 1.0)))
+        assert (await user.gps.read(fresh=True)).y == 5.0
+        for bad, field in ((Fix(0.0, math.nan), "y"), (Fix(2.0, 0.0), "x")):
+            gps.feed(bad)
+            with pytest.raises(esair.DeviceFaultError, match=f"gave {field} = "):
+                await user.gps.read(fresh=True)
+
+
+@pytest.mark.promise("SC-3")
+async def test_a_polled_sensor_is_current_for_three_periods(user_of: Any) -> None:
+    """A reaction that says nothing about age does not drive on an older reading."""
+    sonar, wheels = (
+        FakeSensor("sonar", 1.0, rate=10.0),
+        FakeActuator("wheels", safe=0.0),
+    )
+    sonar.deadline = 30.0
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Copy()]) as robot:
+        await wheels.until(1.0)
+        sonar.stall()
+        await asyncio.sleep(0.25)
+        assert robot.behaviors.query("copy").state is esair.BehaviorState.RUNNING
+        await asyncio.sleep(0.15)
+        status = robot.behaviors.query("copy")
+        assert status.state is esair.BehaviorState.PARKED
+        assert "0.3 s" in status.detail
+
+
+@pytest.mark.promise("SC-3")
+async def test_a_device_that_pushes_may_say_how_long_it_is_silent(user_of: Any) -> None:
+    """With a period its readings grow old; without one they do not."""
+    beacon, bumper = FakeSensor[float]("beacon"), FakeSensor[float]("bumper")
+    beacon.period = 0.5
+    user = user_of("user", beacon=esair.reads(float), bumper=esair.reads(float))
+    async with esair.Robot(resources=[beacon, bumper], behaviors=[user]):
+        beacon.feed(1.0)
+        bumper.feed(2.0)
+        await asyncio.sleep(0.4)
+        assert (await user.beacon.read(), await user.bumper.read()) == (1.0, 2.0)
+        await asyncio.sleep(0.2)
+        with pytest.raises(esair.StaleReadingError):
+            await user.beacon.read()
+        await asyncio.sleep(1000.0)
+        assert await user.bumper.read() == 2.0
+
+
+@pytest.mark.promise("SC-4")
+@pytest.mark.parametrize("with_age", [False, True])
+async def test_the_age_of_a_reading_counts_from_its_measurement(
+    user_of: Any, with_age: bool
+) -> None:
+    """The driver says when it was measured; the reading carries both times."""
+
+    class Camera(esair.Sensor[float]):
+        async def stream(self) -> Any:
+            await asyncio.sleep(0.5)
+            yield Stamped(1.0, age=0.2) if with_age else Stamped(1.0, now() - 0.2)
+            await asyncio.sleep(1000.0)
+
+    user = user_of("user", camera=esair.reads(float))
+    began = now()
+    async with esair.Robot(resources=[Camera()], behaviors=[user]):
+        await asyncio.sleep(0.6)
+        reading = await user.camera.reading()
+        assert tuple(reading) == (1.0, pytest.approx(began + 0.3), 1)
+        assert reading.arrived == pytest.approx(began + 0.5)
+        with pytest.raises(esair.StaleReadingError):
+            await user.camera.read(max_age=0.25)
+        assert await user.camera.read(max_age=0.35) == 1.0
+
+
+@pytest.mark.promise("SC-4")
+@pytest.mark.parametrize("time", [1e9, math.nan, "noon"])
+async def test_a_measurement_of_the_future_is_a_fault(user_of: Any, time: Any) -> None:
+    """A clock that is wrong makes no reading young for ever."""
+
+    class Camera(esair.Sensor[float]):
+        async def read(self) -> Any:
+            return Stamped(1.0, time)
+
+    user = user_of("user", camera=esair.reads(float))
+    async with esair.Robot(resources=[Camera()], behaviors=[user]):
+        with pytest.raises(esair.DeviceFaultError, match="time of measurement"):
+            await user.camera.read()
+
+
+@pytest.mark.promise("SC-3")
+async def test_what_a_device_answers_while_it_is_lost_is_no_reading(
+    user_of: Any,
+) -> None:
+    """A driver that reports a loss and gives a value all the same is not believed."""
+
+    class Odd(esair.Sensor[float]):
+        async def read(self) -> float:
+            self.report_lost()
+            return 1.0
+
+    user = user_of("user", odd=esair.reads(float))
+    async with esair.Robot(resources=[Odd()], behaviors=[user]) as robot:
+        with pytest.raises(esair.DeviceLostError):
+            await user.odd.read()
+        assert robot.resources.query("odd").state is ResourceState.LOST
+        assert robot.sensors.channels["odd"].newest is None
