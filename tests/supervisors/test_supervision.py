@@ -1242,8 +1242,10 @@ async def test_a_stop_in_the_middle_of_commands_leaves_nothing(seed: int) -> Non
     async with esair.Robot(behaviors=[Scripted(for_ever, teardown=slow)]) as robot:
         commands = [
             asyncio.ensure_future(robot.behaviors.remove("scripted")),
-            asyncio.ensure_future(robot.behaviors.add(Idle())),
-            asyncio.ensure_future(robot.behaviors.add(Idle(name="b"))),
+            asyncio.ensure_future(
+                robot.behaviors.add(Scripted(for_ever, setup=slow, name="b"))
+            ),
+            asyncio.ensure_future(robot.behaviors.add(Idle(name="scripted"))),
         ]
         await asyncio.sleep(0.1)
     for command in commands:
@@ -1300,28 +1302,6 @@ async def test_query_tells_why_a_behavior_is_parked() -> None:
         device.unplug()
         await asyncio.sleep(0.2)
         assert "wheels is not there" in await robot.behaviors.command("query driver")
-
-
-@pytest.mark.virtual_clock
-@pytest.mark.promise("SUP-1")
-async def test_a_setup_cannot_wait_for_its_own_turn():
-    """A command from the setup of a behavior that is being added is refused at once."""
-
-    class Greedy(esair.Behavior):
-        robot: esair.Robot
-
-        async def setup(self):
-            await self.robot.behaviors.remove("greedy")
-
-    async with esair.Robot() as robot:
-        greedy = Greedy()
-        greedy.robot = robot
-
-        with pytest.raises(esair.BehaviorFailedError) as caught:
-            await robot.behaviors.add(greedy)
-
-        assert isinstance(caught.value.__cause__, esair.BusyError)
-        assert robot.behaviors.names() == []
 
 
 @pytest.mark.virtual_clock

@@ -16,6 +16,7 @@ from esair.actions import (
     adapt_action,
 )
 from esair.connections import (
+    ActuatorChannel,
     ActuatorConnection,
     Halting,
     SensorConnection,
@@ -23,13 +24,13 @@ from esair.connections import (
 )
 from esair.exceptions import (
     BehaviorFailedError,
-    BusyError,
+    BehaviorRemovedError,
     ConfigError,
     UnknownNameError,
     describe,
 )
 from esair.journal import Event, Kind
-from esair.loop import ProcessWatch, current_owner
+from esair.loop import ProcessWatch, spawn
 from esair.messages import (
     Access,
     BehaviorState,
@@ -57,6 +58,11 @@ START_TIMEOUT = 5.0
 
 TAKE_OVER = 1.0
 """How long a replaced reaction goes on until the new one has decided, in seconds."""
+SETUP_TIMEOUT = 5.0
+"""How long a command waits for the ``setup`` of a behavior, in seconds."""
+
+MARGIN = 0.05
+"""How long a component may take to end beside its grace period, in seconds."""
 
 ZOMBIE_LIMIT = 256
 """How many zombies are listed."""
@@ -102,11 +108,14 @@ class BehaviorSupervisor(abc.Supervisor):
         self.zombies: list[Zombie] = []
         """What would not end, the oldest first."""
         self.zombie_count = 0
+        self._undead: set[asyncio.Task[Any]] = set()
+        """Tasks of zombies: the loop itself keeps only weak references."""
         self._halt = halt
         self._stop = stop
         self._command_queue = CommandQueue("behaviors", asleep=True)
         self._members: dict[str, Member] = {}
-        self._adding: Member | None = None
+        self._coming: list[Member] = []
+        """Those whose ``setup`` a command waits for."""
         self._ending: list[Member] = []
         self._mediator: Mediator | None = None
         self._all_ended: asyncio.Future[None] | None = None
@@ -234,6 +243,7 @@ class BehaviorSupervisor(abc.Supervisor):
         action: Behavior | Reaction = adapt_action(component)
 
         async def work() -> None:
+            await self._gone(_name(action))
             self._refuse(examine_action(self._plan(action), action), action)
             member = Member(action, self, action.name)
             self._members[member.name] = member
@@ -241,6 +251,11 @@ class BehaviorSupervisor(abc.Supervisor):
             try:
                 await self._begin(member)
             except BaseException:
+                if self._members.get(member.name) is not member:
+                    raise  # somebody has removed or replaced it meanwhile
+                if member.state is BehaviorState.STOPPING:
+                    await self._gone(member.name)
+                    raise
                 member.state = BehaviorState.STOPPING
                 self.mediator.peer_removed(member)
                 await self._end(member)
@@ -249,15 +264,15 @@ class BehaviorSupervisor(abc.Supervisor):
                 raise
             self.journal.publish(Kind.ADDED, member.name, "behavior")
 
-        self._check_caller()
         await self._command_queue.run(work, name=f"add {_name(action)}", undo=True)
 
     async def remove(self, name: str) -> list[Any]:
         """Take a behavior away while everything else keeps running.
 
         Its rights end at once, what it moved is made safe, then it is cancelled.
-        Returns within the grace period, whatever it does; what would not end is
-        fenced off and listed in ``zombies``.
+        Returns within the grace period and 0.1 s, whatever it does, and whatever its
+        actuators do; what would not end is fenced off and listed in ``zombies``. Also
+        a ``setup`` that is waited for, of it or of what shall replace it, is ended.
 
         Returns:
             The data that lay in its inbox and was not taken, the oldest first.
@@ -268,9 +283,14 @@ class BehaviorSupervisor(abc.Supervisor):
         """
 
         async def work() -> list[Any]:
+            await self._gone(name)
             member = self._member(name)
             member.state = BehaviorState.STOPPING
             self.mediator.peer_removed(member)
+            for coming in tuple(self._coming):
+                if coming.name == name:
+                    coming.give_up()
+            self._command_queue.changed()
             await self._end(member)
             del self._members[name]
             member.sight.removed()
@@ -278,7 +298,6 @@ class BehaviorSupervisor(abc.Supervisor):
             self._check_all_ended()
             return list(member.inbox)
 
-        self._check_caller()
         return await self._command_queue.run(work, name=f"remove {name}", undo=False)
 
     async def replace(
@@ -302,6 +321,7 @@ class BehaviorSupervisor(abc.Supervisor):
         action: Behavior | Reaction = adapt_action(component)
 
         async def work() -> list[Any]:
+            await self._gone(name)
             old = self._member(name)
             if isinstance(action, abc.Component) and not in_use(action):
                 action._name = name  # noqa: SLF001 - a supervisor gives names
@@ -315,8 +335,13 @@ class BehaviorSupervisor(abc.Supervisor):
                 await self._begin(new)
                 if isinstance(action, Reaction):
                     # Until then the old one decides: nothing moves unwatched.
+                    self._command_queue.changed()
                     await asyncio.wait({new.sight.decided()}, timeout=TAKE_OVER)
+                old = self._member(name)  # it may be another one by now
+                if old.state is BehaviorState.STOPPING:
+                    raise BehaviorRemovedError(name)
             except BaseException:
+                new.give_up()
                 await self._end(new)
                 new.sight.leave()
                 raise
@@ -329,7 +354,6 @@ class BehaviorSupervisor(abc.Supervisor):
             self._check_all_ended()
             return list(old.inbox)
 
-        self._check_caller()
         return await self._command_queue.run(work, name=f"replace {name}", undo=True)
 
     def mute(self, name: str, seconds: float, reason: str) -> None:
@@ -396,13 +420,14 @@ class BehaviorSupervisor(abc.Supervisor):
                 member.start()
             except Exception as error:
                 member._crashed(error)  # noqa: SLF001 - its owner
+        # All are deployed: a setup that gives a command does not wait for itself.
+        self._command_queue.initialized()
         await self._await_sight()
         self.may_begin.set()
         waits = [member.ready for member in members if member.ready is not None]
         if waits:
             await asyncio.wait(waits, timeout=START_TIMEOUT)
             _warn_of(process, " or ".join(self._members))
-        self._command_queue.initialized()
 
     def forget_waiting(self) -> None:
         """Drop the commands that reactions keep for later: the robot is halted."""
@@ -469,7 +494,7 @@ class BehaviorSupervisor(abc.Supervisor):
     def declared(self, behavior: str, resource: str) -> Access:
         """Return what the class of a behavior declares to do with a resource."""
         access = Access(0)
-        for member in (self._members.get(behavior), self._adding):
+        for member in (self._members.get(behavior), *self._coming):
             if member is None or member.name != behavior:
                 continue
             performed = (need for each in member.performs for need in each.needs)
@@ -490,7 +515,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
     def is_adding(self, member: Member) -> bool:
         """Tell whether somebody waits for the setup of a member."""
-        return self._adding is member
+        return member in self._coming
 
     def ended(self, member: Member) -> None:
         """A member has finished, or failed for good."""
@@ -510,49 +535,83 @@ class BehaviorSupervisor(abc.Supervisor):
     def _refuse(found: list[Finding], action: Behavior | Reaction) -> None:
         refuse(found, f"{_name(action)} is described wrongly")
 
-    def _check_caller(self) -> None:
-        """Refuse a command of a behavior in its setup: the command queue waits for that setup."""
-        adding = self._adding
-        if adding is not None and current_owner() is adding.owner:
-            raise BusyError(
-                "behaviors",
-                f"one command at a time, and one is adding {adding.name!r}",
-                1,
-            )
-
     def _member(self, name: str) -> Member:
         member = self._members.get(name)
         if member is None:
             raise UnknownNameError("behavior", name, self._members)
         return member
 
+    async def _gone(self, name: str) -> None:
+        """Wait until a removal of that name that runs is over; others do not wait."""
+        while True:
+            member = self._members.get(name)
+            if member is None or member.state is not BehaviorState.STOPPING:
+                return
+            self._command_queue.changed()
+            await asyncio.wait({member.over})
+
     async def _begin(self, member: Member) -> None:
-        self._adding = member
+        """Start a member, and wait for its setup outside of the command queue."""
+        self._coming.append(member)
         process = ProcessWatch(asyncio.get_running_loop())
         try:
             member.start()
-            if member.ready is not None:
-                try:
-                    await member.ready
-                except Exception as error:
-                    raise BehaviorFailedError(member.name, describe(error)) from error
+            ready = member.ready
+            if ready is None:
+                return
+            self._command_queue.changed()
+            await asyncio.wait({ready}, timeout=SETUP_TIMEOUT)
+            if not ready.done():
+                raise BehaviorFailedError(
+                    member.name, f"its setup did not end in {SETUP_TIMEOUT:g} s"
+                )
+            try:
+                ready.result()
+            except Exception as error:
+                if member.given_up:
+                    raise
+                raise BehaviorFailedError(member.name, describe(error)) from error
         finally:
-            self._adding = None
+            self._coming.remove(member)
             _warn_of(process, member.name)
 
     async def _end(self, member: Member) -> None:
+        """End a member; what it moved is safe, or the time for both is over."""
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + self.grace + MARGIN
         uses = {registration.resource for registration in member.uses()}
         wrote = [c for name, c in self.actuators.channels.items() if name in uses]
         self._ending.append(member)
         await member.stop(self.grace)
         member.state = BehaviorState.REMOVED
-        await asyncio.gather(*(channel.safe_now() for channel in wrote))
+        if wrote:
+            await self._until_safe(wrote, deadline)
         self._ending.remove(member)
-        for task in member.zombies:
+        if not member.over.done():  # the stop may end what a command was ending
+            member.over.set_result(None)
+        self._undead.update(member.undead)
+        for task in member.undead:
+            task.add_done_callback(self._undead.discard)
+        for name in member.zombies:
             self.zombie_count += 1
-            self.zombies.append(Zombie(member.name, task))
+            self.zombies.append(Zombie(member.name, name))
             del self.zombies[:-ZOMBIE_LIMIT]
-            _log.warning("%s: %s would not end; it is fenced off", member.name, task)
+            _log.warning("%s: %s would not end; it is fenced off", member.name, name)
+
+    async def _until_safe(
+        self, channels: Iterable[ActuatorChannel], deadline: float
+    ) -> None:
+        """Wait for the safe commands of actuators, until a moment."""
+        loop = asyncio.get_running_loop()
+        waits = [
+            spawn(loop, channel.safe_now(), name=f"safe {channel.name}")
+            for channel in channels
+        ]
+        try:
+            await asyncio.wait(waits, timeout=max(0.0, deadline - loop.time()))
+        finally:
+            for wait in waits:
+                wait.cancel()  # what is sent goes on to be sent
 
     def _resource_changed(self, event: Event) -> None:
         if event.peer == "resource":

@@ -21,7 +21,9 @@ class CommandQueue:
     """Takes commands in WAIT_REQUEST only; the others wait in order, none is lost.
 
     A command runs in a task of its own, so that whoever gave it can be cancelled at
-    any moment without leaving it half done.
+    any moment without leaving it half done. It changes the table of its supervisor in
+    one step and says so by `changed`; what it waits for then, a ``setup`` or an end,
+    keeps no other command waiting.
 
     Args:
         name: The name of the supervisor, for errors.
@@ -31,10 +33,18 @@ class CommandQueue:
     def __init__(self, name: str, *, asleep: bool = False) -> None:
         self.name = name
         self._asleep = asleep
-        self.phase = SupervisorPhase.INITIALIZING
+        self._phase = SupervisorPhase.INITIALIZING
         self._waiting: collections.deque[asyncio.Future[None]] = collections.deque()
         self._work: asyncio.Task[Any] | None = None
-        self._undoes = False
+        self._undoes: dict[asyncio.Task[Any], bool] = {}
+        """Every command that is not done, and whether it can be undone still."""
+
+    @property
+    def phase(self) -> SupervisorPhase:
+        """What the supervisor is doing; it handles a request until that is done."""
+        if self._phase is SupervisorPhase.WAIT_REQUEST and self._undoes:
+            return SupervisorPhase.HANDLING_REQUEST
+        return self._phase
 
     async def run(
         self,
@@ -60,34 +70,42 @@ class CommandQueue:
         me = asyncio.current_task()
         assert me is not None
         before = me.cancelling()
-        self._undoes = undo
         task = self._work = spawn(loop, work(), name=name)
+        self._undoes[task] = undo
         task.add_done_callback(self._done)
         try:
             return await asyncio.shield(task)
         except asyncio.CancelledError:
             if task.cancelled() and me.cancelling() == before:  # the robot stopped
                 raise StoppingError(self.name, self.phase.value) from None
-            if self._work is task and self._undoes:
+            if self._undoes.get(task):
                 task.cancel()
                 await asyncio.wait({task})
             raise
 
     def no_return(self) -> None:
         """The work that runs can no longer be undone: it is finished in any case."""
-        self._undoes = False
+        me = asyncio.current_task()
+        if me in self._undoes:
+            self._undoes[me] = False
+
+    def changed(self) -> None:
+        """The work that runs has changed the table: the next command may begin."""
+        if self._work is not None and self._work is asyncio.current_task():
+            self._work = None
+            self._next()
 
     @property
     def _stopped(self) -> bool:
-        return self.phase is SupervisorPhase.STOPPED
+        return self._phase is SupervisorPhase.STOPPED
 
     async def _turn(self, loop: asyncio.AbstractEventLoop) -> None:
         if self._stopped:
             raise StoppingError(self.name, self.phase.value)
         if self._asleep:
             raise StoppingError(self.name, "not started yet: enter the robot first")
-        if self.phase is SupervisorPhase.WAIT_REQUEST:
-            self.phase = SupervisorPhase.HANDLING_REQUEST
+        if self._phase is SupervisorPhase.WAIT_REQUEST:
+            self._phase = SupervisorPhase.HANDLING_REQUEST
             return
         if len(self._waiting) >= LIMIT:
             raise BusyError(self.name, "number of waiting commands", LIMIT)
@@ -105,10 +123,12 @@ class CommandQueue:
             raise
 
     def _done(self, task: asyncio.Task[Any]) -> None:
-        self._work = None
+        del self._undoes[task]
         if not task.cancelled():
             task.exception()  # its caller may have gone
-        self._next()
+        if self._work is task:
+            self._work = None
+            self._next()
 
     def _next(self) -> None:
         if self._stopped:
@@ -116,10 +136,10 @@ class CommandQueue:
         while self._waiting:
             turn = self._waiting.popleft()
             if not turn.done():
-                self.phase = SupervisorPhase.HANDLING_REQUEST
+                self._phase = SupervisorPhase.HANDLING_REQUEST
                 turn.set_result(None)
                 return
-        self.phase = SupervisorPhase.WAIT_REQUEST
+        self._phase = SupervisorPhase.WAIT_REQUEST
 
     def wake(self) -> None:
         """The robot starts: let commands wait from now on."""
@@ -130,12 +150,14 @@ class CommandQueue:
         self._next()
 
     async def close(self) -> None:
-        """Refuse every further command, and end the one that runs."""
-        self.phase = SupervisorPhase.STOPPED
+        """Refuse every further command, and end those that run."""
+        self._phase = SupervisorPhase.STOPPED
         waiting, self._waiting = self._waiting, collections.deque()
         for turn in waiting:
             if not turn.done():
                 turn.set_exception(StoppingError(self.name, self.phase.value))
-        if self._work is not None:
-            self._work.cancel()
-            await asyncio.wait({self._work})
+        running = set(self._undoes)
+        for task in running:
+            task.cancel()
+        if running:
+            await asyncio.wait(running)

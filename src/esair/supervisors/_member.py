@@ -81,12 +81,15 @@ class Member(Mailbox):
         "_timer",
         "detail",
         "gate",
+        "given_up",
+        "over",
         "performs",
         "ready",
         "registrations",
         "runner",
         "sight",
         "task",
+        "undead",
         "zombies",
     )
 
@@ -103,7 +106,13 @@ class Member(Mailbox):
         self.ready: asyncio.Future[None] | None = None
         self.gate: asyncio.Future[None] | None = None
         """If there is one, ``run`` begins only when it is done."""
+        self.over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        """Done when it has been ended."""
+        self.given_up = False
+        """Nobody wants it any more: it is removed, or its place is."""
         self.zombies: list[str] = []
+        """The names of its tasks and threads that would not end."""
+        self.undead: list[asyncio.Task[Any]] = []
         self._supervisor = supervisor
         self._budget: RestartBudget | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -449,6 +458,7 @@ class Member(Mailbox):
             self._timer.cancel()
             self._timer = None
         self.fence(lambda: _UserRemovedError(self.name))
+        self.give_up()
         self._end_requests()
         self.run_over(None)
         for taker in self.takers or ():
@@ -462,16 +472,25 @@ class Member(Mailbox):
                 task.cancel()
             await asyncio.wait(living, timeout=grace if grace > 0 else 0.001)
             living = self._living()
-            grace = 0.05
+            grace = 0.04
         self.zombies = [
             *(task.get_name() for task in living),
             *(thread.name for thread in self.owner.threads),
         ]
+        self.undead = living
         for task in living:
             task.add_done_callback(_look_at)
         self.task = None
         if isinstance(self.action, Behavior) and self.action._host is self:  # noqa: SLF001
             self._unbind(self.action)
+
+    def give_up(self) -> None:
+        """End whoever waits for its setup, and what would wait for its turn to run."""
+        self.given_up = True
+        for future in (self.ready, self.gate):
+            if future is not None and not future.done():
+                future.set_exception(BehaviorRemovedError(self.name))
+                future.exception()  # there may be nobody who waits
 
     def _end_requests(self) -> None:
         if self.asked:

@@ -1,0 +1,277 @@
+"""Commands change the table; nothing that hangs keeps another command waiting."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
+
+import pytest
+
+import esair
+from esair.testing import FakeActuator
+
+pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("SUP-3")]
+
+GRACE = 0.3
+
+
+class Idle(esair.Behavior):
+    """Does nothing."""
+
+
+class Hangs(esair.Behavior):
+    """Its setup does not end."""
+
+    async def setup(self) -> None:
+        await asyncio.sleep(1000.0)
+
+
+class Swallows(esair.Behavior):
+    """Writes, and ignores its cancellation, in its run and its clean-up."""
+
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        await self.wheels.write(1.0)
+        await self.swallow()
+
+    async def teardown(self) -> None:
+        await self.swallow()
+
+    async def swallow(self) -> None:
+        for _ in range(3):
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.sleep(1.0)
+
+
+class Calls(esair.Behavior):
+    """Gives a command to its own robot in its setup."""
+
+    robot: esair.Robot
+
+    def __init__(self, command: Callable[[esair.Robot], Awaitable[Any]]) -> None:
+        super().__init__()
+        self.command = command
+
+    async def setup(self) -> None:
+        await self.command(self.robot)
+
+
+@contextlib.contextmanager
+def takes(least: float, most: float) -> Iterator[None]:
+    loop = asyncio.get_running_loop()
+    begin = loop.time()
+    yield
+    assert least <= loop.time() - begin <= most
+
+
+async def soon(work: Any) -> asyncio.Task[Any]:
+    task: asyncio.Task[Any] = asyncio.ensure_future(work)
+    for _ in range(5):
+        await asyncio.sleep(0)
+    return task
+
+
+@pytest.mark.parametrize("deadline", [1.0, 5.0])
+@pytest.mark.parametrize("stalls", [True, False])
+async def test_a_removal_takes_its_grace_period_at_most(
+    deadline: float, stalls: bool
+) -> None:
+    """Whatever the behavior and its actuator do: deadlines do not add up."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    wheels.deadline = deadline
+    async with esair.Robot(
+        resources=[wheels], behaviors=[Swallows()], grace=GRACE
+    ) as robot:
+        await asyncio.sleep(0.01)
+        if stalls:
+            wheels.stall()
+        with takes(0.0, GRACE + 0.1):
+            await robot.behaviors.remove("swallows")
+        wheels.resume()
+        assert robot.behaviors.names() == []
+        await asyncio.sleep(10.0)  # the zombie ends
+
+
+async def test_an_actuator_that_hangs_is_waited_for_no_longer() -> None:
+    """Also where the behavior ends at once, its safe command has the grace period."""
+
+    class Writes(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            await self.wheels.write(1.0)
+            await asyncio.sleep(1000.0)
+
+    wheels = FakeActuator("wheels", safe=0.0)
+    wheels.deadline = 5.0
+    async with esair.Robot(
+        resources=[wheels], behaviors=[Writes()], grace=GRACE
+    ) as robot:
+        await asyncio.sleep(0.01)
+        wheels.stall()
+        with takes(0.0, GRACE + 0.1):
+            await robot.behaviors.remove("writes")
+        wheels.resume()
+        await asyncio.sleep(0.01)
+        assert wheels.commands[-1] == 0.0
+
+
+async def test_a_setup_that_hangs_keeps_nobody_waiting() -> None:
+    """Other commands are done at once; its own removal ends it, and tells the adder."""
+    async with esair.Robot(behaviors=[Idle(name="a")], grace=GRACE) as robot:
+        adding = await soon(robot.behaviors.add(Hangs()))
+        with takes(0.0, 0.0):
+            await robot.behaviors.remove("a")
+            await robot.behaviors.add(Idle(name="b"))
+            await robot.behaviors.replace("b", Idle())
+            await robot.behaviors.remove("hangs")
+            with pytest.raises(esair.BehaviorRemovedError, match="hangs"):
+                await adding
+        assert robot.behaviors.names() == ["b"]
+        await robot.behaviors.add(Idle(name="hangs"))
+
+
+async def test_a_setup_has_a_time_limit() -> None:
+    """After that the behavior is not in the robot, and its adder knows why."""
+    async with esair.Robot(behaviors=[Idle()], grace=GRACE) as robot:
+        with (
+            takes(5.0, 5.0 + GRACE + 0.1),
+            pytest.raises(esair.BehaviorFailedError, match=r"setup .* 5 s"),
+        ):
+            await robot.behaviors.add(Hangs())
+        with pytest.raises(esair.BehaviorFailedError, match="setup"):
+            await robot.behaviors.replace("idle", Hangs())
+        assert robot.behaviors.names() == ["idle"]
+        state = robot.behaviors.query("idle").state
+        assert state is esair.BehaviorState.RUNNING
+
+
+@pytest.mark.parametrize("at_start", [True, False])
+async def test_a_setup_may_give_commands(at_start: bool) -> None:
+    """They are done at once, also while the robot starts."""
+    calls = Calls(lambda robot: robot.behaviors.add(Idle()))
+    robot = calls.robot = esair.Robot(behaviors=[calls] if at_start else [])
+    with takes(0.0, 0.01):
+        async with robot:
+            if not at_start:
+                await robot.behaviors.add(calls)
+            assert sorted(robot.behaviors.names()) == ["calls", "idle"]
+
+
+async def test_a_setup_may_remove_its_own_behavior() -> None:
+    """Its adder learns that it was removed, and nothing is left."""
+    calls = Calls(lambda robot: robot.behaviors.remove("calls"))
+    async with esair.Robot(grace=GRACE) as robot:
+        calls.robot = robot
+        with takes(0.0, GRACE + 0.1), pytest.raises(esair.BehaviorRemovedError):
+            await robot.behaviors.add(calls)
+        assert robot.behaviors.names() == []
+
+
+async def test_a_removal_ends_the_replacement_that_is_set_up() -> None:
+    """Both are gone, and who replaces is told."""
+    async with esair.Robot(behaviors=[Idle()], grace=GRACE) as robot:
+        replacing = await soon(robot.behaviors.replace("idle", Hangs()))
+        with takes(0.0, GRACE + 0.1):
+            await robot.behaviors.remove("idle")
+            with pytest.raises(esair.BehaviorRemovedError):
+                await replacing
+        assert robot.behaviors.names() == []
+
+
+async def test_the_last_of_two_replacements_stays() -> None:
+    """Each takes the place of whoever is there when its setup is done."""
+
+    class Slow(Idle):
+        def __init__(self, seconds: float) -> None:
+            super().__init__()
+            self.seconds = seconds
+
+        async def setup(self) -> None:
+            await asyncio.sleep(self.seconds)
+
+    first, second, third = Idle(name="idle"), Slow(2.0), Slow(1.0)
+    async with esair.Robot(behaviors=[first], grace=GRACE) as robot:
+        replaces = [
+            await soon(robot.behaviors.replace("idle", each))
+            for each in (second, third)
+        ]
+        await asyncio.gather(*replaces)
+        assert robot.behaviors._members["idle"].action is second
+        assert third._host is None
+
+
+async def test_a_replacement_that_is_given_up_leaves_no_gate() -> None:
+    """A setup that ignored its end does not wait for its turn for ever."""
+    reached: list[str] = []
+
+    class Stubborn(Idle):
+        async def setup(self) -> None:
+            for _ in range(3):
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(2.0)
+
+        async def run(self) -> None:
+            reached.append("run")
+
+        async def teardown(self) -> None:
+            reached.append("teardown")
+
+    async with esair.Robot(behaviors=[Idle()], grace=GRACE) as robot:
+        replacing = await soon(robot.behaviors.replace("idle", Stubborn()))
+        replacing.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await replacing
+        assert robot.behaviors.zombie_count == 1
+        await asyncio.sleep(10.0)
+        assert reached == ["teardown"]
+        assert not robot.behaviors._undead
+
+
+async def test_what_would_not_end_is_kept_until_it_ends() -> None:
+    """The loop keeps weak references only: the collector must not destroy it."""
+    ended: list[str] = []
+
+    class Late(Idle):
+        async def run(self) -> None:
+            try:
+                await self.forever()
+            finally:
+                ended.append("closed")
+
+        async def forever(self) -> None:
+            for _ in range(3):
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(5.0)
+            ended.append("by itself")
+
+    async with esair.Robot(behaviors=[Late()], grace=GRACE) as robot:
+        await asyncio.sleep(0)
+        await robot.behaviors.remove("late")
+        gc.collect()
+        await asyncio.sleep(20.0)
+        assert ended == ["by itself", "closed"]
+        assert [zombie.behavior for zombie in robot.behaviors.zombies] == ["late"]
+        assert not robot.behaviors._undead
+
+
+async def test_a_second_removal_waits_for_the_first() -> None:
+    """Then the name is unknown; other commands do not wait meanwhile."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(
+        resources=[wheels], behaviors=[Swallows(), Idle()], grace=GRACE
+    ) as robot:
+        await asyncio.sleep(0.01)
+        first = await soon(robot.behaviors.remove("swallows"))
+        second = await soon(robot.behaviors.remove("swallows"))
+        with takes(0.0, 0.0):
+            await robot.behaviors.remove("idle")
+        with takes(GRACE, GRACE + 0.1):
+            await first
+            with pytest.raises(esair.UnknownNameError):
+                await second
+        await asyncio.sleep(10.0)  # the zombie ends
