@@ -233,7 +233,7 @@ class World:
                 esair.BehaviorState.RUNNING,
                 esair.BehaviorState.PARKED,
             }, member.state
-        assert robot.behaviors._adding is None
+        assert robot.behaviors._coming == []
         assert robot.behaviors._ending == []
         waiting = esair.SupervisorPhase.WAIT_REQUEST
         assert (robot.behaviors.phase, robot.resources.phase) == (waiting, waiting)

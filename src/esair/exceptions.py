@@ -358,6 +358,6 @@ def describe(error: BaseException) -> str:
     """Name an error in one line, even one whose own ``__str__`` raises."""
     try:
         text = " ".join(str(error).split())
-    except Exception:  # a user's __str__ may raise anything
+    except BaseException:  # a user's __str__ may raise anything
         text = "(its text cannot be shown)"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

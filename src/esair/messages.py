@@ -227,6 +227,9 @@ class BehaviorStatus(NamedTuple):
         late: How many steps a reaction has skipped because they were late.
         waiting: How many puts wait for room in its inbox.
         overruns: How many steps of a reaction have taken longer than its budget.
+        requests: How many requests wait that it has not taken yet.
+        working: How many requests it works on.
+        dropped: How much data its boxes have dropped, by their policy.
     """
 
     name: str
@@ -240,6 +243,9 @@ class BehaviorStatus(NamedTuple):
     late: int = 0
     waiting: int = 0
     overruns: int = 0
+    requests: int = 0
+    working: int = 0
+    dropped: int = 0
 
 
 class ResourceStatus(NamedTuple):

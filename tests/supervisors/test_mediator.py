@@ -870,3 +870,216 @@ async def test_a_queue_takes_turns_and_forgets_what_is_over() -> None:
     assert queue.peek() is None
     assert queue.drain() == [made[0]]
     assert queue.count == 0
+
+
+@pytest.mark.promise("BS-9")
+async def test_receive_gives_up_after_its_timeout() -> None:
+    """It raises TimeoutError, and what comes later is not lost."""
+    a, b = Idle(name="a"), Idle(name="b")
+    loop = asyncio.get_running_loop()
+    async with esair.Robot(behaviors=[a, b]):
+        with pytest.raises(
+            TimeoutError, match="'b' could not receive anything for 2 s"
+        ):
+            await b.receive(timeout=2.0)
+        assert loop.time() == pytest.approx(2.0, abs=0.01)
+        await a.put("b", "later")
+        assert await b.receive(timeout=1) == "later"
+        with pytest.raises(esair.BadValueError, match="timeout"):
+            await b.receive(timeout=0)
+
+
+@pytest.mark.promise("BS-9")
+@pytest.mark.parametrize("seed", seeds)
+async def test_what_comes_at_the_timeout_is_taken_or_waits(seed: int) -> None:
+    """Nothing is lost between the two."""
+    a, b = Idle(name="a"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b]) as robot:
+
+        async def put() -> None:
+            await asyncio.sleep(1.0)
+            await a.put("b", "data")
+
+        putting = asyncio.ensure_future(put())
+        try:
+            got = [await b.receive(timeout=1.0)]
+        except TimeoutError:
+            got = []
+        await putting
+        assert got + await robot.behaviors.remove("b") == ["data"]
+
+
+@pytest.mark.promise("BS-9")
+async def test_receive_from_tells_who_has_put_it() -> None:
+    """Also for what had to wait, and what a policy has dropped does not shift it."""
+
+    class Box(Idle):
+        inbox_size = 2
+        inbox_policy = "drop_oldest"
+
+    a, c, b, s = Idle(name="a"), Idle(name="c"), Box(name="b"), Small(name="s")
+    async with esair.Robot(behaviors=[a, b, c, s]) as robot:
+        for who, data in ((a, 1), (a, 2), (c, 3)):
+            await who.put("b", data)
+        assert robot.behaviors.query("b").dropped == 1
+        assert await b.receive_from() == ("a", 2)
+        assert await b.receive_from(timeout=1.0) == ("c", 3)
+        waits = [await soon(who.put("s", who.name)) for who in (a, c)]
+        assert [await s.receive_from() for _ in waits] == [("a", "a"), ("c", "c")]
+        await asyncio.gather(*waits)
+
+
+@pytest.mark.promise("BS-9")
+async def test_the_latest_offer_may_be_got_again_and_again() -> None:
+    """Everybody who waits gets it, and everybody later, until the next one."""
+    a, c, b = Idle(name="a"), Idle(name="c"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b, c]) as robot:
+        waits = [await soon(who.get("b")) for who in (a, c, a)]
+        b.offer(1, latest=True)
+        assert await asyncio.gather(*waits) == [1, 1, 1]
+        assert [await a.get("b"), await c.get("b")] == [1, 1]
+        assert robot.behaviors.query("b").can_send
+        b.offer(2, latest=True)
+        assert await a.get("b") == 2
+        b.offer(3)
+        assert await a.get("b") == 3
+        assert not robot.behaviors.query("b").can_send
+
+
+@pytest.mark.promise("BS-9")
+@pytest.mark.parametrize("other", [True, False])
+async def test_a_get_cancelled_in_the_instant_of_its_delivery_loses_nothing(
+    other: bool,
+) -> None:
+    """The data goes to the next who waits, or is there for the next who asks."""
+    a, c, b = Idle(name="a"), Idle(name="c"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b, c]) as robot:
+        first = await soon(a.get("b"))
+        second = await soon(c.get("b")) if other else None
+        b.offer(1)
+        b.offer(2)
+        first.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await first
+        got = [] if second is None else [await second]
+        got.append(await a.get("b"))
+        if second is None:
+            got.append(await a.get("b"))
+        assert sorted(got) == [1, 2]
+        assert outcomes(robot).count(Outcome.WITHDRAWN) == 1
+        assert outcomes(robot).count(Outcome.DELIVERED) == 2
+
+
+@pytest.mark.promise("BS-9")
+async def test_query_tells_how_many_requests_wait() -> None:
+    """Those that were not taken yet, and those that are worked on."""
+
+    class Order(esair.Request[None]):
+        """A request."""
+
+    class Worker(Idle):
+        orders = esair.takes(Order)
+
+        async def run(self) -> None:
+            async for _ in self.orders:
+                await asyncio.sleep(10.0)
+
+    a = Idle(name="a")
+    async with esair.Robot(behaviors=[a, Worker(name="b")]) as robot:
+        asks = [await soon(a.ask("b", Order())) for _ in range(3)]
+        status = robot.behaviors.query("b")
+        assert (status.requests, status.working) == (2, 1)
+        for ask in asks:
+            ask.cancel()
+        await asyncio.wait(asks)
+        assert robot.behaviors.query("b").requests == 0
+
+
+@pytest.mark.promise("BS-9")
+@pytest.mark.parametrize("verb", ["put", "get"])
+async def test_a_removed_askers_requests_end_whatever_task_made_them(verb: str) -> None:
+    """Also a task that is not the behavior's own."""
+    a, b = Idle(name="a"), Small(name="b")
+    loop = asyncio.get_running_loop()
+    async with esair.Robot(behaviors=[a, b]) as robot:
+        await a.put("b", 1)
+        work = a.put("b", 2, 60.0) if verb == "put" else a.get("b", 60.0)
+        request = await soon(work)
+        await robot.behaviors.remove("a")
+        with pytest.raises(esair.BehaviorRemovedError, match="'a'"):
+            await request
+        assert loop.time() == 0.0
+        assert robot.behaviors.mediator._pending == 0
+
+
+@pytest.mark.promise("BS-5")
+async def test_one_who_can_still_answer_closes_no_circle() -> None:
+    """It follows the requests that an answer waits for, not names."""
+
+    class Busy(Idle):
+        async def run(self) -> None:
+            self.asking = asyncio.ensure_future(self.get("b", 60.0))
+            await asyncio.sleep(1.0)
+            self.offer("from a")
+            await self.asking
+
+    a, b = Busy(name="a"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b]):
+        await asyncio.sleep(0.5)
+        assert await b.get("a") == "from a"
+        b.offer("from b")
+        await asyncio.sleep(0.1)
+
+
+@pytest.mark.promise("BS-5")
+async def test_one_who_provides_while_it_asks_closes_no_circle() -> None:
+    """Its provide is free, whatever its run waits for."""
+
+    class Provides(Idle):
+        async def run(self) -> None:
+            self.got = await self.get("b", 60.0)
+
+        async def provide(self) -> str:
+            return "made"
+
+    a, b = Provides(name="a"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b]):
+        await asyncio.sleep(0.1)
+        assert await b.get("a") == "made"
+        b.offer("x")
+        await asyncio.sleep(0.1)
+        assert a.got == "x"
+
+
+@pytest.mark.promise("BS-5")
+@pytest.mark.fault("M08")
+async def test_foreign_errors_are_contained_in_the_mediator() -> None:
+    """An error whose path or text raises ends its own request only."""
+
+    class StrangeError(esair.CircularRequestError):
+        def __init__(self) -> None:
+            Exception.__init__(self)
+
+        @property
+        def path(self) -> Any:  # type: ignore[override]
+            raise RuntimeError("no path")
+
+        def __str__(self) -> str:
+            raise SystemExit("no text")
+
+    class Strange(Maker):
+        async def provide(self) -> Any:
+            if self.made:
+                return "fine"
+            self.made = 1
+            raise StrangeError
+
+    a = Idle(name="a")
+    problems: list[Any] = []
+    loop = asyncio.get_running_loop()
+    loop.set_exception_handler(lambda _loop, context: problems.append(context))
+    async with esair.Robot(behaviors=[a, Strange(name="b")]):
+        with pytest.raises(esair.BehaviorFailedError, match="cannot be shown"):
+            await a.get("b")
+        assert await a.get("b") == "fine"
+    assert problems == []

@@ -16,6 +16,7 @@ from esair.actions._takes import Answers, Takes, declared_requests
 from esair.connections import Halting, Stopped
 from esair.exceptions import ConfigError, NotRegisteredError
 from esair.messages import Access, Restart
+from esair.values import check_duration
 
 A = TypeVar("A")
 
@@ -35,7 +36,7 @@ class Host(Protocol):
     ) -> Coroutine[Any, Any, None]: ...
     def take(self, sender: str, interval: float) -> Any: ...
     def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]: ...
-    async def receive(self) -> Any: ...
+    async def receive(self, timeout: float | None) -> tuple[str, Any]: ...
     def ask(
         self,
         receiver: str,
@@ -43,7 +44,7 @@ class Host(Protocol):
         timeout: float | None,
         progress: Callable[[Any], object] | None,
     ) -> Coroutine[Any, Any, Any]: ...
-    def offer(self, data: Any) -> None: ...
+    def offer(self, data: Any, latest: bool) -> None: ...
     async def perform(
         self,
         reaction: Reaction,
@@ -206,15 +207,38 @@ class Behavior(ProfiledAction):
             raise self._alone()
         return await host.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
 
-    async def receive(self) -> Any:
-        """Wait for data that another behavior has put, and take it."""
-        host = self._host
-        if host is None:
-            raise self._alone()
-        return await host.receive()
+    async def receive(self, *, timeout: float | None = None) -> Any:
+        """Wait for data that another behavior has put, and take it.
 
-    def offer(self, data: Any) -> None:
+        Args:
+            timeout: How long to wait, in seconds; None for no limit.
+
+        Raises:
+            TimeoutError: There was none in time; what comes later waits.
+        """
+        _, data = await self._take(timeout)
+        return data
+
+    async def receive_from(self, *, timeout: float | None = None) -> tuple[str, Any]:
+        """Wait for data as `receive` does.
+
+        Args:
+            timeout: How long to wait, in seconds; None for no limit.
+
+        Returns:
+            Who has put it, and the data.
+
+        Raises:
+            TimeoutError: There was none in time; what comes later waits.
+        """
+        return await self._take(timeout)
+
+    def offer(self, data: Any, *, latest: bool = False) -> None:
         """Lay data out for a `get` of others; each piece goes to one of them.
+
+        Args:
+            data: What one of them gets, untouched.
+            latest: Everybody may get it, again and again, until the next offer.
 
         Raises:
             BusyError: The outbox is full, and its policy is ``"reject"``.
@@ -222,7 +246,7 @@ class Behavior(ProfiledAction):
         host = self._host
         if host is None:
             raise self._alone()
-        host.offer(data)
+        host.offer(data, latest)
 
     async def perform(
         self,
@@ -326,6 +350,14 @@ class Behavior(ProfiledAction):
     def provides(self) -> bool:
         """Whether the class has a ``provide``."""
         return type(self).provide is not Behavior.provide
+
+    async def _take(self, timeout: float | None) -> tuple[str, Any]:
+        host = self._host
+        if host is None:
+            raise self._alone()
+        if timeout is not None:
+            check_duration(self.name, "timeout", timeout)
+        return await host.receive(timeout)
 
     def _alone(self) -> NotRegisteredError:
         return NotRegisteredError(self.name, "robot", "it is not in a running robot")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from esair.actions import NOTHING, Behavior, Reaction
 from esair.exceptions import (
     BehaviorRemovedError,
+    BehaviorUnavailableError,
     BusyError,
     ConfigError,
     NotRegisteredError,
@@ -56,7 +57,9 @@ class Mailbox:
         "error",
         "inbox",
         "is_quick",
+        "latest",
         "name",
+        "origins",
         "outbox",
         "outlived",
         "owner",
@@ -84,6 +87,10 @@ class Mailbox:
         self.state = BehaviorState.STARTING
         self.error: BaseException | None = None
         self.inbox: list[Any] = []
+        self.origins: list[str] = []
+        """Who put what lies in the inbox."""
+        self.latest: Any = NOTHING
+        """What everybody may get again and again."""
         self.outbox: list[Any] = []
         self.dropped = 0
         self.senders = FairQueue()
@@ -157,16 +164,17 @@ class Mailbox:
     @property
     def can_send(self) -> bool:
         """Whether a get is answered without waiting for a change of state."""
-        return bool(self.outbox) or self.can_provide
+        return bool(self.outbox) or self.latest is not NOTHING or self.can_provide
 
-    def deliver(self, data: Any) -> None:
+    def deliver(self, data: Any, sender: str) -> None:
         """Put data into the inbox; there is room, or a policy that makes some."""
         inbox = self.inbox
         if len(inbox) >= self.room:
             drop = len(inbox) if self.action.inbox_policy == "latest" else 1  # type: ignore[union-attr]
-            del inbox[:drop]
+            del inbox[:drop], self.origins[:drop]
             self.dropped += drop
         inbox.append(data)
+        self.origins.append(sender)
         self.wake()
 
     def wake(self) -> None:
@@ -231,16 +239,26 @@ class Mailbox:
         for queue in self.queues.values():
             queue.run_ended(error)
 
-    async def receive(self) -> Any:
-        """Wait for data in the inbox, and take it."""
+    async def receive(self, timeout: float | None) -> tuple[str, Any]:
+        """Wait for data in the inbox, and take it; returns its sender, too."""
+        loop = asyncio.get_running_loop()
+        deadline = None if timeout is None else loop.time() + timeout
         while True:
             self.check_speaker()  # what a removed one has belongs to the remover
             if self.inbox:
                 break
-            taker = asyncio.get_running_loop().create_future()
+            if deadline is not None and loop.time() >= deadline:
+                assert timeout is not None
+                raise BehaviorUnavailableError(
+                    self.name, "receive anything", timeout, self.state.value
+                )
+            taker = loop.create_future()
             if self.takers is None:
                 self.takers = []
             self.takers.append(taker)
+            timer = None
+            if deadline is not None:
+                timer = loop.call_at(deadline, _wake, taker)
             try:
                 await taker
             except asyncio.CancelledError:
@@ -248,17 +266,25 @@ class Mailbox:
                     self.wake()  # it was woken in the same tick: wake the next one
                 raise
             finally:
+                if timer is not None:
+                    timer.cancel()
                 self.takers.remove(taker)
                 if not self.takers:
                     self.takers = None
-        data = self.inbox.pop(0)
+        data, sender = self.inbox.pop(0), self.origins.pop(0)
         if self.senders.count:
             self._mediator.admit(self)
-        return data
+        return sender, data
 
-    def offer(self, data: Any) -> None:
+    def offer(self, data: Any, latest: bool) -> None:
         """Lay data out for whoever asks for it."""
         self.check_speaker()
+        self.latest = data if latest else NOTHING
+        if latest:
+            self.outbox.clear()
+            while self._mediator.offered(self, data):
+                continue  # everybody who waits gets it
+            return
         if self._mediator.offered(self, data):
             return
         action = self.action
@@ -270,3 +296,8 @@ class Mailbox:
             del self.outbox[:drop]
             self.dropped += drop
         self.outbox.append(data)
+
+
+def _wake(taker: asyncio.Future[None]) -> None:
+    if not taker.done():
+        taker.set_result(None)

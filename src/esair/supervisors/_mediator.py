@@ -112,6 +112,7 @@ class Mediator:
         ):
             return False
         member.inbox.append(data)
+        member.origins.append(sender)
         if member.takers:
             member.wake()
         self.delivered += 1
@@ -142,7 +143,7 @@ class Mediator:
     ) -> None:
         member = self._check(receiver, interval, data)
         if member.can_receive:
-            member.deliver(data)
+            member.deliver(data, sender)
             self.record("put", sender, receiver, _DELIVERED, data)
             return
         request = self._begin("put", sender, receiver, data, member.senders.count, by)
@@ -166,7 +167,7 @@ class Mediator:
         while member.senders.count and member.has_room:
             request = member.senders.pop()
             if not request.future.done():
-                member.deliver(request.data)
+                member.deliver(request.data, request.sender)
                 self.record(
                     "put", request.sender, request.receiver, _DELIVERED, request.data
                 )
@@ -179,7 +180,7 @@ class Mediator:
         member = self._members.get(sender)
         if (
             member is None
-            or not member.outbox
+            or not (member.outbox or member.latest is not NOTHING)
             or sender == receiver
             or self.closed
             or interval.__class__ is not float
@@ -188,7 +189,7 @@ class Mediator:
             return NOTHING
         self.delivered += 1
         self.ledger.append(("get", sender, receiver, _DELIVERED))
-        data = member.outbox.pop(0)
+        data = member.outbox.pop(0) if member.outbox else member.latest
         if self.journal.heard:
             self.journal.publish(Kind.GOT, receiver, sender, data)
         return data
@@ -210,8 +211,8 @@ class Mediator:
         if path:
             self.record("get", sender, receiver, Outcome.REFUSED)
             raise CircularRequestError(path)
-        if member.outbox:
-            offered = member.outbox.pop(0)
+        if member.outbox or member.latest is not NOTHING:
+            offered = member.outbox.pop(0) if member.outbox else member.latest
             self.record("get", sender, receiver, _DELIVERED, offered)
             return offered
         request = self._begin("get", sender, receiver, None, member.askers.count, by)
@@ -222,9 +223,13 @@ class Mediator:
             interval, self._expire, request, interval, member
         )
         try:
-            return await request.future
+            data = await request.future
+            self.record("get", sender, receiver, _DELIVERED, data)
+            return data
         except BaseException as error:
             self._withdraw(request, error)
+            if request.offered:
+                self._put_back(self._members.get(sender, member), request)
             raise
         finally:
             deadline.cancel()
@@ -244,10 +249,16 @@ class Mediator:
             request = member.askers.pop()
             if request.future.done():
                 continue
-            self.record("get", request.sender, request.receiver, _DELIVERED, data)
+            request.offered = member.latest is NOTHING
             request.future.set_result(data)
             return True
         return False
+
+    def _put_back(self, member: Mailbox, request: Request) -> None:
+        """Give what an asker did not take, cancelled in that instant, to the next."""
+        data = request.future.result()
+        if not self.offered(member, data):
+            member.outbox.insert(0, data)
 
     def serve(self, member: Mailbox) -> None:
         """Have a behavior make the data that somebody waits for, one at a time."""
@@ -280,11 +291,11 @@ class Mediator:
         if not waited or request.future.done():
             self.late_answers += error is None
         elif error is None:
-            self.record("get", request.sender, request.receiver, _DELIVERED, data)
+            request.offered = True
             request.future.set_result(data)
         else:
             failed: EsairError = _failed(member, error)
-            if isinstance(error, CircularRequestError) and request.asker in error.path:
+            if type(error) is CircularRequestError and request.asker in error.path:
                 # It waits for itself: told as plainly as to the one that closed the circle.
                 failed = CircularRequestError(error.path)
                 failed.__cause__ = error
@@ -444,7 +455,9 @@ class Mediator:
 
     def _withdraw(self, request: Request, error: BaseException) -> None:
         """Record a request whose asker was cancelled before it had an outcome."""
-        if isinstance(error, asyncio.CancelledError) and request.future.cancelled():
+        if not isinstance(error, asyncio.CancelledError):
+            return
+        if request.future.cancelled() or request.future.exception() is None:
             self.record(
                 request.kind, request.sender, request.receiver, Outcome.WITHDRAWN
             )

@@ -61,6 +61,7 @@ _BOUND = (
     "get",
     "ask",
     "receive",
+    "receive_from",
     "offer",
     "perform",
     "register",
@@ -675,6 +676,9 @@ class Member(Mailbox):
             runner.late if runner is not None else 0,
             self.senders.count,
             runner.overruns if runner is not None else 0,
+            sum(len(queue.waiting) for queue in self.queues.values()),
+            sum(len(queue.working) for queue in self.queues.values()),
+            self.dropped,
         )
 
 

@@ -96,7 +96,16 @@ def chain() -> Iterator[Link]:
 class Request(Link):
     """A put or a get that waits for the other side."""
 
-    __slots__ = ("by", "data", "future", "kind", "provider", "receiver", "sender")
+    __slots__ = (
+        "by",
+        "data",
+        "future",
+        "kind",
+        "offered",
+        "provider",
+        "receiver",
+        "sender",
+    )
 
     def __init__(
         self,
@@ -116,6 +125,8 @@ class Request(Link):
         self.by = by
         """The behavior that made it, unless the user did."""
         self.provider: asyncio.Task[Any] | None = None
+        self.offered = False
+        """It was answered with something that is there once only."""
 
     @property
     def over(self) -> bool:
