@@ -1,12 +1,9 @@
 """An arm with a blocking driver, a behavior that runs in its own thread, and rules.
 
-`Inspect` has a plain ``run``: it gets a thread, and every call on its ports waits.
+`Inspect` is a `ThreadBehavior`: it has a thread, and every call on its ports waits.
 The driver's methods are plain too: they run on a worker thread of the arm. `Guard`
 takes the arm away from `Inspect` for a moment; `Visitor` may look but not touch.
 """
-
-# For a type checker a port is that of an async behavior; in a thread its calls wait.
-# mypy: disable-error-code="unused-coroutine, attr-defined"
 
 import asyncio
 import time
@@ -29,7 +26,7 @@ class Arm(esair.Actuator[float]):
         time.sleep(0.01)  # here the controller would be told its new speed
 
 
-class Inspect(esair.Behavior):
+class Inspect(esair.ThreadBehavior):
     """Points the arm here and there, more carefully when it is told to."""
 
     arm = esair.writes(float, configure=True)

@@ -275,3 +275,57 @@ async def test_a_second_removal_waits_for_the_first() -> None:
             with pytest.raises(esair.UnknownNameError):
                 await second
         await asyncio.sleep(10.0)  # the zombie ends
+
+
+class Counts(Idle):
+    """Counts its runs, and crashes or ends when it is told to."""
+
+    restart = esair.Restart(max=0)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.runs = 0
+        self.told: asyncio.Queue[str] = asyncio.Queue()
+
+    async def run(self) -> None:
+        self.runs += 1
+        if await self.told.get() == "crash":
+            raise RuntimeError("told to")
+
+
+@pytest.mark.promise("SUP-4")
+@pytest.mark.parametrize("before", ["running", "failed", "finished"])
+async def test_the_user_may_restart_a_behavior(before: str) -> None:
+    """Whatever it did before; what lies in its inbox is for the new run."""
+    behavior = Counts()
+    async with esair.Robot(behaviors=[behavior], grace=GRACE) as robot:
+        put = robot.behaviors.put
+        await put("kept", sender="user", receiver="counts")
+        if before != "running":
+            behavior.told.put_nowait("crash" if before == "failed" else "end")
+        await asyncio.sleep(0.1)
+        assert robot.behaviors.query("counts").state.value == before
+        with takes(0.0, 0.01):
+            await robot.behaviors.restart("counts")
+        await asyncio.sleep(0.1)
+        state = robot.behaviors.query("counts").state
+        assert state is esair.BehaviorState.RUNNING
+        assert behavior.runs == 2
+        assert await behavior.receive() == "kept"
+        with pytest.raises(esair.UnknownNameError):
+            await robot.behaviors.restart("nobody")
+
+
+async def test_a_restart_does_not_wait_for_what_swallows_its_end() -> None:
+    """The new run begins after the grace period; the old one speaks for nobody."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(
+        resources=[wheels], behaviors=[Swallows()], grace=GRACE
+    ) as robot:
+        await asyncio.sleep(0.01)
+        with takes(GRACE, GRACE + 0.1):
+            await robot.behaviors.restart("swallows")
+        await asyncio.sleep(0.01)
+        assert wheels.commands[-1] == 1.0
+        await robot.behaviors.remove("swallows")
+        await asyncio.sleep(10.0)  # the zombies end

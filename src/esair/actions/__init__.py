@@ -1,6 +1,12 @@
 """What the robot does: behaviors deliberate, reactions react."""
 
 from esair.actions._behavior import NOTHING, Behavior, Host
+from esair.actions._blocking import (
+    BlockingActuatorPort,
+    BlockingSensorPort,
+    ThreadBehavior,
+    blocking,
+)
 from esair.actions._from_minimal import MinimalReaction, adapt_action
 from esair.actions._guard_runner import GuardRunner
 from esair.actions._needs import (
@@ -14,12 +20,7 @@ from esair.actions._needs import (
     reads,
     writes,
 )
-from esair.actions._ports import (
-    ActuatorPort,
-    BlockingActuatorPort,
-    BlockingSensorPort,
-    SensorPort,
-)
+from esair.actions._ports import ActuatorPort, SensorPort
 from esair.actions._reaction import Reaction
 from esair.actions._reaction_runner import ReactionRunner
 from esair.actions._request import Request, taken
@@ -55,9 +56,11 @@ __all__ = [
     "RequestPort",
     "SensorPort",
     "Takes",
+    "ThreadBehavior",
     "Writes",
     "adapt_action",
     "answers",
+    "blocking",
     "guards",
     "mistakes_in_requests",
     "reads",

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import (
+    AsyncIterator,
+    Awaitable,
+    Callable,
+    Coroutine,
+    Mapping,
+)
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 from esair import minimal
@@ -15,10 +21,12 @@ from esair.actions._request import Request
 from esair.actions._takes import Answers, Takes, declared_requests
 from esair.connections import Halting, Stopped
 from esair.exceptions import ConfigError, NotRegisteredError
+from esair.loop import Portal, portal
 from esair.messages import Access, Restart
 from esair.values import check_duration
 
 A = TypeVar("A")
+T = TypeVar("T")
 
 NOTHING: Any = object()
 """What `Host.take` returns when there is nothing to take at once."""
@@ -30,6 +38,8 @@ Overflow = Literal["reject", "drop_oldest", "latest"]
 class Host(Protocol):
     """What a running behavior asks of its supervisor."""
 
+    @property
+    def portal(self) -> Portal | None: ...
     def hand(self, receiver: str, data: Any, interval: float) -> bool: ...
     def put(
         self, receiver: str, data: Any, interval: float
@@ -361,3 +371,30 @@ class Behavior(ProfiledAction):
 
     def _alone(self) -> NotRegisteredError:
         return NotRegisteredError(self.name, "robot", "it is not in a running robot")
+
+
+def portal_of(behavior: Behavior) -> Portal:
+    """Return the portal through which a thread of a behavior calls.
+
+    Raises:
+        NotRegisteredError: It is not in a running robot.
+    """
+    host = behavior._host  # noqa: SLF001 - the same idea, for a thread
+    found = portal.get(None) if host is None else host.portal
+    if found is None:
+        raise behavior._alone()  # noqa: SLF001 - as above
+    return found
+
+
+async def in_loop(function: Callable[..., T], *args: Any, **options: Any) -> T:
+    """Call a plain function where it belongs: in the loop."""
+    return function(*args, **options)
+
+
+async def forever() -> None:
+    """Wait until it is cancelled."""
+    await asyncio.get_running_loop().create_future()
+
+
+async def next_of(values: AsyncIterator[T]) -> T:
+    return await anext(values)

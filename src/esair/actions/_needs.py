@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Generic, Literal, NoReturn, TypeVar, overload
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Generic,
+    Literal,
+    NoReturn,
+    TypeVar,
+    overload,
+)
 
 import attrs
 
@@ -11,6 +20,13 @@ from esair import abc
 from esair.actions._ports import ActuatorPort, SensorPort
 from esair.exceptions import NotRegisteredError
 from esair.messages import Access
+
+if TYPE_CHECKING:
+    from esair.actions._blocking import (
+        BlockingActuatorPort,
+        BlockingSensorPort,
+        ThreadBehavior,
+    )
 
 T = TypeVar("T")
 
@@ -46,8 +62,12 @@ class Reads(Generic[T]):
     @overload
     def __get__(self, instance: None, owner: type) -> Reads[T]: ...
     @overload
+    def __get__(
+        self, instance: ThreadBehavior, owner: type
+    ) -> BlockingSensorPort[T]: ...
+    @overload
     def __get__(self, instance: object, owner: type) -> SensorPort[T]: ...
-    def __get__(self, instance: object | None, owner: type) -> Reads[T] | SensorPort[T]:
+    def __get__(self, instance: object | None, owner: type) -> Any:
         if instance is None:
             return self
         # A bound port lies in the instance and is found before this.
@@ -93,10 +113,12 @@ class Writes(Generic[T]):
     @overload
     def __get__(self, instance: None, owner: type) -> Writes[T]: ...
     @overload
-    def __get__(self, instance: object, owner: type) -> ActuatorPort[T]: ...
     def __get__(
-        self, instance: object | None, owner: type
-    ) -> Writes[T] | ActuatorPort[T]:
+        self, instance: ThreadBehavior, owner: type
+    ) -> BlockingActuatorPort[T]: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> ActuatorPort[T]: ...
+    def __get__(self, instance: object | None, owner: type) -> Any:
         if instance is None:
             return self
         raise _not_bound(instance, self.resource)

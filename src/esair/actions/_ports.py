@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import (
     AsyncGenerator,
     AsyncIterator,
@@ -11,14 +10,13 @@ from collections.abc import (
     Callable,
     Coroutine,
     Generator,
-    Iterator,
     Mapping,
 )
 from typing import Any, Generic, TypeVar
 
 from esair.connections import READ_TIMEOUT, ActuatorChannel, Registration, SensorChannel
-from esair.exceptions import BehaviorRemovedError, EsairError, NotRegisteredError
-from esair.loop import Portal, speaks_for_nobody
+from esair.exceptions import EsairError, NotRegisteredError
+from esair.loop import speaks_for_nobody
 from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
 from esair.values import check_duration
 
@@ -172,10 +170,6 @@ class SensorPort(Generic[T]):
         """What the sensor is doing."""
         return self._channel.state
 
-    def blocking(self, portal: Portal) -> BlockingSensorPort[T]:
-        """Return the same port for a plain behavior's thread."""
-        return BlockingSensorPort(self, portal)
-
     def __repr__(self) -> str:
         return f"<port of {self.registration!r}>"
 
@@ -304,10 +298,6 @@ class ActuatorPort(Generic[T]):
         """What the actuator is doing."""
         return self._channel.state
 
-    def blocking(self, portal: Portal) -> BlockingActuatorPort[T]:
-        """Return the same port for a plain behavior's thread."""
-        return BlockingActuatorPort(self, portal)
-
     def __repr__(self) -> str:
         return f"<port of {self.registration!r}>"
 
@@ -322,84 +312,8 @@ class _Done:
 _DONE = _Done()
 
 
-class BlockingSensorPort(Generic[T]):
-    """A sensor port for a behavior with a plain ``run``: the thread waits."""
-
-    def __init__(self, port: SensorPort[T], portal: Portal) -> None:
-        self._port = port
-        self._portal = portal
-
-    def read(self, **options: Any) -> T:
-        """Return what `SensorPort.read` does."""
-        return self._portal.call(self._port.read, **options)
-
-    def reading(self, **options: Any) -> Reading[T]:
-        """Return what `SensorPort.reading` does."""
-        return self._portal.call(self._port.reading, **options)
-
-    def __iter__(self) -> Iterator[T]:
-        """Yield each new value; a slow reader misses some and gets the newest."""
-        values = self._port._values()  # noqa: SLF001 - the same port, for a thread
-        try:
-            while True:
-                yield self._portal.call(_next, values)
-        finally:
-            with contextlib.suppress(BehaviorRemovedError):  # its tasks are gone too
-                self._portal.call(values.aclose)
-
-    def history(self, count: int) -> list[Reading[T]]:
-        """Return what `SensorPort.history` does."""
-
-        async def history() -> list[Reading[T]]:
-            return self._port.history(count)
-
-        return self._portal.call(history)
-
-    def configure(self, **settings: Any) -> None:
-        """Do what `SensorPort.configure` does."""
-        self._portal.call(self._port.configure, **settings)
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """The current settings of the sensor."""
-        return self._port.settings
-
-
-class BlockingActuatorPort(Generic[T]):
-    """An actuator port for a behavior with a plain ``run``: the thread waits."""
-
-    def __init__(self, port: ActuatorPort[T], portal: Portal) -> None:
-        self._port = port
-        self._portal = portal
-
-    def write(self, command: T, *, hold: float | None = None) -> Written[T] | Refused:
-        """Do what `ActuatorPort.write` does."""
-        return self._portal.call(self._port.write, command, hold=hold)
-
-    def release(self) -> None:
-        """Do what `ActuatorPort.release` does."""
-
-        async def release() -> None:
-            self._port.release()
-
-        self._portal.call(release)
-
-    def configure(self, **settings: Any) -> None:
-        """Do what `ActuatorPort.configure` does."""
-        self._portal.call(self._port.configure, **settings)
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """The current settings of the actuator."""
-        return self._port.settings
-
-
 def _run_ended(registration: Registration) -> NotRegisteredError:
     """Make the error for a task that outlived its run and finds the port of the next."""
     return NotRegisteredError(
         registration.behavior, registration.resource, "this run of it has ended"
     )
-
-
-async def _next(values: AsyncIterator[T]) -> T:
-    return await anext(values)

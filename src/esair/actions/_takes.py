@@ -11,7 +11,7 @@ from collections.abc import (
     Iterator,
     Mapping,
 )
-from typing import Any, Generic, Protocol, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, overload
 
 import attrs
 
@@ -20,6 +20,9 @@ from esair.actions._request import Request, answer_type
 from esair.exceptions import ConfigError, NotRegisteredError
 from esair.loop import Portal
 from esair.values import same_type, type_name
+
+if TYPE_CHECKING:
+    from esair.actions._blocking import ThreadBehavior
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -123,6 +126,10 @@ class Takes(Generic[R]):
 
     @overload
     def __get__(self, instance: None, owner: Any) -> Takes[R]: ...
+    @overload
+    def __get__(
+        self, instance: ThreadBehavior, owner: Any
+    ) -> BlockingRequestPort[R]: ...
     @overload
     def __get__(self, instance: object, owner: Any) -> RequestPort[R]: ...
     def __get__(self, instance: object | None, owner: Any) -> Any:

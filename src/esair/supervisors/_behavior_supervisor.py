@@ -382,6 +382,29 @@ class BehaviorSupervisor(abc.Supervisor):
         self._member(name).sight.reset()
         self.journal.publish(Kind.OPERATOR, name, "user", None, "reset")
 
+    async def restart(self, name: str) -> None:
+        """End the run of a behavior or reaction and begin another, whatever its state.
+
+        Its budget of restarts begins anew, too. What it was asked and has not taken,
+        and what lies in its inbox, is for the new run. Returns when that runs.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+            BehaviorFailedError: Its ``setup`` did not end in time.
+            BehaviorRemovedError: It was removed meanwhile.
+            StoppingError: The robot is not running.
+        """
+
+        async def work() -> None:
+            await self._gone(name)
+            member = self._member(name)
+            ending = member.end_run(self.grace)
+            self._command_queue.changed()
+            await ending
+            await self._begin(member)
+
+        await self._command_queue.run(work, name=f"restart {name}", undo=False)
+
     async def command(self, text: str) -> str:
         """Do what an operator types; it has the rights of the user.
 

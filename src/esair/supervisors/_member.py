@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
-from collections.abc import Callable
+import types
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import (
@@ -20,7 +21,9 @@ from esair.actions import (
     RequestPort,
     SensorPort,
     Takes,
+    ThreadBehavior,
     Writes,
+    blocking,
 )
 from esair.connections import (
     UNDECIDED,
@@ -136,7 +139,8 @@ class Member(Mailbox):
         if max_age is not None:
             _check_seconds(self.name, f"{resource}.max_age", max_age)
         registration = self._grant(resource, access, priority, hold)
-        return self._port(registration, max_age)
+        port = self._port(registration, max_age)
+        return port if self._portal is None else blocking(port, self._portal)
 
     async def perform(
         self,
@@ -228,12 +232,12 @@ class Member(Mailbox):
         self.action._host = self  # noqa: SLF001 - the behavior's own supervisor
         if not inspect.iscoroutinefunction(self.action.run):
             self._portal = Portal(self.name, self.owner)
-            self._bind_methods(self._portal)
+            self._bind_methods()
         try:
             for attribute, need in self.action.needs.items():
                 port: Any = self._port(self._grant_need(need), _max_age(need))
                 if self._portal is not None:
-                    port = port.blocking(self._portal)
+                    port = blocking(port, self._portal)
                 self.action.__dict__[attribute] = port
             for attribute, each in self.action.takes.items():
                 if isinstance(each, Takes):
@@ -485,6 +489,33 @@ class Member(Mailbox):
         if isinstance(self.action, Behavior) and self.action._host is self:  # noqa: SLF001
             self._unbind(self.action)
 
+    def end_run(self, grace: float) -> Awaitable[None]:
+        """End the run, so that another may begin; awaiting waits until it has ended.
+
+        Raises:
+            BehaviorRemovedError: It was removed meanwhile.
+        """
+        self.state = BehaviorState.RESTARTING
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._is_ready()
+        self.task = self._budget = self.error = None
+        self.sight.blind("it is restarted by the user")
+        self.fence()
+        self.run_over(None)
+        self._end_requests()
+        self.owner.over = self.outlived = True
+        self._cancel_tasks()
+        return self._run_ended(grace)
+
+    async def _run_ended(self, grace: float) -> None:
+        living = self._living()
+        if living:
+            await asyncio.wait(living, timeout=grace if grace > 0 else 0.001)
+        if self.state is not BehaviorState.RESTARTING:
+            raise BehaviorRemovedError(self.name)
+
     def give_up(self) -> None:
         """End whoever waits for its setup, and what would wait for its turn to run."""
         self.given_up = True
@@ -516,30 +547,18 @@ class Member(Mailbox):
             for method in _BOUND:
                 behavior.__dict__.pop(method, None)
 
-    def _bind_methods(self, portal: Portal) -> None:
+    def _bind_methods(self) -> None:
         """Let a plain behavior call, in its thread, what others await."""
         behavior = self.action
-        assert isinstance(behavior, Behavior)
-        cls = type(behavior)
+        if not isinstance(behavior, ThreadBehavior):
+            for name in _BOUND:
+                method = getattr(ThreadBehavior, name)
+                behavior.__dict__[name] = types.MethodType(method, behavior)
 
-        def blocking(name: str) -> Callable[..., Any]:
-            method = getattr(cls, name)
-            if inspect.iscoroutinefunction(method):
-                return lambda *args, **options: portal.call(
-                    method, behavior, *args, **options
-                )
-
-            async def call(*args: Any, **options: Any) -> Any:
-                return method(behavior, *args, **options)
-
-            return lambda *args, **options: portal.call(call, *args, **options)
-
-        for name in _BOUND:
-            behavior.__dict__[name] = blocking(name)
-        register = behavior.__dict__["register"]
-        behavior.__dict__["register"] = lambda *args, **options: register(
-            *args, **options
-        ).blocking(portal)
+    @property
+    def portal(self) -> Portal | None:
+        """The way of its thread into the loop, if it has a thread."""
+        return self._portal
 
     # Registrations.
 

@@ -1,0 +1,79 @@
+"""Type checkers see what is promised, and nothing that is right needs an ignore."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CASES = Path(__file__).with_name("cases.py")
+ROOT = CASES.parents[2]
+EXAMPLE = ROOT / "examples" / "slow_arm.py"
+
+
+def expected() -> set[int]:
+    lines = CASES.read_text(encoding="utf-8").splitlines()
+    return {number for number, line in enumerate(lines, 1) if "type: ignore" in line}
+
+
+@pytest.mark.promise("BEH-4", "BS-8")
+def test_mypy_finds_what_is_wrong_and_no_more() -> None:
+    """Strict; an ignore that hides nothing is an error too."""
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", "--config-file=",
+         str(CASES), str(EXAMPLE)],
+        capture_output=True, text=True, cwd=ROOT, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stdout
+    assert len(expected()) == 5
+
+
+@pytest.mark.promise("BEH-4", "BS-8")
+def test_pyright_finds_what_is_wrong_and_no_more(tmp_path: Path) -> None:
+    """The same lines, and none of the example."""
+    pytest.importorskip("pyright")
+    (tmp_path / "cases.py").write_text(
+        CASES.read_text(encoding="utf-8").replace("# type: ignore", "# was"),
+        encoding="utf-8",
+    )
+    (tmp_path / "slow_arm.py").write_text(
+        EXAMPLE.read_text(encoding="utf-8"), encoding="utf-8"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "pyright", "--pythonpath", sys.executable,
+         "--outputjson", "."],
+        capture_output=True, text=True, cwd=tmp_path, check=False,
+    )  # fmt: skip
+    try:
+        found = json.loads(done.stdout)["generalDiagnostics"]
+    except ValueError:
+        pytest.skip(f"pyright cannot run here: {done.stderr[-200:]}")
+    errors = [each for each in found if each["severity"] == "error"]
+    where = {(Path(e["file"]).name, e["range"]["start"]["line"] + 1) for e in errors}
+    told = "\n".join(
+        f"{e['range']['start']['line'] + 1}: {e['message']}" for e in errors
+    )
+
+    assert where == {("cases.py", line) for line in expected()}, told
+
+
+@pytest.mark.promise("BEH-4")
+def test_what_waits_is_made_from_what_is_awaited() -> None:
+    """`actions/_blocking.py` is what tools/make_blocking.py writes now."""
+    sys.path.insert(0, str(ROOT / "tools"))
+    try:
+        import make_blocking  # type: ignore[import-not-found]
+    finally:
+        sys.path.remove(str(ROOT / "tools"))
+
+    written = (make_blocking.ACTIONS / "_blocking.py").read_text(encoding="utf-8")
+    assert made_once(make_blocking.made()) == made_once(written)
+
+
+def made_once(text: str) -> str:
+    """Leave out the imports, whose order and use ruff settles."""
+    return text.partition("\nA = TypeVar")[2]

@@ -1,0 +1,168 @@
+"""Write `actions/_blocking.py`: what a thread calls, from what a task awaits.
+
+Run it after a change of a port or of `Behavior`; a test compares.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+ACTIONS = Path(__file__).parents[1] / "src" / "esair" / "actions"
+
+HEADER = '''"""Ports and behaviors whose calls wait. Written by tools/make_blocking.py."""
+
+# What a thread calls waits where its base is awaited: that is the idea of it.
+# mypy: disable-error-code="override, no-any-return"
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Generic, TypeVar
+
+from esair import minimal
+from esair.actions._behavior import Behavior, forever, in_loop, next_of, portal_of
+from esair.actions._ports import ActuatorPort, SensorPort
+from esair.actions._reaction import Reaction
+from esair.actions._request import Request
+from esair.connections import Stopped
+from esair.exceptions import BehaviorRemovedError
+from esair.loop import Portal
+from esair.messages import Access, Reading, Refused, ResourceState, Why, Written
+
+A = TypeVar("A")
+T = TypeVar("T")
+
+
+def blocking(port: Any, portal: Portal) -> Any:
+    """Return the same port for the thread of a plain behavior."""
+    kind = BlockingSensorPort if isinstance(port, SensorPort) else BlockingActuatorPort
+    return kind(port, portal)
+'''
+
+PORT = '''
+
+class Blocking{cls}(Generic[T]):
+    """A `{cls}` for a behavior with a plain ``run``: the thread waits."""
+
+    __slots__ = ("_port", "_portal")
+
+    def __init__(self, port: {cls}[T], portal: Portal) -> None:
+        self._port = port
+        self._portal = portal
+'''
+
+ITERATION = '''
+    def __iter__(self) -> Iterator[T]:
+        """Yield each new value; a slow reader misses some and gets the newest."""
+        values = self._port._values()  # noqa: SLF001 - the same port, for a thread
+        try:
+            while True:
+                yield self._portal.call(next_of, values)
+        finally:
+            with contextlib.suppress(BehaviorRemovedError):  # its tasks are gone too
+                self._portal.call(values.aclose)
+'''
+
+BEHAVIOR = '''
+
+class ThreadBehavior(Behavior):
+    """A behavior with a thread of its own: its ports and methods wait.
+
+    Write a plain ``def run``. Everything else is as in `Behavior`.
+
+    Example:
+        >>> class Inspect(esair.ThreadBehavior):
+        ...     arm = esair.writes(float)
+        ...
+        ...     def run(self) -> None:
+        ...         for _ in esair.every(0.1):
+        ...             self.arm.write(0.5)
+    """
+
+    def run(self) -> None:
+        """Do the work, in the thread. Unless overridden it waits."""
+        portal_of(self).call(forever)
+'''
+
+LEFT_OUT = {"blocking", "takes", "provides", "halt_robot"}
+
+
+def methods(module: str, cls: str) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
+    """Return the public methods of a class, in their order."""
+    tree = ast.parse((ACTIONS / module).read_text(encoding="utf-8"))
+    (body,) = [
+        node.body
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and node.name == cls
+    ]
+    return [
+        node
+        for node in body
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and not node.name.startswith("_")
+        and node.name not in LEFT_OUT
+    ]
+
+
+def passed(arguments: ast.arguments) -> str:
+    """Return a call's arguments that hand on what a method gets."""
+    names = [each.arg for each in arguments.args[1:]]
+    names += [f"{each.arg}={each.arg}" for each in arguments.kwonlyargs]
+    if arguments.kwarg is not None:
+        names.append(f"**{arguments.kwarg.arg}")
+    return "".join(f", {name}" for name in names)
+
+
+def method(node: ast.FunctionDef | ast.AsyncFunctionDef, *, of_port: bool) -> str:
+    """Return the text of the method that waits."""
+    returns = ast.unparse(node.returns) if node.returns is not None else "None"
+    head = f"    def {node.name}({ast.unparse(node.args)}) -> "
+    doc = ast.get_docstring(node) or ""
+    text = '        """' + doc.replace("\n", "\n        ") + '\n        """\n'
+    text = "\n".join(line.rstrip() for line in text.split("\n"))
+    if any(ast.unparse(each) == "property" for each in node.decorator_list):
+        return f"\n    @property\n{head}{returns}:\n{text}        return self._port.{node.name}\n"
+    is_async = isinstance(node, ast.AsyncFunctionDef)
+    if returns == "Awaitable[None]":
+        returns = "None"
+    target = f"self._port.{node.name}" if of_port else f"Behavior.{node.name}"
+    portal = "self._portal" if of_port else "portal_of(self)"
+    arguments = ("" if of_port else ", self") + passed(node.args)
+    call = f"{target}{arguments}" if is_async else f"in_loop, {target}{arguments}"
+    verb = "" if returns == "None" else "return "
+    return f"\n{head}{returns}:\n{text}        {verb}{portal}.call({call})\n"
+
+
+def made() -> str:
+    """Return the text of the module."""
+    parts = [HEADER, PORT.format(cls="SensorPort")]
+    parts += [method(each, of_port=True) for each in methods("_ports.py", "SensorPort")]
+    parts += [ITERATION, PORT.format(cls="ActuatorPort")]
+    parts += [
+        method(each, of_port=True) for each in methods("_ports.py", "ActuatorPort")
+    ]
+    parts.append(BEHAVIOR)
+    parts += [
+        method(each, of_port=False) for each in methods("_behavior.py", "Behavior")
+    ]
+    ruff = [
+        sys.executable,
+        "-m",
+        "ruff",
+        "format",
+        "-q",
+        "--stdin-filename",
+        "x.py",
+        "-",
+    ]
+    return subprocess.run(
+        ruff, input="".join(parts), capture_output=True, text=True, check=True
+    ).stdout
+
+
+if __name__ == "__main__":
+    (ACTIONS / "_blocking.py").write_text(made(), encoding="utf-8")
