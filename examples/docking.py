@@ -1,8 +1,8 @@
 """A rover that docks: a behavior with a memory that performs reactions in sequence.
 
-`Captain` sees the battery run low and puts an order to `Docking`. `Docking` asks
+`Captain` sees the battery run low and asks `Docking` to dock. `Docking` gets from
 `Memory` how near the rover may drive before it has to be careful, turns to the dock,
-drives in, backs off and tries again when it got stuck, and reports to `Captain`.
+drives in, backs off and tries again when it got stuck, and answers `Captain`.
 """
 
 import asyncio
@@ -27,6 +27,20 @@ class Sight:
 
     bearing: float  # rad, counter-clockwise
     distance: float  # m
+
+
+@attrs.frozen
+class Docked:
+    """The rover is in its dock."""
+
+    attempt: int
+
+
+@attrs.frozen
+class Dock(esair.Request[Docked]):
+    """Bring the rover into its dock."""
+
+    attempts: int = 3
 
 
 class Turn(esair.Reaction):
@@ -80,21 +94,20 @@ class Memory(esair.Behavior):
 
 
 class Docking(esair.Behavior):
-    """Brings the rover to its dock when it is told to."""
+    """Brings the rover to its dock when it is asked to."""
 
     beacon = esair.reads(Sight, max_age=0.5)
 
-    async def run(self) -> None:
-        while True:
-            sender = await self.receive()
-            for attempt in range(1, 4):
-                if await self.dock():
-                    await self.put(sender, f"docked, attempt {attempt}")
-                    break
-            else:
-                await self.put(sender, "no way in")
+    @esair.answers
+    async def dock(self, request: Dock) -> Docked:
+        """Try as often as the request says."""
+        for attempt in range(1, request.attempts + 1):
+            request.progress(attempt)
+            if await self.try_once():
+                return Docked(attempt)
+        raise esair.RefusedError("no way in")
 
-    async def dock(self) -> bool:
+    async def try_once(self) -> bool:
         """Try once; afterwards the rover stands in the dock, or away from it."""
         await self.perform(
             Turn(), until=lambda beacon: abs(beacon.bearing) < 0.05, timeout=5.0
@@ -121,8 +134,12 @@ class Captain(esair.Behavior):
             if volts < 11.0:
                 break
         print("battery low: dock", flush=True)
-        await self.put("docking", self.name)
-        print(await self.receive(), flush=True)
+        try:
+            docked = await self.ask("docking", Dock(), timeout=60.0)
+        except esair.RefusedError as error:
+            print(error.reason, flush=True)
+        else:
+            print(f"docked, attempt {docked.attempt}", flush=True)
 
 
 class Yard:

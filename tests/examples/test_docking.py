@@ -56,7 +56,10 @@ async def test_approach_is_slow_where_it_got_stuck(fake_sensor, fake_actuator) -
 
     async with robot:
         await robot.behaviors.put(0.4, sender="test", receiver="memory")
-        await robot.behaviors.put("nobody", sender="test", receiver="docking")
+        asking = asyncio.ensure_future(
+            robot.behaviors.ask(docking.Dock(), sender="test", receiver="docking")
+        )
         await wheels.until(lambda twist: twist.linear > 0.0, timeout=6.0)
 
         assert wheels.commands[-1] == docking.Twist(0.2, 0.0)
+        asking.cancel()
