@@ -50,7 +50,7 @@ async def _disturbance() -> Row:
                     step: object = runner.job.function,
                     group: object = group,
                 ) -> object:
-                    late.append(time.monotonic() - (group.due - group.period))  # type: ignore[attr-defined]
+                    late.append(time.monotonic() - group.moment / 1e9)  # type: ignore[attr-defined]
                     return step(now)  # type: ignore[operator]
 
                 runner.job.function = timed  # type: ignore[assignment]

@@ -84,8 +84,7 @@ async def _lateness_of_robot(count: int, acting: int, share: float) -> float:
             def timed(
                 now: float, step: object = runner.job.function, group: object = group
             ) -> object:
-                # The scheduler has already moved the group on to its next moment.
-                late.append(time.monotonic() - (group.due - group.period))  # type: ignore[attr-defined]
+                late.append(time.monotonic() - group.moment / 1e9)  # type: ignore[attr-defined]
                 return step(now)  # type: ignore[operator]
 
             runner.job.function = timed  # type: ignore[assignment]

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from esair.connections._driver import Driver, Guard, Method
+from esair.connections._taped import begin_taped
 from esair.exceptions import DeviceFaultError, DriverStuckError, describe
-from esair.loop import WAITS, Deadlines, LightTask, clock_of
+from esair.loop import WAITS, Deadlines, Door, LightTask, clock_of
 
 UNWIND = 0.1
 """How long a call that was given up may take to end, before its device is closed, in s."""
@@ -57,6 +58,7 @@ class Call:
         "outcome",
         "owner",
         "resource",
+        "taped",
         "waiters",
     )
 
@@ -84,6 +86,8 @@ class Call:
         self.engine: LightTask | _Threaded | None = None
         self.deadline: Any = None
         self.waiters: list[asyncio.Future[None]] = []
+        self.taped: Callable[[End], None] | None = None
+        """Keeps its end, where a run is recorded."""
 
     @property
     def is_abandoned(self) -> bool:
@@ -126,6 +130,7 @@ class Calls:
 
     __slots__ = (
         "_deadlines",
+        "_door",
         "_left",
         "_loop",
         "_on_late",
@@ -167,6 +172,7 @@ class Calls:
         self._loop = loop
         self._time = clock_of(loop)
         self._deadlines = Deadlines.of(loop)
+        self._door = Door.of(loop)
         self._on_late = on_late
         self._on_stuck = on_stuck
         self._left = left
@@ -203,8 +209,23 @@ class Calls:
         self.number += 1
         if self.alive and len(self.alive) > ABANDONED_LIMIT:
             self._check_abandoned(kind)
+        tape = self._door.tape
+        if tape is None:
+            return self.begin_untaped(kind, method, args, limit, apply, guard)
+        return begin_taped(self, tape, kind, method, args, limit, apply, guard)
+
+    def begin_untaped(
+        self,
+        kind: str,
+        method: Method,
+        args: tuple[Any, ...],
+        limit: float | None,
+        apply: Apply | None,
+        guard: Guard | None,
+    ) -> Any:
+        """Call a method of the driver, whether or not the run is kept."""
         if method.executor is not None:
-            call = self._track(kind, args, limit, apply)
+            call = self.track(kind, args, limit, apply)
             threaded = _Threaded(self, call, method, guard)
             call.engine = threaded
             try:
@@ -224,9 +245,9 @@ class Calls:
                 self._spare = light
         if value is not WAITS:
             return value
-        call = self._track(kind, args, limit, apply)
+        call = self.track(kind, args, limit, apply)
         call.engine = light
-        light.then(lambda value, error: self.ended(call, End(value, error)))
+        light.then(lambda value, error: self.over(call, End(value, error)))
         return call
 
     async def run(
@@ -258,6 +279,10 @@ class Calls:
             raise outcome.error
         return outcome.value
 
+    def over(self, call: Call, end: End) -> None:
+        """Bring in the end of a call that has ended in the loop."""
+        self._door.end(("call", self.resource), self.ended, call, end)
+
     def ended(self, call: Call, end: End) -> None:
         """Apply the end of a call: the one place where it takes effect, in the loop.
 
@@ -268,6 +293,8 @@ class Calls:
         """
         if self.alive.pop(call.number, None) is None:
             return
+        if call.taped is not None:
+            call.taped(end)
         call.ended = self._time()
         call.engine = None
         if call.outcome is not None:
@@ -322,7 +349,7 @@ class Calls:
 
     # Inside.
 
-    def _track(
+    def track(
         self, kind: str, args: tuple[Any, ...], limit: float | None, apply: Apply | None
     ) -> Call:
         number = self.number
@@ -445,7 +472,7 @@ class _Threaded:
             return
         if value is WAITS:
             rest.then(
-                lambda value, error: self._calls.ended(self._call, End(value, error))
+                lambda value, error: self._calls.over(self._call, End(value, error))
             )
         else:
             self._calls.ended(self._call, End(value, None))

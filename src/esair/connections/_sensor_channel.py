@@ -25,7 +25,16 @@ from esair.exceptions import (
     StaleReadingError,
 )
 from esair.journal import Kind
-from esair.loop import Deadlines, Job, Order, Scheduler, clock_of
+from esair.loop import (
+    Deadlines,
+    Door,
+    Job,
+    Order,
+    Player,
+    Recorder,
+    Scheduler,
+    clock_of,
+)
 from esair.messages import Reading, ResourceState, Stamped, StampedReading
 from esair.resources import Sensor
 from esair.values import passes_as
@@ -101,6 +110,9 @@ class SensorChannel:
         """How long the device took lately at most, in seconds; what is past fades."""
         self._begun = 0.0
         self._awaiting: list[Callable[[], None]] = []
+        self._door = Door.of(loop)
+        if isinstance(self._door.tape, Player):
+            self._door.tape.listen((self.name, "pushed"), lambda it: self._pushed(*it))
         self._last: Any = None
         self._repeats = 0
         """How many times in a row the device has given the last value."""
@@ -424,13 +436,14 @@ class SensorChannel:
             except asyncio.CancelledError as error:
                 if opening != self.calls.opening:
                     raise
-                self._fail(error, math.inf)  # the driver's own
+                self._stream_failed(error, opening)  # the driver's own
             except BaseException as error:  # a driver may raise anything
                 if opening != self.calls.opening:
                     return
-                self._fail(error, math.inf)
+                self._stream_failed(error, opening)
             else:
-                self._fail(DeviceLostError(self.name, "its stream has ended"), math.inf)
+                ended = DeviceLostError(self.name, "its stream has ended")
+                self._stream_failed(ended, opening)
             if opening != self.calls.opening:
                 return  # the device is gone; its next opening begins anew
             await asyncio.sleep(LISTEN_AGAIN)
@@ -447,12 +460,27 @@ class SensorChannel:
         return True
 
     def _heard(self, value: Any, opening: int) -> bool:
-        """Publish what the device has pushed, unless its opening is over."""
+        """Bring in what the device has pushed, unless its opening is over."""
+        if opening == self.calls.opening:
+            self._door.end((self.name, "pushed"), self._pushed, value, None, opening)
+            return opening == self.calls.opening
+        self.calls.late += 1
+        return False
+
+    def _pushed(self, value: Any, error: BaseException | None, opening: int) -> None:
+        """Publish what the device has pushed, or the error of its stream."""
         if opening != self.calls.opening:
             self.calls.late += 1
-            return False
-        self.publish(value, math.inf)
-        return opening == self.calls.opening
+            return
+        if isinstance(self._door.tape, Recorder):
+            self._door.tape.arrived((self.name, "pushed"), (value, error, opening))
+        if error is None:
+            self.publish(value, math.inf)
+        else:
+            self._fail(error, math.inf)
+
+    def _stream_failed(self, error: BaseException, opening: int) -> None:
+        self._door.end((self.name, "pushed"), self._pushed, None, error, opening)
 
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""

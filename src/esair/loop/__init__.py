@@ -18,7 +18,9 @@ from esair.loop._rate_group import Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
 from esair.loop._signals import ProcessWatch, SignalWatch
 from esair.loop._suspend import GLANCE, SuspendWatch
+from esair.loop._tape import First, Player, Recorder, Tape
 from esair.loop._timer import clock_of
+from esair.loop._turn_loop import TurnLoop
 
 __all__ = [
     "GLANCE",
@@ -30,18 +32,23 @@ __all__ = [
     "Entry",
     "Every",
     "Executor",
+    "First",
     "Job",
     "LightTask",
     "OneShot",
     "Order",
     "OwnedTasks",
     "Owner",
+    "Player",
     "Portal",
     "ProcessWatch",
+    "Recorder",
     "Scheduler",
     "SignalWatch",
     "Step",
     "SuspendWatch",
+    "Tape",
+    "TurnLoop",
     "clock_of",
     "current_owner",
     "every",

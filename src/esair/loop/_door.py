@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from esair.loop._of_loop import of_loop
+from esair.loop._tape import Player, Recorder
 from esair.loop._timer import clock_of
 
 _log = logging.getLogger("esair")
@@ -52,13 +53,19 @@ class Door:
     what comes in until the loop gets to it goes with it.
 
     Args:
-        loop: An attribute ``takes_entries`` says that it calls `take` by itself.
+        loop: An attribute ``takes_entries`` says that it calls `take` by itself, and
+            ``holds_work`` that threads begin only when it lets them.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._time = clock_of(loop)
-        self._waits: bool = getattr(loop, "takes_entries", False)
+        self._is_taken: bool = getattr(loop, "takes_entries", False)
+        self._holds: bool = getattr(loop, "holds_work", False)
+        self.tape: Recorder | Player | None = None
+        """What keeps or gives what comes in, on a `TurnLoop`."""
+        self.divert: Callable[[Entry], object] | None = None
+        """Gets the entries of threads in a replay, which lets them wait."""
         self._lock = threading.Lock()
         self._entries: collections.deque[Entry] = collections.deque()
         self._held: collections.deque[tuple[int, Callable[[int], None]]] = (
@@ -94,7 +101,7 @@ class Door:
                 virtual clock, when nothing else is ready; must not raise.
         """
         work = next(self._works)
-        if self._waits:
+        if self._holds:
             self._held.append((work, begin))
         else:
             self.at_work += 1
@@ -121,6 +128,11 @@ class Door:
                 self.at_work -= 1
             self.number += 1
             entry = Entry(self.number, self._time(), work, tag, function, arguments)
+            if self.divert is not None and tag[0] == "thread":
+                self.divert(entry)
+                return
+            if self.divert is not None and not work:
+                return  # news of a device: in a replay they come from the tape
             self._entries.append(entry)
             if self._wakes:
                 return
@@ -135,9 +147,26 @@ class Door:
         """
         self.post(0, tag, function, *arguments)
 
+    def end(self, tag: Tag, function: Callable[..., object], *arguments: Any) -> None:
+        """Bring in the end of something in the loop itself.
+
+        It takes effect at the beginning of the next turn where turns have a border,
+        and at once where they have none.
+        """
+        if self.tape is None:
+            function(*arguments)
+            return
+        if self.divert is not None:
+            return  # in a replay it comes from the tape
+        with self._lock:
+            self.number += 1
+            self._entries.append(
+                Entry(self.number, self._time(), 0, tag, function, arguments)
+            )
+
     def _woken(self) -> None:
         self._wakes = False  # before the look: what comes later wakes the loop again
-        if not self._waits:
+        if not self._is_taken:
             self.take()
 
     def take(self, *, by_work: bool = False) -> None:
@@ -153,6 +182,8 @@ class Door:
                 self._entries.clear()
         while entries:
             entry = entries.popleft()
+            if entry.tag[0] == "thread" and isinstance(self.tape, Recorder):
+                self.tape.arrived(entry.tag)
             try:
                 entry.function(*entry.arguments)
             except Exception:

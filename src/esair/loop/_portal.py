@@ -67,7 +67,7 @@ class Portal:
             except BaseException as raised:  # contained, as in a task
                 error = raised
             try:
-                self._door.post(_work.number, (self.name,), finished, error)
+                self._door.post(_work.number, ("thread", self.name), finished, error)
             except RuntimeError:  # the loop is closed: nobody waits any more
                 return
 
@@ -155,7 +155,7 @@ class Portal:
             task.add_done_callback(done)
 
         try:
-            self._door.post(counted, (self.name, "call"), begin)
+            self._door.post(counted, ("thread", self.name), begin)
         except RuntimeError:  # the loop is closed
             raise BehaviorRemovedError(self.name) from None
         try:

@@ -110,6 +110,11 @@ class Job:
         )
 
     @property
+    def moment(self) -> float:
+        """At which moment the step that runs was due, in seconds of the loop's clock."""
+        return self.group.moment / SECOND if self.group is not None else 0.0
+
+    @property
     def lateness(self) -> float:
         """How late the steps have been on average, in seconds."""
         group = self.group
@@ -155,6 +160,7 @@ class RateGroup:
         "jobs",
         "key",
         "late",
+        "moment",
         "order",
         "rank",
         "skipped",
@@ -172,13 +178,15 @@ class RateGroup:
         self._numerator = period.numerator
         self._denominator = period.denominator
         self._phase = phase
+        self.moment = 0
+        """When those that are called now were due."""
         self._count = (after - phase) * self._denominator // self._numerator
-        self.due = self._moment()
+        self.due = self._at_count()
         if self.due < after:
             self._count += 1
-            self.due = self._moment()
+            self.due = self._at_count()
 
-    def _moment(self) -> int:
+    def _at_count(self) -> int:
         return self._phase + self._count * self._numerator // self._denominator
 
     def add(self, job: Job) -> None:
@@ -189,6 +197,7 @@ class RateGroup:
 
     def turn(self, now: int) -> tuple[Job, ...]:
         """Move on to the next moment that has not passed; return whom to call."""
+        self.moment = self.due
         behind = now - self.due
         if behind > 0:
             self.late += behind / SECOND
@@ -198,7 +207,7 @@ class RateGroup:
             self.skipped += missed
             self._count += missed
         self._count += 1
-        self.due = self._moment()
+        self.due = self._at_count()
         return self.jobs
 
 

@@ -164,6 +164,19 @@ class Scheduler:
         self._decided.append(decision)
         self._wake()
 
+    def is_due(self, now: float) -> bool:
+        """Tell whether it sleeps though something is due at a moment."""
+        return (
+            self._sleep is not None
+            and bool(self._heap)
+            and self._heap[0][0] <= round(now * SECOND) + EARLY
+        )
+
+    def look(self, now: float) -> None:
+        """Begin to turn if something is due: called by a loop whose turns have a border."""
+        if self.is_due(now):
+            self._wake()
+
     def drop(self, group: RateGroup) -> None:
         """Call nothing of a group any more."""
         del self._groups[group.key]
@@ -312,7 +325,9 @@ class Scheduler:
 
     def _set_timer(self, due: int) -> None:
         if self._timer is None:
-            self._timer = timer_for(self._loop, self._wake)
+            # A loop with a border looks by itself; its timer only wakes the selector.
+            border = getattr(self._loop, "wakes_scheduler", False)
+            self._timer = timer_for(self._loop, _nothing if border else self._wake)
         if due != self._timer_due:
             self._timer_due = due
             self._timer.set(due)
@@ -320,6 +335,10 @@ class Scheduler:
 
 def _rank(job: Job) -> Any:
     return job.rank
+
+
+def _nothing() -> None:
+    return None
 
 
 def _is_cancelled(entry: RateGroup | OneShot) -> bool:

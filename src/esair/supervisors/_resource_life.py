@@ -24,7 +24,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Door, spawn
+from esair.loop import Door, Player, Recorder, spawn
 from esair.messages import ResourceState, Restart
 from esair.resources import Resource, settings_of
 from esair.supervisors._restart_budget import RestartBudget
@@ -75,6 +75,9 @@ class ResourceLife:
         self._budget = RestartBudget(restart)
         self._loop = asyncio.get_running_loop()
         self._door = Door.of(self._loop)
+        self._tag = (resource.name, "news")
+        if isinstance(self._door.tape, Player):
+            self._door.tape.listen(self._tag, lambda news: self._hear_of(*news))
         self._thread = threading.current_thread()
         self._news: asyncio.Future[BaseException | None] | None = None
         self._lost: BaseException | None = None
@@ -233,14 +236,15 @@ class ResourceLife:
 
     def _told(self, error: BaseException | None) -> None:
         """Hear from a driver or a bus, on any thread."""
+        opening = self._calls.opening
         if threading.current_thread() is self._thread:
-            self._hear(error)
+            self._door.end(self._tag, self._hear_of, opening, error)
         else:
-            opening = self._calls.opening
-            tag = (self.resource.name, "arrived" if error is None else "lost")
-            self._door.tell(tag, self._hear_of, opening, error)
+            self._door.tell(self._tag, self._hear_of, opening, error)
 
     def _hear_of(self, opening: int, error: BaseException | None) -> None:
+        if isinstance(self._door.tape, Recorder):
+            self._door.tape.arrived(self._tag, (opening, error))
         if error is None or opening == self._calls.opening:
             self._hear(error)  # the loss of an earlier opening is no news
 

@@ -43,6 +43,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     virtual = True
     takes_entries = True
+    holds_work = True
 
     def __init__(self, *, seed: int | None = None, start: float = 0.0) -> None:
         self.suspended = 0.0

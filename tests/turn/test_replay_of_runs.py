@@ -1,0 +1,169 @@
+"""A run in real time is repeated, without its devices, in another process."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import esair
+from esair.journal import Kind
+from esair.loop import Player, Recorder, Scheduler, Tape, TurnLoop
+from esair.testing import FakeActuator, FakeSensor
+
+ROOT = Path(__file__).parents[2]
+
+pytestmark = pytest.mark.real_clock
+
+
+def run(what: str, seed: int, file: Path, hash_seed: int, seconds: float) -> list[str]:
+    """Record or replay the robot of a seed; return what it decided."""
+    arguments = [what, str(seed), str(file), str(seconds)]
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.turn.recorded", *arguments],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONHASHSEED": str(hash_seed)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "a driver was called" not in done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.promise("TURN-1", "TURN-6")
+def test_live_runs_repeat_exactly(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """Same command, outcome, reading and turn, with threads and any kind of driver."""
+    soak = request.config.getoption("--esair-soak")
+    seeds, seconds = (range(20), 5.0) if soak else (range(7, 10), 1.0)
+    for seed in seeds:
+        file = tmp_path / f"{seed}.tape"
+        live = run("record", seed, file, 1, seconds)
+        assert len(live) > 50
+        assert run("replay", seed, file, 4711, seconds) == live
+
+
+@pytest.mark.promise("TURN-6")
+def test_a_changed_decision_shows(tmp_path: Path) -> None:
+    """One behavior decides otherwise: the replay differs from there on."""
+    file = tmp_path / "run.tape"
+    live = run("record", 8, file, 1, 0.5)
+
+    assert run("replay", 8, file, 2, 0.5) == live
+    assert run("changed", 8, file, 2, 0.5) != live
+
+
+class Follows(esair.Reaction):
+    """Drives as fast as the way is long."""
+
+    sonar = esair.reads(float)
+    motor = esair.writes(float)
+
+    def react(self, sonar: float) -> float:
+        return sonar / 2
+
+
+def play(loop: TurnLoop, tape: Tape) -> list[tuple[Any, ...]]:
+    """Run a robot whose sensor is pulled out and comes back."""
+    events: list[Any] = []
+    sonar, motor = FakeSensor("sonar", 1.0), FakeActuator("motor", safe=0.0)
+
+    async def main() -> None:
+        robot = esair.Robot(resources=[sonar, motor], behaviors=[Follows()])
+        robot.journal.listen(events.append)
+        async with robot:
+            for value in (2.0, 3.0):
+                sonar.feed(value)
+                await asyncio.sleep(0.05)
+            sonar.unplug()
+            await asyncio.sleep(0.1)
+            sonar.plug()
+            await asyncio.sleep(1.2)
+            sonar.feed(7.0)
+            await asyncio.sleep(0.05)
+
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        runner.run(main())
+    turns = {moment: turn for turn, moment in enumerate(tape.moments)}
+    kinds = {Kind.READING, Kind.SENT, Kind.SAFE, Kind.DOWN, Kind.UP}
+    return [
+        (turns.get(each.time), each.kind, each.component, repr(each.value)[:60])
+        for each in events
+        if each.kind in kinds
+    ]
+
+
+@pytest.mark.promise("TURN-1", "TURN-6")
+def test_a_device_that_was_lost_and_came_back_is_repeated() -> None:
+    """Losses and arrivals are entries too; the tape goes through bytes."""
+    tape = Tape()
+    live = play(TurnLoop(recorder=Recorder(tape)), tape)
+    kept = Tape.load(tape.dump())
+
+    assert {Kind.DOWN, Kind.SENT} <= {kind for _, kind, *_ in live}
+    assert play(TurnLoop(player=Player(kept)), kept) == live
+
+
+def await_nothing(seconds: float) -> None:
+    """Keep the loop busy."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        pass
+
+
+def test_the_clock_stands_still_in_a_turn() -> None:
+    """All that is decided in a turn is decided at one moment."""
+
+    async def main() -> None:
+        loop: Any = asyncio.get_running_loop()
+        before, turn = loop.time(), loop.turn
+        await_nothing(0.01)
+        assert (loop.time(), loop.turn) == (before, turn)
+        await asyncio.sleep(0)
+        assert loop.time() >= before + 0.01
+        assert loop.turn == turn + 1
+
+    with asyncio.Runner(loop_factory=TurnLoop) as runner:
+        runner.run(main())
+
+
+def test_timers_of_one_moment_go_off_in_the_order_of_their_calls() -> None:
+    """However many others are between them, and whichever are cancelled."""
+    fired: list[int] = []
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        when = loop.time() + 0.01
+        handles = [loop.call_at(when, fired.append, i) for i in range(50)]
+        for handle in handles[::3]:
+            handle.cancel()
+        await asyncio.sleep(0.05)
+
+    with asyncio.Runner(loop_factory=TurnLoop) as runner:
+        runner.run(main())
+    assert fired == [i for i in range(50) if i % 3]
+
+
+def test_no_step_is_lost_where_turns_have_a_border() -> None:
+    """The timer is set anew before its own callback runs: nothing sleeps on."""
+    calls: list[float] = []
+
+    async def main() -> None:
+        job = Scheduler.of(asyncio.get_running_loop()).every(0.002, calls.append)
+        await asyncio.sleep(1.0)
+        assert len(calls) + job.skipped >= 495
+        job.stop()
+
+    with asyncio.Runner(loop_factory=TurnLoop) as runner:
+        runner.run(main())
+    assert len(calls) > 250
