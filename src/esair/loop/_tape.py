@@ -184,7 +184,9 @@ class Player:
             self.missed.append(arrived)
 
     def _wait_for(self, tag: Tag) -> Entry | None:
+        end = time.monotonic() + PATIENCE
         with self._news:
-            if self._news.wait_for(lambda: self._came.get(tag), PATIENCE):
-                return self._came[tag].popleft()
-        return None
+            while not self._came.get(tag):
+                if not self._news.wait(max(0.0, end - time.monotonic())):
+                    return None
+            return self._came[tag].popleft()
