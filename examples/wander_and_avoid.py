@@ -39,11 +39,21 @@ class Wheels(esair.Actuator[Twist]):
         self.last = command
 
 
+class KeepClear(esair.Reaction):
+    """Guard the wheels: nothing drives on towards what is closer than 0.3 m."""
+
+    sonar = esair.reads(float)
+    wheels = esair.guards(Twist)
+
+    def react(self, sonar: float, wheels: Twist) -> Twist | None:
+        return None if sonar < 0.3 and wheels.linear > 0.0 else wheels
+
+
 class Avoid(esair.Reaction):
     """Turn away from anything closer than 0.4 m."""
 
     sonar = esair.reads(float, max_age=0.5)
-    wheels = esair.writes(Twist, priority=10)
+    wheels = esair.writes(Twist, priority=10, blind="release")
 
     def react(self, sonar: float) -> Twist | None:
         return Twist(0.0, 1.2) if sonar < 0.4 else None
@@ -60,4 +70,7 @@ class Wander(esair.Behavior):
 
 
 if __name__ == "__main__":
-    esair.run(esair.Robot(resources=[Sonar(), Wheels()], behaviors=[Avoid(), Wander()]))
+    robot = esair.Robot(
+        resources=[Sonar(), Wheels()], behaviors=[KeepClear(), Avoid(), Wander()]
+    )
+    esair.run(robot)

@@ -29,7 +29,7 @@ NOT_YET = {
     *("ROB-5", "ROB-6", "ROB-7"),
     *("RS-7", "RS-8", "SC-4", "AC-5", "BEH-5", "BEH-6", "REA-4"),
     "TURN-4",
-    *("CALL-1", "CALL-2", "CALL-3", *(f"PRO-{n}" for n in range(1, 15))),
+    *("CALL-1", "CALL-2", "CALL-3", "PRO-11"),
     *("RES-3", "RES-4", "BUS-3", "BUS-4", "GRD-1", "GRD-2", "GRD-3"),
     *(f"REC-{n}" for n in range(1, 7)),
     *("REP-1", "REP-2", "REP-3", "OPS-1", "OPS-2", "OPS-3", "OPS-4", "OPS-5"),

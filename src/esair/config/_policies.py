@@ -14,6 +14,7 @@ _RIGHTS: Final = {
     "read": Access.READ,
     "write": Access.WRITE,
     "configure": Access.CONFIGURE,
+    "guard": Access.GUARD,
     "none": Access(0),
 }
 

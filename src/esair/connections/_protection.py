@@ -12,7 +12,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
-from esair.connections._weaker import is_weaker
+from esair.connections._weaker import is_same, is_weaker
 from esair.exceptions import BadValueError, describe
 from esair.loop import clock_of
 from esair.messages import Refused
@@ -188,7 +188,7 @@ class Protection:
         except BaseException as error:  # contained: one component's failure
             self.crash(error)
             return None
-        return passed
+        return command if is_same(passed, command) else passed
 
     def note(self, stops: bool) -> None:
         """Say in the log when a guard begins and ceases to stop commands."""

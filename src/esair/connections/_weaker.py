@@ -27,7 +27,7 @@ def is_weaker(result: Any, command: Any, safe: Any) -> bool:
         return bool(result == command)
     parts = _parts(result, command)
     if parts is None:
-        return _equal(result, command) or _equal(result, safe)
+        return is_same(result, command) or is_same(result, safe)
     return all(
         is_weaker(part, theirs, _part(safe, key))
         for key, (part, theirs) in parts.items()
@@ -43,7 +43,7 @@ def weaker_of(one: Any, other: Any, safe: Any) -> Any:
         return one if abs(one - safe) <= abs(other - safe) else other
     parts = _parts(one, other)
     if parts is None:
-        return other if _equal(other, safe) else one
+        return other if is_same(other, safe) else one
     changes = {
         key: weaker_of(mine, theirs, _part(safe, key))
         for key, (mine, theirs) in parts.items()
@@ -55,7 +55,8 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _equal(one: Any, other: Any) -> bool:
+def is_same(one: Any, other: Any) -> bool:
+    """Tell whether two commands ask for the same."""
     try:
         same = one == other
         return bool(same.all()) if hasattr(same, "all") else bool(same)
