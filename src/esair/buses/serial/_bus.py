@@ -130,6 +130,11 @@ class SerialBus(Bus):
         self._turns = Turns()
 
     @property
+    def resync(self) -> bytes:
+        """What ends a message that was cut in half, if the framing has such a thing."""
+        return resync_bytes(self.framing)
+
+    @property
     def outlet(self) -> Outlet | None:
         """A duplicate of its descriptor, where it has one."""
         port = self._open_device

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import struct
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,7 @@ from esair.exceptions import (
 from esair.loop import CallRefused
 from esair.resources import Actuator, Resource, Sensor
 from esair.values import check_seconds
+from esair.watchdog import SafeFrames, can_frame
 
 # What it logs, it raises as well; a node that is not there would fill the log.
 logging.getLogger("canopen.sdo.client").addFilter(lambda _record: False)
@@ -332,6 +334,22 @@ class CanopenActuator(_OnNode, Actuator[Any]):
     def value_type(self) -> Any:
         """The type of the object; float if there is a factor."""
         return self._type
+
+    def safe_frames(self) -> SafeFrames | None:
+        """An abort of a transfer that was cut, then the safe command by SDO.
+
+        None for an object of more than four bytes: that needs answers of the node.
+        """
+        variable = self.variable
+        data = bytes(variable.encode_raw(self._to_raw(self.safe)))
+        if not 0 < len(data) <= 4:
+            return None
+        place = struct.pack("<HB", variable.index, variable.subindex)
+        abort = struct.pack("<B3sI", 0x80, place, 0x08000000)
+        download = 0x23 | (4 - len(data)) << 2
+        write = struct.pack("<B3s4s", download, place, data)
+        request = 0x600 + self.node
+        return SafeFrames([can_frame(request, abort), can_frame(request, write)])
 
     async def open(self) -> None:
         """Open the node."""

@@ -31,6 +31,10 @@ from esair.exceptions import (
 )
 from esair.resources import Actuator
 from esair.values import check_seconds
+from esair.watchdog import SafeFrames, can_frame
+
+SAFE_FRAMES = 16
+"""How many numbered safe frames the watchdog sends at most."""
 
 
 class DbcActuator(Actuator[Any]):
@@ -136,6 +140,26 @@ class DbcActuator(Actuator[Any]):
         else:
             self._check_alone(command)
         self._check_encoded(command)
+
+    def safe_frames(self) -> SafeFrames:
+        """The safe command; with ``sequence`` once for each number that a node expects."""
+        message, values = self.codec.message, self._values(self.safe)
+        numbered = [values]
+        if self.sequence is not None:
+            first = self._count
+            numbered = [
+                {**values, self.sequence: (first + step) % self._modulus}
+                for step in range(min(self._modulus, SAFE_FRAMES))
+            ]
+        return SafeFrames(
+            can_frame(
+                message.frame_id,
+                self.codec.encode(each),
+                extended=message.is_extended_frame,
+                fd=bool(message.is_fd),
+            )
+            for each in numbered
+        )
 
     async def open(self) -> None:
         """Begin to repeat, if that is asked for."""

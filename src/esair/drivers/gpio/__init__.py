@@ -26,6 +26,7 @@ import contextlib
 import errno
 import os
 import select
+import struct
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, get_args
@@ -41,6 +42,7 @@ from esair.exceptions import (
     did_you_mean,
 )
 from esair.resources import Actuator, Sensor, setting
+from esair.watchdog import Outlet, SafeFrames
 
 __all__ = ["DigitalInput", "DigitalOutput", "devices", "toml"]
 
@@ -291,6 +293,18 @@ class DigitalOutput(_OnLine, Actuator[bool]):
             ),
             opener,
         )
+
+    @property
+    def outlet(self) -> Outlet | None:
+        """A duplicate of its line, so that the line stays driven."""
+        try:
+            return Outlet("gpio", descriptor=self._open.fileno())
+        except OSError:  # it is not open
+            return None
+
+    def safe_frames(self) -> SafeFrames:
+        """The safe value, as the kernel takes it: values, and which of them count."""
+        return SafeFrames([struct.pack("=QQ", int(self.safe), 1)])
 
     def open(self) -> None:
         """Request the line, with its safe value."""

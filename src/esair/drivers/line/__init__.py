@@ -27,6 +27,7 @@ from esair.buses import SerialBus
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Raw
 from esair.resources import Actuator, Sensor
+from esair.watchdog import SafeFrames
 
 __all__ = ["LineActuator", "LineSensor"]
 
@@ -199,6 +200,11 @@ class LineActuator(_LineDevice, Actuator[float]):
         self.ack = ack
         self.limits = limits
         self.own_timeout = own_timeout
+
+    def safe_frames(self) -> SafeFrames:
+        """The safe number, after what ends a line that was cut in half."""
+        line = self.bus.framing.encode(encode_value(self.key, self.safe))
+        return SafeFrames([line], resync=self.bus.resync)
 
     async def write(self, command: float) -> float | None:
         """Tell the number.

@@ -38,6 +38,7 @@ from esair.drivers.odrive._codec import (
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Actuator, Sensor
 from esair.values import check_seconds
+from esair.watchdog import SafeFrames, can_frame
 
 ARM_TIMEOUT = 0.5
 """How long an axis may take to enter closed loop control, in seconds."""
@@ -195,6 +196,15 @@ class OdriveAxis(Actuator[float]):
         """When it was told to enter closed loop control; None if it was not."""
         self._confirmed = False
         self._watching: asyncio.Task[None] | None = None
+
+    def safe_frames(self) -> SafeFrames:
+        """The safe input, which arms nothing; then no power, if that is asked for."""
+        message, data = encode_input(self.control, self.safe)
+        frames = [can_frame(frame_id(self.node, message), data)]
+        if self.idle:
+            idle = frame_id(self.node, Message.SET_AXIS_STATE)
+            frames.append(can_frame(idle, encode_state(AxisState.IDLE)))
+        return SafeFrames(frames)
 
     @property
     def is_armed(self) -> bool:

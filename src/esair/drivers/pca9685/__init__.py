@@ -11,6 +11,7 @@ from typing import Any
 from esair.buses import I2CBus
 from esair.drivers.pca9685._chip import STEPS, Channel
 from esair.resources import Actuator
+from esair.watchdog import SafeFrames
 
 __all__ = ["PwmChannel"]
 
@@ -43,6 +44,10 @@ class PwmChannel(Actuator[float]):
         super().__init__(**settings)
         self.channel = Channel(self, address, channel, frequency)
         self.claim = self.channel.place
+
+    def safe_frames(self) -> SafeFrames | None:
+        """No pulses; None if the safe command is another one."""
+        return self.channel.off() if self.safe == 0.0 else None
 
     async def open(self) -> None:
         """Set the chip up unless it is, and turn the output off."""

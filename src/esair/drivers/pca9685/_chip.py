@@ -15,6 +15,7 @@ from esair.buses import I2CBus, RegisterLink
 from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.resources import Actuator
+from esair.watchdog import SafeFrames
 
 ADDRESSES = range(0x40, 0x78)
 """What the pins A0 to A5 give, without what no chip may have."""
@@ -149,6 +150,11 @@ class Channel:
                 f"no PCA9685 at {self.address:#04x}",
             )
         await asyncio.sleep(SETTLING)
+
+    def off(self) -> SafeFrames:
+        """Return what turns the channel off, for the watchdog."""
+        data = bytes([self.register]) + encode_steps(0)
+        return SafeFrames([data], address=self.address)
 
     async def write(self, steps: int) -> None:
         """Be on for so many of the 4096 steps of a period, from its beginning."""

@@ -15,6 +15,7 @@ from esair.buses import I2CBus
 from esair.drivers.pca9685._chip import STEPS, Channel, frequency_of, prescale
 from esair.exceptions import ConfigError
 from esair.resources import Actuator
+from esair.watchdog import SafeFrames
 
 __all__ = ["PwmServo", "ServoPosition"]
 
@@ -95,6 +96,10 @@ class PwmServo(Actuator[ServoPosition]):
         """Return the length of the pulse for an angle, in seconds."""
         part = (angle - self.min_angle) / (self.max_angle - self.min_angle)
         return self.min_pulse + part * (self.max_pulse - self.min_pulse)
+
+    def safe_frames(self) -> SafeFrames | None:
+        """No pulses; None if the safe command is another one."""
+        return self.channel.off() if not self.safe.on else None
 
     async def open(self) -> None:
         """Set the chip up unless it is, and send no pulses."""

@@ -24,6 +24,7 @@ from esair.exceptions import (
     DriverStuckError,
     describe,
 )
+from esair.watchdog import Outlet
 
 T = TypeVar("T")
 
@@ -108,6 +109,30 @@ class ServoBus(Bus):
                 raise ConfigError(
                     name, "port", f"expected a device file or usb:..., not {port!r:.80}"
                 )
+
+    @property
+    def outlet(self) -> Outlet | None:
+        """A duplicate of the descriptor of its port."""
+        if self._device is None or not self._device.has_descriptor:
+            return None
+        return Outlet("serial", descriptor=self._device.fileno())
+
+    def packet(self, servo: int, address: int, value: int) -> bytes:
+        """Return the packet that writes one byte and wants no answer."""
+        written: list[bytes] = []
+
+        class Captured:
+            is_using = False
+
+            def writePort(self, packet: list[int]) -> int:  # noqa: N802 - the SDK's
+                written.append(bytes(packet))
+                return len(packet)
+
+            def clearPort(self) -> None:  # noqa: N802
+                """There is nothing in it."""
+
+        self._handler.write1ByteTxOnly(Captured(), servo, address, value)
+        return b"".join(written)
 
     async def ping(self, servo: int) -> int:
         """Return the model number of a servo.

@@ -34,6 +34,7 @@ from esair.exceptions import (
     ConfigError,
 )
 from esair.resources import Actuator, Sensor, setting
+from esair.watchdog import SafeFrames
 
 TORQUE_ENABLE = 64
 
@@ -159,6 +160,12 @@ class Servo(Actuator[Goal]):
         """Make sure that the servo answers; nothing moves by that."""
         self._torque = False
         await self.bus.ping(self.id)
+
+    def safe_frames(self) -> SafeFrames | None:
+        """No torque; None if it has to hold, for which its place must be asked first."""
+        if self.safe.mode is not Mode.RELEASE:
+            return None
+        return SafeFrames([self.bus.packet(self.id, TORQUE_ENABLE, 0)])
 
     async def apply(self, *, speed: float | None = None, **_: object) -> None:
         """Set how fast it moves."""
