@@ -3,7 +3,7 @@
 from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
 from esair.connections._actuator_device import LastCommand
-from esair.connections._call import Call, Calls
+from esair.connections._call import Call, Calls, End
 from esair.connections._command_check import CommandCheck, limits_by_field, part_of
 from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._halt import HALT, Halt, Halting, Stopped
@@ -23,6 +23,7 @@ __all__ = [
     "Calls",
     "CommandCheck",
     "Driver",
+    "End",
     "Follower",
     "Halt",
     "Halting",

@@ -8,8 +8,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from esair.connections._call import Call, Calls
-from esair.connections._driver import Driver, translate
+from esair.connections._call import Call, Calls, End
+from esair.connections._driver import Driver, Method, translate
 from esair.connections._registrations import Registrations
 from esair.exceptions import (
     DeviceLostError,
@@ -192,6 +192,30 @@ class ActuatorDevice:
     def removed(self) -> None:
         """The user took the actuator away."""
         self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
+
+    def between(self, method: Method, told: Callable[[End], None]) -> bool:
+        """Call the driver between two commands; tells whether the device was free."""
+        if self._busy or self.calls.alive:
+            return False
+
+        def ended(call: Call, end: End) -> None:
+            told(end)
+            if call.ended is not None and call is self._lane:
+                self._lane_free(call)
+
+        try:
+            value = self.calls.begin(
+                method.name, method, (), self.actuator.deadline, ended
+            )
+        except Exception as error:
+            told(End(None, error))
+        else:
+            if type(value) is Call:
+                self._lane = value
+                self._busy = True
+            else:
+                told(End(value, None))
+        return True
 
     # Calls that waited.
 

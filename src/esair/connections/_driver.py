@@ -32,14 +32,18 @@ class Method(NamedTuple):
     Attributes:
         function: What is called; a coroutine function if there is no executor.
         executor: Returns the thread that calls it; None if it is called in the loop.
+        name: Its name.
     """
 
     function: Callable[..., Any]
     executor: Callable[[], Executor] | None
+    name: str = ""
 
     def bound(self, **options: Any) -> Method:
         """Return the same with keyword arguments."""
-        return Method(functools.partial(self.function, **options), self.executor)
+        return Method(
+            functools.partial(self.function, **options), self.executor, self.name
+        )
 
 
 class Driver:
@@ -105,7 +109,8 @@ class Driver:
     def method(self, name: str) -> Method:
         """Return a method, to be called where it belongs."""
         function = getattr(self.resource, name)
-        return Method(function, self._get_executor if self.blocks(name) else None)
+        executor = self._get_executor if self.blocks(name) else None
+        return Method(function, executor, name)
 
     def _get_executor(self) -> Executor:
         return self.executor

@@ -411,6 +411,31 @@ class SensorChannel:
         for function in awaiting:
             function()
 
+    def between(self, method: Method, told: Callable[[End], None]) -> bool:
+        """Call the driver between two questions; tells whether the device was free."""
+        if self._asking:
+            return False
+
+        def ended(call: Call, end: End) -> None:
+            if call.ended is not None:
+                self._asking = False
+            told(end)
+            if self._waiters:
+                self._ask()
+
+        try:
+            value = self.calls.begin(
+                method.name, method, (), self.sensor.deadline, ended
+            )
+        except Exception as error:
+            told(End(None, error))
+        else:
+            if type(value) is Call:
+                self._asking = value
+            else:
+                told(End(value, None))
+        return True
+
     def _late(self, call: Call) -> None:
         if call is self._asking:
             self._asking = False

@@ -50,6 +50,9 @@ class Resource(abc.Resource):
     identity: Any = None
     """What `identify` has to answer; None for whatever it answers first."""
 
+    set_up_period: float = 1.0
+    """How often `is_set_up` is asked, in seconds, if the class has one."""
+
     bus: Any = None
     """The `Bus` that the device is on, if it is on one; a driver narrows the type."""
 
@@ -114,6 +117,11 @@ class Resource(abc.Resource):
         return type(self).identify is not Resource.identify
 
     @property
+    def can_tell_set_up(self) -> bool:
+        """Whether the class has an ``is_set_up``."""
+        return type(self).is_set_up is not Resource.is_set_up
+
+    @property
     def settings(self) -> Mapping[str, Any]:
         """The current value of each setting, by name (read only)."""
         return MappingProxyType(
@@ -126,6 +134,7 @@ class Resource(abc.Resource):
         def close(self) -> Awaitable[None] | None: ...
         def identify(self) -> Awaitable[Any] | Any: ...
         def apply(self, *_: Any, **changes: Any) -> Awaitable[None] | None: ...
+        def is_set_up(self) -> Awaitable[bool] | bool: ...
 
     else:  # the types above allow drivers to write either kind of method
 
@@ -151,6 +160,16 @@ class Resource(abc.Resource):
             with the values from before. After each opening it is called with all the
             settings that differ from their defaults.
             """
+
+        async def is_set_up(self) -> bool:
+            """Tell whether what `open` and `apply` have set up is still there.
+
+            Write it for a part that can lose its power, or restart, without being
+            unplugged: read a register back that is another one after a reset. Asked
+            each `set_up_period`, and after each silence. If it is not, the part is
+            opened again and disarmed.
+            """
+            return True
 
     def report_lost(self, error: BaseException | None = None) -> None:
         """Say from a driver, on any thread, that the device is gone."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import threading
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from esair.connections import (
     ActuatorChannel,
     Call,
+    End,
     Method,
     SensorChannel,
     is_loss,
@@ -24,7 +26,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Door, Player, Recorder, spawn
+from esair.loop import Deadline, Deadlines, Door, Player, Recorder, spawn
 from esair.messages import ResourceState, Restart
 from esair.resources import Resource, settings_of
 from esair.supervisors._restart_budget import RestartBudget
@@ -40,11 +42,17 @@ FIRST_DELAY = 0.1
 LAST_TRY = 0.5
 """How long a stop tries to reach an actuator that is not there, in seconds."""
 
+SET_UP_AGAIN = 0.01
+"""The pause before a busy device is asked again for its set-up, in seconds."""
+
 LAST_CLOSE = 0.05
 """How long a close may take at least, when nothing is left of its deadline, in s."""
 
 MAX_DELAY = 5.0
 """The longest pause between two tries, in seconds."""
+
+_SILENT = frozenset({errno.EREMOTEIO, errno.ENXIO, errno.ETIMEDOUT, errno.EHOSTDOWN})
+"""What the system says of a part that does not answer: nobody acknowledges, say."""
 
 _log = logging.getLogger("esair")
 
@@ -96,6 +104,8 @@ class ResourceLife:
         """What the device answered when it was asked for the first time who it is."""
         self._task: asyncio.Task[None]
         self._error_of_try: BaseException | None = None
+        self._looks: Deadline | None = None
+        """When it is asked next whether the set-up of the device is still there."""
         self._forget_bus: tuple[Callable[[], None], ...] = ()
 
     def start(self) -> None:
@@ -130,8 +140,36 @@ class ResourceLife:
             self._successes = successes
             self._faults_in_row = 0
         self._faults_in_row += 1
+        if isinstance(error, DriverStuckError):
+            self._look_after(0.0)  # it was silent: it may have restarted
         if self._faults_in_row >= self.resource.fault_limit:
             self._hear(error)
+
+    # Whether its set-up is still there.
+
+    def _look_after(self, seconds: float) -> None:
+        if not self.resource.can_tell_set_up:
+            return
+        if self._looks is not None:
+            self._looks.cancel()
+        self._looks = Deadlines.of(self._loop).after(seconds, self._look)
+
+    def _look(self) -> None:
+        """Ask the device whether it has restarted, unless it is busy."""
+        self._looks = None
+        if self._over or self.channel.state is not ResourceState.READY:
+            return
+        method = self._driver.method("is_set_up")
+        asked = self.channel.between(method, self._has_told)
+        self._look_after(self.resource.set_up_period if asked else SET_UP_AGAIN)
+
+    def _has_told(self, end: End) -> None:
+        name = self.resource.name
+        if end.error is not None:
+            self.on_error(translate(name, end.error))
+        elif not end.value:
+            self._hear(DeviceLostError(name, "it has restarted: its set-up is gone"))
+            self._arrived = True
 
     async def configure(self, changes: dict[str, Any]) -> None:
         """Apply changed settings, all of them or none; ``configuring`` is held.
@@ -203,6 +241,8 @@ class ResourceLife:
             until: When to give up, on the loop's clock; what goes on then is fenced.
         """
         self._over = True
+        if self._looks is not None:
+            self._looks.cancel()
         for forget in self._forget_bus:
             forget()
         self.resource._listener = None  # noqa: SLF001 - the resource's own supervisor
@@ -280,14 +320,11 @@ class ResourceLife:
                 assert error is not None
                 if self._loop.time() - up_since >= MAX_DELAY:
                     delay = FIRST_DELAY  # a flapping device is tried ever less often
+            else:
+                self._first_try(error)
             self._down(error)
-            self._first_try(error)
             await self._close()
-            if (
-                absent
-                or is_loss(error)
-                or isinstance(error, TimeoutError | _AnotherDeviceError)
-            ):
+            if absent or is_loss(error) or _is_silence(error):
                 pause: float | None = delay
                 delay = min(delay * 2, MAX_DELAY)
             else:
@@ -303,7 +340,12 @@ class ResourceLife:
                     self._budget.policy.max,
                     describe(error),
                 )
-                return
+                # A replug, or the user's restart, is the way out of it.
+                if not self._arrived:
+                    await self._wait_for_news(None)
+                self._budget = RestartBudget(self._budget.policy)
+                delay = FIRST_DELAY
+                continue
             await self._wait_for_news(
                 min(pause, FIRST_DELAY) if self._arrived else pause
             )
@@ -387,6 +429,7 @@ class ResourceLife:
     def _up(self) -> None:
         self._faults_in_row = 0
         self.channel.up()
+        self._look_after(self.resource.set_up_period)
         self._journal.publish(Kind.UP, self.resource.name)
         if self.losses:
             _log.info("%s: back", self.resource.name)
@@ -425,6 +468,21 @@ class ResourceLife:
 
 class _AnotherDeviceError(DeviceFaultError):
     """Where the device was is another one now; waiting for the right one may help."""
+
+
+def _is_silence(error: BaseException) -> bool:
+    """Tell whether a device has said nothing, or is not the right one: no wrong answer.
+
+    It has no power yet, or it is still starting: it is waited for, for ever.
+    """
+    if isinstance(error, TimeoutError | _AnotherDeviceError):
+        return True
+    seen: BaseException | None = error
+    while seen is not None:
+        if isinstance(seen, OSError) and seen.errno in _SILENT:
+            return True
+        seen = seen.__cause__
+    return False
 
 
 def _is_absence(error: BaseException | None) -> bool:

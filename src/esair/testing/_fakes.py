@@ -118,7 +118,7 @@ class _Fake(Resource):
 
     async def is_set_up(self) -> bool:
         """Tell whether its power has been on since it was opened."""
-        await self._faults.call()
+        self._faults.check()
         return not self.has_power_cycled
 
     def power_cycle(self) -> None:

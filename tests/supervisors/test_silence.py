@@ -1,0 +1,182 @@
+"""A part that says nothing, one that fails for good, one that has restarted."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from typing import Any
+
+import pytest
+
+import esair
+from esair import ResourceState
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class Part(esair.Sensor[float]):
+    """Answers as its test says: well, wrongly, or not at all."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.error: Exception | None = None
+        self.opened = 0
+
+    async def open(self) -> None:
+        self.opened += 1
+        await self.read()
+
+    async def read(self) -> float:
+        if self.error is not None:
+            raise self.error
+        return 1.0
+
+
+def silent() -> list[Exception]:
+    nack = esair.DeviceFaultError("part", "nobody acknowledges")
+    nack.errno = 121
+    return [OSError(121, "remote I/O error"), nack, TimeoutError("no answer")]
+
+
+@pytest.mark.promise("RES-3")
+@pytest.mark.parametrize("error", silent(), ids=["system", "bus", "time"])
+async def test_silence_spends_no_restarts(error: Exception) -> None:
+    """A part without power is LOST for an hour, and there when it has power."""
+    part = Part(rate=20.0)
+    user: Any = esair.Behavior(name="user", reads={"part": esair.reads(float)})
+    async with esair.Robot(resources=[part], behaviors=[user]) as robot:
+        assert await user.part.read() == 1.0
+        part.error = error
+        for _ in range(4):
+            with pytest.raises((OSError, TimeoutError)):
+                await user.part.read(fresh=True)
+        await asyncio.sleep(3600.0)
+        assert robot.resources.query("part").state is ResourceState.LOST
+        part.error = None
+        await asyncio.sleep(5.1)
+        assert await user.part.read() == 1.0
+
+
+async def failed(robot: esair.Robot, part: Part) -> None:
+    part.error = ValueError("checksum")
+    part.report_lost(ValueError("checksum"))
+    await asyncio.sleep(60.0)
+    assert robot.resources.query("part").state is ResourceState.FAILED
+
+
+@pytest.mark.promise("RES-3")
+async def test_a_replug_leaves_failed() -> None:
+    """Its restarts begin anew."""
+    part = Part()
+    async with esair.Robot(resources=[part]) as robot:
+        await failed(robot, part)
+        part.error = None
+        part.report_arrived()
+        await asyncio.sleep(0.1)
+        assert robot.resources.query("part").state is ResourceState.READY
+        await failed(robot, part)
+
+
+@pytest.mark.promise("RES-3")
+@pytest.mark.parametrize("state", list("RLF"), ids=["ready", "lost", "failed"])
+async def test_the_user_restarts_a_device_in_any_state(state: str) -> None:
+    """It is closed and opened again, and tried once when the call returns."""
+    part = Part()
+    async with esair.Robot(resources=[part]) as robot:
+        if state == "F":
+            await failed(robot, part)
+        elif state == "L":
+            part.error = ConnectionError("cable")
+            part.report_lost()
+            await asyncio.sleep(30.0)
+        part.error = None
+        opened, began = part.opened, asyncio.get_running_loop().time()
+        await robot.resources.restart("part")
+        assert part.opened == opened + 1
+        assert asyncio.get_running_loop().time() - began < 0.2
+        assert robot.resources.query("part").state is ResourceState.READY
+        with pytest.raises(esair.UnknownNameError):
+            await robot.resources.restart("nobody")
+
+
+@pytest.mark.promise("RES-4")
+async def test_a_power_cycle_is_noticed_set_up_again_and_disarmed(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The device is told safe, whoever wrote; one line says what has happened."""
+    caplog.set_level(logging.INFO, "esair")
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=10.0)
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        await user.wheels.write(1.0)
+        wheels.power_cycle()
+        await asyncio.sleep(1.5)
+        assert wheels.opened == 2
+        assert wheels.commands == [0.0, 1.0, 0.0]
+        assert robot.resources.why("wheels").holder is None
+        assert robot.resources.query("wheels").state is ResourceState.READY
+        assert await user.wheels.write(2.0)
+        await asyncio.sleep(5.0)
+        assert wheels.opened == 2
+    lines = [
+        r.getMessage() for r in caplog.records if "set-up is gone" in r.getMessage()
+    ]
+    assert len(lines) == 1
+
+
+@pytest.mark.promise("RES-4", "CALL-3")
+async def test_a_device_is_asked_for_its_set_up_between_its_calls() -> None:
+    """Never while it answers another one; and soon after it was silent."""
+    busy = most = asked = 0
+
+    class Slow(esair.Sensor[float]):
+        deadline = 0.05
+        takes = 0.04
+
+        async def call(self, seconds: float) -> None:
+            nonlocal busy, most
+            busy += 1
+            most = max(most, busy)
+            try:
+                await asyncio.sleep(seconds)
+            finally:
+                busy -= 1
+
+        async def read(self) -> float:
+            await self.call(self.takes)
+            return 1.0
+
+        async def is_set_up(self) -> bool:
+            nonlocal asked
+            asked += 1
+            await self.call(0.02)
+            return True
+
+    slow = Slow(rate=20.0)
+    user: Any = esair.Behavior(name="user", reads={"slow": esair.reads(float)})
+    async with esair.Robot(resources=[slow], behaviors=[user]):
+
+        async def follow() -> None:
+            async for _ in user.slow:
+                pass
+
+        following = asyncio.create_task(follow())
+        await asyncio.sleep(5.0)
+        assert (most, asked) == (1, 4)
+        slow.takes = 0.2
+        await asyncio.sleep(0.25)
+        assert (most, asked) == (1, 5)
+        following.cancel()
+
+
+@pytest.mark.promise("RES-4")
+async def test_a_sensor_that_restarts_is_opened_again() -> None:
+    """Its readings from before are gone with it."""
+    sonar = FakeSensor("sonar", 1.0)
+    user: Any = esair.Behavior(name="user", reads={"sonar": esair.reads(float)})
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        assert await user.sonar.read() == 1.0
+        sonar.power_cycle()
+        await asyncio.sleep(1.3)
+        assert (sonar.opened, sonar.has_power_cycled) == (2, False)
