@@ -5,7 +5,11 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import os
 import signal
+import sys
+import threading
+import time
 from collections.abc import Callable, Coroutine, Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
@@ -30,15 +34,18 @@ from esair.exceptions import (
 from esair.journal import Journal, LogLines
 from esair.loop import (
     GLANCE,
+    Ending,
+    Gaps,
     Job,
     OwnedTasks,
     Scheduler,
     SignalWatch,
-    freeze_garbage,
+    StallWatch,
+    run_and_end,
     spawn,
-    unfreeze_garbage,
+    threads_that_keep_the_process,
 )
-from esair.messages import Policy, Recording
+from esair.messages import Policy, Recording, ResourceState
 from esair.plan import Plan, errors_in, examine, refuse_while_looking
 from esair.resources import Resource, adapt_resource
 from esair.supervisors import BehaviorSupervisor, Halts, Keeper, ResourceSupervisor
@@ -53,6 +60,12 @@ if TYPE_CHECKING:
 
 BUS_TIMEOUT = 2.0
 """How long a bus may take to open or to close, in seconds."""
+
+LAST_WAIT = 2.0
+"""How long `run` may take to end beside the grace period, in seconds."""
+
+STALL_WARNING = 0.1
+"""How long code may hold the event loop before it is named, in seconds."""
 
 _log = logging.getLogger("esair")
 
@@ -83,6 +96,8 @@ class Robot:
             ``"freeze"`` leaves it stopped.
         watchdog_death: What happens when the watchdog itself dies: ``"stop"`` halts the
             robot until it is resumed, ``"alarm"`` only says so. It is started anew.
+        stall_warning: Code that holds the event loop longer than this is named in the
+            log while it does, in seconds; None for never. Not on a virtual clock.
 
     Attributes:
         resources: The resource supervisor (RS).
@@ -110,6 +125,7 @@ class Robot:
         watchdog_limit: float = LIMIT,
         watchdog_policy: Literal["kill", "freeze"] = "kill",
         watchdog_death: Literal["stop", "alarm"] = "stop",
+        stall_warning: float | None = STALL_WARNING,
     ) -> None:
         self.name = check_name("robot", name)
         self._recording = record
@@ -174,14 +190,19 @@ class Robot:
         self._signal: int | None = None
         self._host: asyncio.Task[Any] | None = None
         self._interrupts = False
-        self._watch = SignalWatch(self._end_by_signal, self._hurry)
+        if stall_warning is not None:
+            check_seconds(f"robot {name!r}", "stall_warning", stall_warning)
+        self._stall_warning = stall_warning
+        self._watch = SignalWatch(self._end_by_signal, self._hurry, self._is_safe)
         self._owned: OwnedTasks | None = None
+        self._stalls: tuple[StallWatch, float] | None = None
         self._glances: Job | None = None
         self._log_lines: LogLines | None = None
         self._stopping: asyncio.Task[None] | None = None
         self._reason = ""
         """Why it stops; empty until somebody says so."""
         self._is_up = False
+        self._latched = False
         self._stops = asyncio.Event()
 
     @classmethod
@@ -234,13 +255,16 @@ class Robot:
         self._log_lines = LogLines(self.journal)
         self._log_lines.start()
         self._watch.start(interrupts=self._interrupts)
-        self._owned = OwnedTasks(loop)
+        self._owned = OwnedTasks.of(loop)
         self._owned.install()
         Scheduler.of(loop).suspends.listen(self.resources.resumed)
         for components in (self._list_of_resources, self._list_of_behaviors):
             components.sort(key=_by_name)
             Scheduler.of(loop).expect(len(components))
         if not getattr(loop, "virtual", False):  # there it would hide a deadlock
+            if self._stall_warning is not None:
+                self._stalls = StallWatch.of(loop), self._stall_warning
+                self._stalls[0].start(self._stall_warning)
             self._glances = Scheduler.of(loop).every(GLANCE, lambda _now: None)
         try:
             self.behaviors.accept(self._list_of_behaviors)
@@ -262,7 +286,7 @@ class Robot:
                 ) from None
             raise
         self._is_up = True
-        freeze_garbage()
+        Gaps.of(loop).start()
         return self
 
     async def __aexit__(
@@ -273,6 +297,7 @@ class Robot:
     ) -> None:
         cancelled = await self._stop_for_sure(_reason_of(error))
         if self._signal is not None:
+            await self._watch.others_stopped(self._grace + LAST_WAIT)
             raise SystemExit(128 + self._signal)
         if cancelled and error is None:
             raise asyncio.CancelledError
@@ -422,9 +447,12 @@ class Robot:
         _log.info("robot %s: stops: %s", self.name, reason)
         if self._is_up:
             self._is_up = False
-            unfreeze_garbage()
+            Gaps.of(asyncio.get_running_loop()).stop()
         self.behaviors.halt()
         self.resources.latch()
+        self._latched = True
+        if self._watch.last is not None:
+            self._watch.last.because(time.monotonic())
         try:
             await self.behaviors.stop()
             self.stopped = Stopped(await self.resources.make_safe(), reason)
@@ -442,8 +470,12 @@ class Robot:
             )
             if self._glances is not None:
                 self._glances.stop()
+            if self._stalls is not None:
+                self._stalls[0].stop(self._stalls[1])
+                self._stalls = None
             if self._owned is not None:
                 self._owned.uninstall()
+                self._owned = None
             self._watch.stop()
             if self._log_lines is not None:
                 self._log_lines.stop()
@@ -469,6 +501,13 @@ class Robot:
         if self._host is not None:
             self._host.cancel()
 
+    def _is_safe(self) -> bool:
+        """Tell, in any thread, whether every actuator was told its safe command."""
+        return self._latched and all(
+            channel.is_safe or channel.state is not ResourceState.READY
+            for channel in tuple(self.actuators.channels.values())
+        )
+
     def _hurry(self) -> None:
         """Somebody is impatient: no more grace for components; safe comes first still."""
         self.behaviors.grace = 0.0
@@ -479,18 +518,22 @@ def run(
     *,
     duration: float | None = None,
     loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None,
+    stall_warning: float | None = STALL_WARNING,
 ) -> None:
     """Run a robot until its behaviors have ended, or until a signal.
 
     SIGINT (Ctrl-C), SIGTERM and SIGHUP stop it in order, with every actuator safe;
     the program then exits with 128 plus the number of the signal. A second signal
-    shortens the stop, a third one ends the program at once.
+    shortens the stop, a third one ends the program within a second, also while code
+    holds the event loop. It returns, or ends the process, at most `grace` and two
+    seconds after the reason to end, whatever behaviors and threads do.
 
     Args:
         robot: What to run.
         duration: Stop after this many seconds.
         loop_factory: Makes the event loop, such as ``uvloop.new_event_loop``;
             asyncio's own unless given.
+        stall_warning: As for `Robot`; what was said there counts unless given.
 
     Raises:
         ConfigError: It is no robot, or an event loop is running already.
@@ -508,9 +551,21 @@ def run(
         check_seconds(f"robot {robot.name!r}", "duration", duration)
     gc.collect()
 
+    if stall_warning != STALL_WARNING:
+        robot._stall_warning = stall_warning  # noqa: SLF001 - run is the robot's own entry
+    before = set(threading.enumerate())
+    ending: Ending | None = None
+
     async def main() -> None:
-        robot._interrupts = True  # noqa: SLF001 - run is the robot's own entry
+        nonlocal ending
+        loop = asyncio.get_running_loop()
+        ending = Ending(loop, patience=robot._grace + LAST_WAIT)  # noqa: SLF001 - as above
+        ending.start()
+        robot._watch.last = ending  # noqa: SLF001 - as above
+        robot._interrupts = True  # noqa: SLF001 - as above
         async with robot:
+            if duration is not None:
+                ending.because(time.monotonic() + duration)
             with anyio.move_on_after(duration) as scope:
                 await robot.ended()
             reason = "its behaviors have ended"
@@ -518,8 +573,26 @@ def run(
                 reason = f"it has run for {duration} s"
             robot._reason = robot._reason or reason  # noqa: SLF001 - as above
 
-    with asyncio.Runner(loop_factory=loop_factory) as runner:
-        runner.run(main())
+    try:
+        run_and_end(main(), loop_factory)
+    except SystemExit:
+        if robot._signal is not None:  # noqa: SLF001 - as above
+            _leave_threads(before, 128 + robot._signal)  # noqa: SLF001 - as above
+        raise
+    finally:
+        if ending is not None:
+            ending.stop()
+
+
+def _leave_threads(before: set[threading.Thread], code: int) -> None:
+    """End the process here if threads of the robot would keep it from ending."""
+    names = threads_that_keep_the_process(before)
+    if names:
+        _log.warning("threads are left behind: %s", ", ".join(names))
+        logging.shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
 
 
 async def _all(work: Iterable[Coroutine[Any, Any, None]]) -> None:

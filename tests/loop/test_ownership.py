@@ -21,7 +21,7 @@ async def for_ever() -> None:
 async def test_an_owner_knows_the_tasks_of_its_tasks() -> None:
     """Also those that a task of a task has started."""
     loop = asyncio.get_running_loop()
-    owned, owner = OwnedTasks(loop), Owner()
+    owned, owner = OwnedTasks.of(loop), Owner()
     owned.install()
 
     async def child() -> None:
@@ -54,7 +54,7 @@ async def test_the_factory_from_before_is_used_and_put_back() -> None:
         return asyncio.Task(coroutine, loop=loop, **options)
 
     loop.set_task_factory(factory)
-    owned = OwnedTasks(loop)
+    owned = OwnedTasks.of(loop)
     owned.install()
     await asyncio.ensure_future(asyncio.sleep(0))
     assert made == ["made"]

@@ -21,7 +21,7 @@ from esair.actions._request import Request
 from esair.actions._takes import Answers, Takes, declared_requests
 from esair.connections import Halting, Stopped
 from esair.exceptions import ConfigError, NotRegisteredError
-from esair.loop import Portal, portal
+from esair.loop import Budget, Portal, portal
 from esair.messages import Access, Restart
 from esair.values import check_duration
 
@@ -37,6 +37,8 @@ Overflow = Literal["reject", "drop_oldest", "latest"]
 
 class Host(Protocol):
     """What a running behavior asks of its supervisor."""
+
+    budget: Budget
 
     @property
     def portal(self) -> Portal | None: ...
@@ -152,6 +154,10 @@ class Behavior(ProfiledAction):
         host = self._host
         if host is None:
             raise self._alone()
+        budget = host.budget
+        budget.left -= 1
+        if budget.left < 0:
+            await budget.give_way()
         if not host.hand(receiver, data, interval):
             await host.put(receiver, data, interval)
 
@@ -175,6 +181,10 @@ class Behavior(ProfiledAction):
         host = self._host
         if host is None:
             raise self._alone()
+        budget = host.budget
+        budget.left -= 1
+        if budget.left < 0:
+            await budget.give_way()
         offered = host.take(sender, interval)
         return await host.get(sender, interval) if offered is NOTHING else offered
 
@@ -367,6 +377,10 @@ class Behavior(ProfiledAction):
             raise self._alone()
         if timeout is not None:
             check_duration(self.name, "timeout", timeout)
+        budget = host.budget
+        budget.left -= 1
+        if budget.left < 0:
+            await budget.give_way()
         return await host.receive(timeout)
 
     def _alone(self) -> NotRegisteredError:

@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 
 from esair.connections import READ_TIMEOUT, ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import EsairError, NotRegisteredError
-from esair.loop import speaks_for_nobody
+from esair.loop import WRITE_COST, Budget, speaks_for_nobody
 from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
 from esair.values import check_duration
 
@@ -38,7 +38,7 @@ class SensorPort(Generic[T]):
             seconds; the sensor's own limit unless given, infinite if it has none.
     """
 
-    __slots__ = ("_channel", "_configure", "_max_age", "registration")
+    __slots__ = ("_budget", "_channel", "_configure", "_max_age", "registration")
 
     def __init__(
         self,
@@ -51,6 +51,7 @@ class SensorPort(Generic[T]):
         self.registration = registration
         self._max_age = max_age
         self._configure = configure
+        self._budget = Budget.of(asyncio.get_running_loop())
 
     @property
     def max_age(self) -> float:
@@ -85,6 +86,10 @@ class SensorPort(Generic[T]):
             ResourceRemovedError: The user took the sensor away.
             NotRegisteredError: The registration was revoked.
         """
+        budget = self._budget
+        budget.left -= 1
+        if budget.left < 0:
+            await budget.give_way()
         if not fresh and max_age is None:
             # Most reads end here: the newest reading is good enough.
             channel = self._channel
@@ -106,6 +111,10 @@ class SensorPort(Generic[T]):
         timeout: float | None = None,
     ) -> Reading[T]:
         """Return what `read` does, with its time and sequence number."""
+        budget = self._budget
+        budget.left -= 1
+        if budget.left < 0:
+            await budget.give_way()
         channel = self._channel
         limit = (
             self.max_age
@@ -141,6 +150,9 @@ class SensorPort(Generic[T]):
                 reading = await stream.next()
                 self._channel.dropped += stream.dropped
                 stream.dropped = 0
+                self._budget.left -= 1
+                if self._budget.left < 0:
+                    await self._budget.give_way()
                 yield reading.value
         finally:
             self._channel.unfollow(stream)
@@ -219,7 +231,7 @@ class ActuatorPort(Generic[T]):
         registration: The right to write it.
     """
 
-    __slots__ = ("_channel", "_configure", "registration")
+    __slots__ = ("_budget", "_channel", "_configure", "registration")
 
     def __init__(
         self, channel: ActuatorChannel, registration: Registration, configure: Configure
@@ -227,6 +239,7 @@ class ActuatorPort(Generic[T]):
         self._channel = channel
         self.registration = registration
         self._configure = configure
+        self._budget = Budget.of(asyncio.get_running_loop())
 
     @property
     def resource(self) -> str:
@@ -256,6 +269,10 @@ class ActuatorPort(Generic[T]):
             ResourceRemovedError: The user took the actuator away.
             NotRegisteredError: The registration was revoked.
         """
+        budget = self._budget
+        budget.left -= WRITE_COST
+        if budget.left < 0:
+            await budget.give_way()
         if hold is not None:
             check_duration(self.resource, "hold", hold)
         if speaks_for_nobody():

@@ -9,6 +9,7 @@ from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._protection import Protections
 from esair.connections._registrations import Registration
 from esair.exceptions import NotRegisteredError, UnknownNameError
+from esair.loop import WRITE_COST, Budget
 from esair.messages import Answer, Refused, Written
 from esair.values import check_duration
 
@@ -57,6 +58,7 @@ class ActuatorConnection(Connection):
             DeviceLostError: The device is not there.
             DeviceFaultError: The device did not take it.
         """
+        await Budget.spend(WRITE_COST)
         channel = self.channels.get(getattr(registration, "resource", ""))
         if channel is None:
             if not isinstance(registration, Registration):

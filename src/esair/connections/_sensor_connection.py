@@ -8,6 +8,7 @@ from esair.abc import Connection
 from esair.connections._registrations import Registration
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.exceptions import NotRegisteredError, UnknownNameError
+from esair.loop import Budget
 from esair.messages import Reading
 from esair.values import check_duration
 
@@ -60,6 +61,7 @@ class SensorConnection(Connection):
             DeviceLostError: The device is not there.
             DeviceFaultError: The device answered wrongly.
         """
+        await Budget.spend()
         channel = self.channels.get(getattr(registration, "resource", ""))
         if channel is None:
             raise self._gone(registration)

@@ -1,15 +1,19 @@
 """What the one event loop needs: a scheduler for time, threads for blocking code."""
 
+from esair.loop._budget import WRITE_COST, Budget
 from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._door import Door, Entry
+from esair.loop._end_of_loop import run_and_end, threads_that_keep_the_process
+from esair.loop._ending import Ending
 from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
-from esair.loop._garbage import freeze_garbage, unfreeze_garbage
+from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import WAITS, LightTask
 from esair.loop._ownership import (
     OwnedTasks,
     Owner,
     current_owner,
+    script_context,
     spawn,
     speaks_for_nobody,
 )
@@ -17,6 +21,7 @@ from esair.loop._portal import Portal, portal
 from esair.loop._rate_group import Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
 from esair.loop._signals import ProcessWatch, SignalWatch
+from esair.loop._stall import StallWatch
 from esair.loop._suspend import GLANCE, SuspendWatch
 from esair.loop._tape import First, Player, Recorder, Tape
 from esair.loop._timer import clock_of
@@ -25,14 +30,18 @@ from esair.loop._turn_loop import TurnLoop
 __all__ = [
     "GLANCE",
     "WAITS",
+    "WRITE_COST",
+    "Budget",
     "CallRefused",
     "Deadline",
     "Deadlines",
     "Door",
+    "Ending",
     "Entry",
     "Every",
     "Executor",
     "First",
+    "Gaps",
     "Job",
     "LightTask",
     "OneShot",
@@ -45,16 +54,19 @@ __all__ = [
     "Recorder",
     "Scheduler",
     "SignalWatch",
+    "StallWatch",
     "Step",
     "SuspendWatch",
     "Tape",
     "TurnLoop",
     "clock_of",
+    "collector",
     "current_owner",
     "every",
-    "freeze_garbage",
     "portal",
+    "run_and_end",
+    "script_context",
     "spawn",
     "speaks_for_nobody",
-    "unfreeze_garbage",
+    "threads_that_keep_the_process",
 ]

@@ -7,6 +7,7 @@ import time
 from collections.abc import AsyncIterator, Iterator
 
 from esair.exceptions import BadValueError
+from esair.loop._budget import Budget
 from esair.loop._portal import portal
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
@@ -36,8 +37,14 @@ class Every:
     async def __anext__(self) -> float:
         loop = asyncio.get_running_loop()
         now = clock_of(loop)
+        first = self._begin is None
         due = self._next(now())
-        if due > now():
+        if due <= now():
+            if first:
+                await Budget.spend()
+            else:  # a tick that is late lets everybody else go on
+                await asyncio.sleep(0)
+        else:
             woken = loop.create_future()
 
             def wake(_now: float) -> None:

@@ -1,33 +1,156 @@
-"""No full garbage collection while a robot runs."""
+"""Collects cyclic garbage while robots run, in the gaps between their steps."""
 
 from __future__ import annotations
 
+import asyncio
 import gc
+import math
+import time
+
+from esair.loop._of_loop import of_loop
+from esair.loop._rate_group import Job
+from esair.loop._scheduler import Scheduler
+
+LOOK = 0.25
+"""How often the collector looks whether there is something to do, in seconds."""
+
+TRIES = 20
+"""How many gaps that are too short are let pass before one is used all the same."""
+
+LONG = 0.001
+"""A collection that takes longer sets aside what it has kept, in seconds."""
+
+MAX_SHARE = 0.02
+"""The greatest share of time that full collections may take."""
+
+FEW = 50_000
+"""Up to how many objects that were set aside are not worth a look."""
 
 _NEVER = 1_000_000
 
-_robots = 0
-_before: tuple[int, int, int] = (0, 0, 0)
 
+class Collector:
+    """The garbage collector of the process while robots run; one for the process.
 
-def freeze_garbage() -> None:
-    """Set aside all objects that live now, and collect only young ones from now on.
-
-    A full collection stops the program for milliseconds; the youngest objects are
-    still collected, which takes microseconds.
+    The interpreter still collects young objects by itself, which takes microseconds.
+    It never makes a full collection: that stops the program for milliseconds, in the
+    midst of a step. They are made here, when nothing is due for as long as one takes.
+    What exists at the start, and what a long collection has kept, is set aside and not
+    looked at again until there is twice as much.
     """
-    global _robots, _before
-    if _robots == 0:
-        _before = gc.get_threshold()
+
+    def __init__(self) -> None:
+        self._robots = 0
+        self._before = (0, 0, 0)
+        self._not_before = -math.inf
+        self._set_aside = 0
+        self.collections = 0
+        """How many full collections there were."""
+        self.collected = 0
+        """How many objects they have freed."""
+        self.longest = 0.0
+        """The longest of them, in seconds, since the first robot has started."""
+        self._expected = 0.0
+        self._looks_at_all = False
+
+    def start(self) -> None:
+        """A robot runs: from now on full collections are made in gaps only."""
+        if self._robots == 0:
+            self._before = gc.get_threshold()
+            gc.freeze()
+            gc.set_threshold(self._before[0], self._before[1], _NEVER)
+            self._set_aside = gc.get_freeze_count()
+            self.longest = self._expected = 0.0
+            self._looks_at_all = False
+        self._robots += 1
+
+    def stop(self) -> None:
+        """It has stopped; the last one gives the interpreter its settings back."""
+        self._robots -= 1
+        if self._robots == 0:
+            gc.set_threshold(*self._before)
+            gc.unfreeze()
+
+    def wanted(self, now: float) -> bool:
+        """Tell whether there is something to collect, and time to do it."""
+        return now >= self._not_before and gc.isenabled() and any(gc.get_count()[1:])
+
+    def fits(self, gap: float) -> bool:
+        """Tell whether a full collection is expected to be over within a gap."""
+        return self._expected * 1.5 <= gap
+
+    def collect(self) -> None:
+        """Make a full collection now, and measure it."""
+        began = time.perf_counter()
+        self.collected += gc.collect()
+        took = time.perf_counter() - began
+        self.collections += 1
+        self._expected = took
+        self.longest = max(self.longest, took)
+        self._not_before = time.monotonic() + took / MAX_SHARE
+        if took > LONG:
+            self._set_aside_what_was_kept()
+
+    def _set_aside_what_was_kept(self) -> None:
         gc.freeze()
-        gc.set_threshold(_before[0], _before[1], _NEVER)
-    _robots += 1
+        count = gc.get_freeze_count()
+        self._expected = 0.0
+        if self._looks_at_all:
+            self._looks_at_all = False
+            self._set_aside = count
+        elif count > 2 * max(self._set_aside, FEW):
+            gc.unfreeze()  # the next collection looks at all of it
+            self._looks_at_all = True
+            self._expected = count * 1e-7
 
 
-def unfreeze_garbage() -> None:
-    """Undo `freeze_garbage` when the last robot has stopped."""
-    global _robots
-    _robots -= 1
-    if _robots == 0:
-        gc.set_threshold(*_before)
-        gc.unfreeze()
+collector = Collector()
+"""The one of this process."""
+
+
+class Gaps:
+    """Has the collector work in the gaps of one loop's scheduler; counted."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._scheduler = Scheduler.of(loop)
+        self._users = 0
+        self._job: Job | None = None
+        self._tries = 0
+
+    @classmethod
+    def of(cls, loop: asyncio.AbstractEventLoop) -> Gaps:
+        """Return those of a loop."""
+        return of_loop(loop, cls)
+
+    def start(self) -> None:
+        """Begin to look for gaps."""
+        collector.start()
+        self._users += 1
+        # On a virtual clock a job that never ends would hide a deadlock.
+        if self._users == 1 and not getattr(self._loop, "virtual", False):
+            self._job = self._scheduler.every(LOOK, self._look)
+
+    def stop(self) -> None:
+        """Look for them no more, if no other robot is on the loop."""
+        collector.stop()
+        self._users -= 1
+        if self._users == 0 and self._job is not None:
+            self._job.stop()
+            self._job = None
+
+    def _look(self, now: float) -> None:
+        if self._tries == 0 and collector.wanted(now):
+            self._loop.call_soon(self._try)  # when the steps of this moment are done
+
+    def _try(self) -> None:
+        if self._job is None:
+            self._tries = 0
+            return
+        gap = self._scheduler.gap()
+        self._tries += 1
+        if collector.fits(gap) or self._tries >= TRIES:
+            self._tries = 0
+            collector.collect()
+        else:
+            self._loop.call_later(max(gap, 0.0) + 0.0005, self._try)

@@ -8,15 +8,19 @@ import threading
 from collections.abc import Coroutine, Generator
 from typing import Any, TypeVar
 
+from esair.loop._of_loop import of_loop
+
 T = TypeVar("T")
 
 
 class Owner:
     """Holds every task that a component has started and that still runs."""
 
-    __slots__ = ("_first", "_others", "over", "threads")
+    __slots__ = ("_first", "_others", "context", "over", "threads")
 
-    def __init__(self) -> None:
+    def __init__(self, context: contextvars.Context | None = None) -> None:
+        self.context = context
+        """The context variables that its tasks begin with; those of the loop if None."""
         # Most components have one task only; a set for it would be half their size.
         self._first: asyncio.Task[Any] | None = None
         self._others: set[asyncio.Task[Any]] | None = None
@@ -43,7 +47,7 @@ class Owner:
         return sorted(tasks, key=lambda task: task.get_name())
 
 
-_owner: contextvars.ContextVar[Owner] = contextvars.ContextVar("esair_owner")
+_owner: contextvars.ContextVar[Owner | None] = contextvars.ContextVar("esair_owner")
 
 
 def spawn(
@@ -56,12 +60,14 @@ def spawn(
 ) -> asyncio.Task[T]:
     """Start a task that belongs to esair itself, or to an owner.
 
-    It gets a context of its own unless one is given, so that what it starts is not
-    mistaken for work of the component that happened to call. It never begins before
-    this returns, even if the loop's factory makes eager tasks: esair's own records are
-    complete then.
+    It begins with the context variables of the script that has started the robot,
+    unless a context is given, so that what it starts is not mistaken for work of the
+    component that happened to call. It never begins before this returns, even if the
+    loop's factory makes eager tasks: esair's own records are complete then.
     """
-    context = context or contextvars.Context()
+    if context is None:
+        begins = None if owner is None else owner.context
+        context = (begins or OwnedTasks.of(loop).script).copy()
     if owner is not None:
         context.run(_owner.set, owner)
     task = asyncio.Task(coroutine, loop=loop, name=name, context=context)
@@ -79,6 +85,13 @@ def speaks_for_nobody() -> bool:
     """Tell whether the code that runs now belongs to a run that has ended."""
     owner = _owner.get(None)
     return owner is not None and owner.over
+
+
+def script_context() -> contextvars.Context:
+    """Return a copy of the context variables of the code that runs now; nobody's."""
+    context = contextvars.copy_context()
+    context.run(_owner.set, None)
+    return context
 
 
 class Contained(Coroutine[Any, Any, Any]):
@@ -108,44 +121,79 @@ class Contained(Coroutine[Any, Any, Any]):
     def close(self) -> None:
         self._inner.close()
 
+    def __getattr__(self, name: str) -> Any:
+        # What tools ask of a coroutine: its name, its frame, what it waits for.
+        return getattr(self._inner, name)
+
     def __await__(self) -> Generator[Any, Any, Any]:
         return self._inner.__await__()
 
 
 class OwnedTasks:
-    """A task factory that tells each owner of the tasks started in its context.
+    """The task factory of a loop while robots run on it; one for the loop, counted.
 
-    It keeps the factory that was there before and puts it back at the end.
+    It tells each owner of the tasks that are started in its context. The factory that
+    was there before makes the tasks, and is put back by the last robot.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._before = loop.get_task_factory()
+        self._users = 0
+        self._factory: Any = None
+        self.script = contextvars.Context()
+        """The context variables of whoever has started the first robot."""
+
+    @classmethod
+    def of(cls, loop: asyncio.AbstractEventLoop) -> OwnedTasks:
+        """Return that of a loop."""
+        return of_loop(loop, cls)
 
     def install(self) -> None:
         """Begin to tell owners of their tasks."""
-        self._loop.set_task_factory(self._create)  # type: ignore[arg-type]
+        self._users += 1
+        if self._users == 1:
+            self.script = script_context()
+            self._factory = _Factory(self._loop.get_task_factory())
+            self._loop.set_task_factory(self._factory)
 
     def uninstall(self) -> None:
         """Put the factory from before back, unless somebody set another since."""
-        if self._loop.get_task_factory() == self._create:
-            self._loop.set_task_factory(self._before)
+        self._users -= 1
+        if self._users == 0 and self._factory is not None:
+            current: Any = self._loop.get_task_factory()
+            if current is self._factory:
+                self._loop.set_task_factory(self._factory.before)
+            self._factory.over = True
+            self._factory = None
 
-    def _create(
+
+class _Factory:
+    """Makes tasks as the factory before it does, and tells their owners."""
+
+    __slots__ = ("before", "over")
+
+    def __init__(self, before: Any) -> None:
+        self.before = before
+        self.over = False
+        """It was left in the factory of a stranger: it only hands on."""
+
+    def __call__(
         self,
         loop: asyncio.AbstractEventLoop,
         coroutine: Coroutine[Any, Any, Any],
         **options: Any,
     ) -> asyncio.Task[Any]:
-        task: asyncio.Task[Any]
-        context = options.get("context")
-        owner = _owner.get(None) if context is None else context.get(_owner)
+        owner = None
+        if not self.over:
+            context = options.get("context")
+            owner = _owner.get(None) if context is None else context.get(_owner)
         if owner is not None:
             coroutine = Contained(coroutine)
-        if self._before is None:
+        task: asyncio.Task[Any]
+        if self.before is None:
             task = asyncio.Task(coroutine, loop=loop, **options)
         else:
-            task = self._before(loop, coroutine, **options)  # type: ignore[assignment]
+            task = self.before(loop, coroutine, **options)
         if owner is not None and not task.done():
             owner.adopt(task)
         return task

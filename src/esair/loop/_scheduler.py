@@ -154,6 +154,13 @@ class Scheduler:
         if 2 * self._cancelled > len(self._heap) or self._heap[0][-1] is one_shot:
             self._forget(one_shot)
 
+    def gap(self) -> float:
+        """Tell for how long nothing is due, in seconds."""
+        if self._queue or self._decided:
+            return 0.0
+        due = self._heap[0][0] / SECOND if self._heap else math.inf
+        return due - self._time()
+
     def queue(self, job: Job) -> None:
         """Call the step of a job in the next turn."""
         self._queue.append(job)

@@ -1,76 +1,257 @@
-"""Signals that end a robot in order: SIGINT, SIGTERM, SIGHUP; and who changes them."""
+"""Signals that end a robot in order: SIGINT, SIGTERM, SIGHUP; and who changes them.
+
+They are counted outside of the event loops, so they work while one is stuck: the
+interpreter writes a byte for each, which the overseer's thread reads, or, if no other
+thread gets to run, the handler in the main thread.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import itertools
+import math
 import os
 import signal
 import sys
 import threading
+import time
 
 # Each component that is added is watched; the public getsignal makes an enum of a
 # handler, or else prints it, task and all, into an error that nobody sees.
 from _signal import getsignal  # type: ignore[import-not-found]  # noqa: PLC2701
 from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+from esair.loop._ending import (
+    Ending,
+    Kicks,
+    break_out,
+    leave_at_once,
+)
+from esair.loop._overseer import overseer
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
+LAST_WORD = 0.6
+"""How long the third signal waits at most for safe commands, in seconds."""
+
 
 class SignalWatch:
-    """Calls a function at the first signal, another at the second, exits at the third.
-
-    It takes over only signals that would kill the program without any clean-up, and
-    only in the main thread.
+    """Tells one robot of the signals that end it.
 
     Args:
         on_first: Told the number of the first signal.
         on_second: Told when somebody becomes impatient.
+        is_safe: Asked at the third signal, in another thread, whether every actuator
+            was told its safe command.
     """
 
     def __init__(
-        self, on_first: Callable[[int], None], on_second: Callable[[], None]
+        self,
+        on_first: Callable[[int], None],
+        on_second: Callable[[], None],
+        is_safe: Callable[[], bool] = lambda: True,
     ) -> None:
         self._on_first = on_first
         self._on_second = on_second
-        self._count = 0
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._watched: list[int] = []
+        self.is_safe = is_safe
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self.ending: Ending | None = None
+        self.last: Ending | None = None
+        """That of the whole process, if there is one."""
+        self.host: asyncio.Task[Any] | None = None
+        self._number = 0
 
     def start(self, *, interrupts: bool) -> None:
         """Begin to watch.
+
+        Only signals that would kill the program without any clean-up are taken over,
+        and only in the main thread.
 
         Args:
             interrupts: Whether to watch SIGINT too, which `asyncio.run` handles by
                 itself.
         """
-        if threading.current_thread() is not threading.main_thread():
-            return
-        loop = self._loop = asyncio.get_running_loop()
-        for number in ENDING:
-            handler = signal.getsignal(number)
-            mine = interrupts if number == signal.SIGINT else handler is signal.SIG_DFL
-            if mine:
-                try:
-                    loop.add_signal_handler(number, self._hear, number)
-                except (NotImplementedError, RuntimeError):
-                    return
-                self._watched.append(number)
+        self.loop = asyncio.get_running_loop()
+        self.host = asyncio.current_task()
+        self.ending = Ending(self.loop, self._hear)
+        self.ending.start()
+        desk.join(self, interrupts=interrupts)
 
     def stop(self) -> None:
-        """Give the signals back."""
-        for number in self._watched:
-            assert self._loop is not None
-            self._loop.remove_signal_handler(number)
-        self._watched.clear()
+        """Give the signals back, if no other robot needs them."""
+        if self.ending is not None:
+            desk.leave(self)
+            self.ending.stop()
+            self.ending = None
 
-    def _hear(self, number: int) -> None:
-        self._count += 1
-        if self._count == 1:
-            self._on_first(number)
-        elif self._count == 2:
-            self._on_second()
+    async def others_stopped(self, timeout: float) -> None:
+        """Wait until the other robots of this loop have heard of a signal and stopped."""
+        give_up = time.monotonic() + timeout
+        while desk.others(self) and time.monotonic() < give_up:  # noqa: ASYNC110 - once, at the end
+            await asyncio.sleep(0.005)
+
+    def first(self, number: int) -> None:
+        """A signal has come; in any thread."""
+        if self.ending is not None:
+            self._number = number
+            self.ending.because(time.monotonic())
+            self.ending.tell()
+            if self.last is not None:
+                self.last.because(time.monotonic(), 128 + number)
+
+    def second(self) -> None:
+        """Another one has come; in any thread."""
+        if self.loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self.loop.call_soon_threadsafe(self._on_second)
+
+    def _hear(self) -> None:
+        self._on_first(self._number)
+
+
+class SignalDesk:
+    """Owns the handlers of the signals for all robots of the process."""
+
+    def __init__(self) -> None:
+        self._watches: tuple[SignalWatch, ...] = ()
+        self._before: dict[int, Any] = {}
+        self._kicks = Kicks(self._kicked)
+        self._wake_before = -1
+        self._numbers = itertools.count(1)
+        self._first = 0
+        self._last_word = math.inf
+        self._code = 1
+
+    def join(self, watch: SignalWatch, *, interrupts: bool) -> None:
+        """Tell a robot of the signals from now on."""
+        if not self._watches:
+            overseer.join(self)
+        self._watches = (*self._watches, watch)
+        if threading.current_thread() is threading.main_thread():
+            self._install(interrupts=interrupts)
+        if self._first:  # one that starts while the others end
+            watch.first(self._first)
+
+    def leave(self, watch: SignalWatch) -> None:
+        """Tell it no more; the last one puts everything back."""
+        self._watches = tuple(each for each in self._watches if each is not watch)
+        if self._watches:
+            return
+        if threading.current_thread() is threading.main_thread():
+            self._uninstall()
+        self._numbers = itertools.count(1)
+        self._first, self._last_word = 0, math.inf
+        overseer.leave(self)
+
+    def others(self, watch: SignalWatch) -> bool:
+        """Tell whether other robots of the same loop, by other tasks, still run."""
+        return any(
+            each.loop is watch.loop and each.host is not watch.host
+            for each in self._watches
+        )
+
+    def look(self, now: float) -> float:
+        """Leave at the third signal as soon as all is safe; called by the overseer."""
+        if self._last_word == math.inf:
+            return math.inf
+        if now >= self._last_word or all(each.is_safe() for each in self._watches):
+            leave_at_once(self._code, "a third signal came")
+        return now + 0.01
+
+    def forget(self) -> None:
+        """This is a forked child: its signals are not those of the robots."""
+        if self._before:
+            with contextlib.suppress(ValueError):
+                signal.set_wakeup_fd(-1)
+                for number, handler in self._before.items():
+                    signal.signal(number, handler)
+        self.__init__()  # type: ignore[misc]
+
+    def _install(self, *, interrupts: bool) -> None:
+        for number in ENDING:
+            if number in self._before:
+                continue
+            handler = signal.getsignal(number)
+            if interrupts if number == signal.SIGINT else handler is signal.SIG_DFL:
+                self._before[number] = handler
+                signal.signal(number, self._handle)
+        if self._before and overseer.on_bytes != self._count_all:
+            overseer.on_bytes = self._count_all
+            self._wake_before = signal.set_wakeup_fd(
+                overseer.wake_fd, warn_on_full_buffer=False
+            )
+            self._kicks.start()
+
+    def _uninstall(self) -> None:
+        for number, handler in self._before.items():
+            if signal.getsignal(number) == self._handle:
+                signal.signal(number, handler)
+        if self._before:
+            current = signal.set_wakeup_fd(self._wake_before)
+            if current != overseer.wake_fd:  # somebody has set another since
+                with contextlib.suppress(ValueError, OSError):
+                    signal.set_wakeup_fd(current)
+            overseer.on_bytes = lambda _data: None
+        self._kicks.stop()
+        self._before.clear()
+        self._wake_before = -1
+
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        """Count a signal in the main thread, unless the overseer has done so."""
+        current = signal.set_wakeup_fd(overseer.wake_fd, warn_on_full_buffer=False)
+        if current == overseer.wake_fd:
+            overseer.drain()
+        else:  # somebody else hears the bytes
+            signal.set_wakeup_fd(current, warn_on_full_buffer=False)
+            self._count(number)
+        self._kicks.arm()
+
+    def _count_all(self, data: bytes) -> None:
+        if self._wake_before >= 0:  # of a loop with handlers of its own
+            with contextlib.suppress(OSError):
+                os.write(self._wake_before, data)
+        for number in data:
+            if number in self._before:
+                self._count(number)
+
+    def _count(self, number: int) -> None:
+        count = next(self._numbers)
+        if count == 1:
+            self._first = number
+            for watch in self._watches:
+                watch.first(number)
+        elif count == 2:
+            for watch in self._watches:
+                watch.second()
+        elif self._last_word == math.inf:
+            self._code = 128 + number
+            self._last_word = time.monotonic() + LAST_WORD
+            overseer.wake()
+
+    def _kicked(self, _number: int, frame: FrameType | None) -> None:
+        """Look, in the main thread, whether its code has to give the loop back."""
+        endings = [ending for w in self._watches for ending in (w.ending, w.last)]
+        held = [ending for ending in endings if ending is not None and ending.held]
+        if not held:
+            self._kicks.disarm()
         else:
-            os._exit(128 + number)
+            break_out(frame, forced=any(ending.forced for ending in held))
+
+
+desk = SignalDesk()
+"""The one of this process."""
+
+
+def _in_a_forked_child() -> None:
+    desk.forget()
+    overseer.forget()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_in_a_forked_child)
 
 
 class ProcessWatch:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
 import itertools
 import logging
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
@@ -30,7 +31,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Event, Kind
-from esair.loop import ProcessWatch, spawn
+from esair.loop import Budget, ProcessWatch, script_context, spawn
 from esair.messages import (
     Access,
     BehaviorState,
@@ -110,6 +111,8 @@ class BehaviorSupervisor(abc.Supervisor):
         self.zombie_count = 0
         self._undead: set[asyncio.Task[Any]] = set()
         """Tasks of zombies: the loop itself keeps only weak references."""
+        self.context: contextvars.Context | None = None
+        """The context variables of the script; those of its behaviors begin so."""
         self._halt = halt
         self._stop = stop
         self._command_queue = CommandQueue("behaviors", asleep=True)
@@ -177,6 +180,7 @@ class BehaviorSupervisor(abc.Supervisor):
             BusyError: Too many requests wait.
             StoppingError: The robot is stopping.
         """
+        await Budget.spend()
         await self.mediator.put(data, sender, receiver, interval)
 
     async def get(self, *, sender: str, receiver: str, interval: float = 1.0) -> Any:
@@ -196,6 +200,7 @@ class BehaviorSupervisor(abc.Supervisor):
             BusyError: Too many requests wait.
             StoppingError: The robot is stopping.
         """
+        await Budget.spend()
         return await self.mediator.get(sender, receiver, interval)
 
     async def ask(
@@ -425,6 +430,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
+        self.context = script_context()
         self._command_queue.wake()
 
     def accept(self, behaviors: Iterable[Behavior | Reaction]) -> None:

@@ -15,7 +15,7 @@ from esair.exceptions import (
     ConfigError,
     NotRegisteredError,
 )
-from esair.loop import Owner, Portal, speaks_for_nobody
+from esair.loop import Budget, Owner, Portal, speaks_for_nobody
 from esair.messages import BehaviorState
 from esair.supervisors._request_queue import RequestQueue
 from esair.supervisors._requests import FairQueue, Request
@@ -53,6 +53,7 @@ class Mailbox:
         "alive",
         "asked",
         "askers",
+        "budget",
         "dropped",
         "error",
         "inbox",
@@ -111,6 +112,7 @@ class Mailbox:
             }
         self.takers: list[asyncio.Future[None]] | None = None
         self.owner = Owner()
+        self.budget = Budget.of(asyncio.get_running_loop())
         self._mediator = mediator
 
     @property

@@ -225,7 +225,7 @@ class Member(Mailbox):
             self._start_runner(self.runner, self.action)
             return
         survivors = self.owner.living()
-        self.owner = Owner()
+        self.owner = Owner(self._supervisor.context)
         for task in survivors:  # they would not end with the run before
             self.owner.adopt(task)
         self.outlived = bool(survivors)

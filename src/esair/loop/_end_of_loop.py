@@ -1,0 +1,61 @@
+"""Runs a coroutine in a new event loop, and ends that loop whatever is left in it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+PATIENCE = 0.3
+"""How long the end of a loop waits for tasks that are left in it, in seconds."""
+
+_log = logging.getLogger("esair")
+
+
+def run_and_end(
+    work: Coroutine[Any, Any, None],
+    loop_factory: Callable[[], asyncio.AbstractEventLoop] | None,
+) -> None:
+    """Do what `asyncio.run` does, but do not wait for ever for tasks and threads.
+
+    Args:
+        work: What to run.
+        loop_factory: Makes the event loop; asyncio's own unless given.
+    """
+    loop = asyncio.new_event_loop() if loop_factory is None else loop_factory()
+    asyncio.set_event_loop(loop)
+    try:
+        loop.run_until_complete(loop.create_task(work))
+    finally:
+        try:
+            _end_tasks(loop)
+        finally:
+            asyncio.set_event_loop(None)
+            loop.close()  # threads of run_in_executor are not waited for
+
+
+def _end_tasks(loop: asyncio.AbstractEventLoop) -> None:
+    left = asyncio.all_tasks(loop)
+    for task in left:
+        task.cancel()
+    if left:
+        loop.run_until_complete(asyncio.wait(left, timeout=PATIENCE))
+    alive = sorted(task.get_name() for task in left if not task.done())
+    if alive:
+        _log.warning("left behind, they would not end: %s", ", ".join(alive))
+    for task in left:
+        if task.done() and not task.cancelled() and (error := task.exception()):
+            _log.warning("%s: it ended with %r", task.get_name(), error)
+    generators = loop.create_task(loop.shutdown_asyncgens())
+    loop.run_until_complete(asyncio.wait({generators}, timeout=PATIENCE))
+
+
+def threads_that_keep_the_process(before: set[threading.Thread]) -> list[str]:
+    """Name new threads for whose end the interpreter waits at its own."""
+    return sorted(
+        thread.name
+        for thread in threading.enumerate()
+        if thread not in before and not thread.daemon and thread.is_alive()
+    )

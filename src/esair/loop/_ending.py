@@ -1,0 +1,196 @@
+"""What makes sure that something ends: the loop is told, freed, and at last left."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from types import FrameType
+
+from esair.loop._overseer import overseer
+from esair.loop._ownership import current_owner
+
+PATIENCE = 0.25
+"""How long a loop may take to hear that it should end, in seconds."""
+
+KICK = 0.02
+"""How often code that holds a loop which should end is interrupted, in seconds."""
+
+_ALWAYS = 25
+"""From this kick on code is interrupted even inside of the event loop."""
+
+_INSIDE = ("esair.", "asyncio.", "selectors", "anyio.", "contextlib", "threading")
+
+_KICK_SIGNAL = getattr(signal, "SIGURG", None)  # ignored unless somebody wants it
+_TIMER_SIGNAL = getattr(signal, "SIGALRM", None)
+
+
+class LoopHeldError(Exception):
+    """Raised in code that holds the event loop of a robot that has to stop."""
+
+
+class Ending:
+    """Watches that an event loop hears that it should end, and that it does.
+
+    A loop that does not hear is held by some code: that code is interrupted, as
+    Ctrl-C would do it, so that every actuator can still be told its safe command.
+
+    Args:
+        loop: The event loop.
+        hear: Called in the loop when there is a reason to end.
+        patience: How long after it the process is ended whatever it does, in seconds.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        hear: Callable[[], None] | None = None,
+        *,
+        patience: float = math.inf,
+    ) -> None:
+        self._loop = loop
+        self._hear = hear
+        self._patience = patience
+        self._thread = threading.get_ident()
+        self._reason = math.inf
+        self._limit = math.inf
+        self._code = 1
+        self._told = False
+        self._kicks = 0
+        self.heard = False
+        """Whether the loop has heard of it."""
+
+    def start(self) -> None:
+        """Begin to watch."""
+        overseer.join(self)
+
+    def stop(self) -> None:
+        """It has ended: watch no more."""
+        overseer.leave(self)
+
+    def because(self, moment: float, code: int = 1) -> None:
+        """Take note of a reason to end; the earliest counts.
+
+        Args:
+            moment: When it came or will come, on the monotonic clock.
+            code: The exit code if the process has to be ended for it.
+        """
+        if moment < self._reason:
+            self._reason, self._code = moment, code
+            self._limit = moment + self._patience
+        overseer.wake()
+
+    def tell(self) -> None:
+        """Tell the loop that there is a reason to end, once; in any thread."""
+        if not self._told:
+            self._told = True
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self._loop.call_soon_threadsafe(self._acknowledge)
+
+    @property
+    def held(self) -> bool:
+        """Whether some code keeps the loop from hearing that it should end."""
+        return self._told and not self.heard
+
+    @property
+    def forced(self) -> bool:
+        """Whether that code was spared often enough."""
+        return self._kicks >= _ALWAYS
+
+    def look(self, now: float) -> float:
+        """Do what is due; called by the overseer."""
+        if now >= self._limit:
+            leave_at_once(self._code, "it did not end in time")
+        if now < self._reason:
+            return min(self._reason, self._limit)
+        self.tell()
+        if self.heard:
+            return self._limit
+        if now - self._reason >= PATIENCE:
+            self._kicks += 1
+            kick(self._thread)
+        return now + KICK
+
+    def _acknowledge(self) -> None:
+        self.heard = True
+        if self._hear is not None:
+            self._hear()
+
+
+def kick(thread: int) -> None:
+    """Interrupt the main thread, whatever it waits for; see `Kicks`."""
+    if _KICK_SIGNAL is not None and thread == threading.main_thread().ident:
+        signal.pthread_kill(thread, _KICK_SIGNAL)
+
+
+class Kicks:
+    """The signals that interrupt the main thread, where nobody else uses them.
+
+    Args:
+        kicked: Called in the main thread at each.
+    """
+
+    def __init__(self, kicked: Callable[[int, FrameType | None], None]) -> None:
+        self._kicked = kicked
+        self._mine: list[int] = []
+
+    def start(self) -> None:
+        """Take them over."""
+        for number in (_KICK_SIGNAL, _TIMER_SIGNAL):
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, self._kicked)
+                self._mine.append(number)
+
+    def stop(self) -> None:
+        """Give them back."""
+        self.disarm()
+        for number in self._mine:
+            signal.signal(number, signal.SIG_DFL)
+        self._mine.clear()
+
+    def arm(self) -> None:
+        """Have the kernel kick from soon on: no other thread may get to run."""
+        if _TIMER_SIGNAL in self._mine:
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE, KICK)
+
+    def disarm(self) -> None:
+        """Have the kernel kick no more."""
+        if _TIMER_SIGNAL in self._mine:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def break_out(frame: FrameType | None, *, forced: bool) -> None:
+    """Raise in the code that holds the loop, unless it is the loop's own.
+
+    Raises:
+        CancelledError: In code of a component, which a removal cancels likewise.
+        LoopHeldError: In code that nobody owns, such as a step of a reaction.
+    """
+    module = "" if frame is None else str(frame.f_globals.get("__name__", ""))
+    if module.startswith(_INSIDE) and not forced:
+        return
+    if current_owner() is not None:
+        raise asyncio.CancelledError("it holds the event loop, and the robot stops")
+    raise LoopHeldError("it holds the event loop, and the robot stops")
+
+
+def leave_at_once(code: int, why: str) -> None:
+    """End the process now; say why, if that does not take long."""
+    frame = sys._current_frames().get(threading.main_thread().ident or 0)  # noqa: SLF001 - the only way to see it
+    where = "" if frame is None else "".join(traceback.format_stack(frame)[-3:])
+
+    def say() -> None:
+        os.write(
+            2, f"esair: the process is ended: {why}; it was here:\n{where}".encode()
+        )
+
+    saying = threading.Thread(target=say, daemon=True)  # nobody may read it
+    saying.start()
+    saying.join(0.1)
+    os._exit(code)

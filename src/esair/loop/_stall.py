@@ -1,0 +1,100 @@
+"""Says who holds the event loop, while it is held."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import sys
+import threading
+import traceback
+from types import FrameType
+
+from esair.abc import Component
+from esair.loop._of_loop import of_loop
+from esair.loop._overseer import overseer
+
+_log = logging.getLogger("esair")
+
+
+class StallWatch:
+    """Asks a loop again and again, from a thread, whether it still turns.
+
+    Code that holds it longer than allowed is named in the log with its stack, while
+    it still holds it. One for each loop; the strictest of its robots counts.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._thread = threading.get_ident()
+        self._limits: list[float] = []
+        self._asked: float | None = None
+        self._said = False
+        self.stalls = 0
+        """How often the loop was held too long."""
+
+    @classmethod
+    def of(cls, loop: asyncio.AbstractEventLoop) -> StallWatch:
+        """Return that of a loop."""
+        return of_loop(loop, cls)
+
+    def start(self, limit: float) -> None:
+        """Watch for turns that take longer than a limit, in seconds."""
+        self._thread = threading.get_ident()
+        self._limits.append(limit)
+        if len(self._limits) == 1:
+            overseer.join(self)
+
+    def stop(self, limit: float) -> None:
+        """Watch no more with that limit."""
+        self._limits.remove(limit)
+        if not self._limits:
+            overseer.leave(self)
+            self._asked = None
+
+    def look(self, now: float) -> float:
+        """Ask the loop, or say that it does not answer; called by the overseer."""
+        limit = min(self._limits, default=math.inf)
+        if self._asked is None:
+            self._asked = now
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self._loop.call_soon_threadsafe(self._answer)
+        elif not self._said and now - self._asked >= limit:
+            self._said = True
+            self.stalls += 1
+            frame = sys._current_frames().get(self._thread)  # noqa: SLF001 - the only way to see it
+            if frame is not None:
+                text = describe_holder(frame)
+                # In a thread of its own: the loop may be stuck in the log.
+                threading.Thread(
+                    target=_log.warning,
+                    args=(
+                        "the event loop is held for more than %g s by %s",
+                        limit,
+                        text,
+                    ),
+                    daemon=True,
+                    name="esair-stall",
+                ).start()
+        return now + limit / 2
+
+    def _answer(self) -> None:
+        self._asked = None
+        self._said = False
+
+
+def describe_holder(frame: FrameType) -> str:
+    """Name the component whose code a thread executes, the line, and its stack."""
+    name, where = "the program", ""
+    each: FrameType | None = frame
+    while each is not None:
+        owner = each.f_locals.get("self")
+        if isinstance(owner, Component):
+            with contextlib.suppress(Exception):  # a user's name may be anything
+                name = str(owner.name)
+                where = f" ({each.f_code.co_filename}:{each.f_lineno})"
+            break
+        each = each.f_back
+    stack = "".join(traceback.format_stack(frame))
+    return f"{name}{where}:\n{stack}"

@@ -1,0 +1,246 @@
+"""Nobody takes the loop: by waiting for what is there already, or by not waiting at all."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+import statistics
+import time
+from collections import deque
+from typing import Any
+
+import pytest
+
+import esair
+from esair.loop import collector
+
+pytestmark = pytest.mark.real_clock
+
+
+class Instant(esair.Actuator[float]):
+    """A device that takes each command at once."""
+
+    safe = 0.0
+
+    async def write(self, command: float) -> None:
+        pass
+
+
+class Decide(esair.Behavior):
+    """Reads, decides and writes, without end and without a pause."""
+
+    sonar = esair.reads(float)
+
+    def __init__(self, number: int) -> None:
+        super().__init__(name=f"decide_{number}")
+        self.rounds = 0
+
+    async def run(self) -> None:
+        while True:
+            await self.sonar.read()
+            self.rounds += 1
+
+
+class Write(esair.Behavior):
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        while True:
+            await self.wheels.write(1.0)
+
+
+class Put(esair.Behavior):
+    async def run(self) -> None:
+        while True:
+            await self.put("sink", 1)
+
+
+class Sink(esair.Behavior):
+    async def run(self) -> None:
+        while True:
+            await self.receive()
+
+
+class Late(esair.Behavior):
+    async def run(self) -> None:
+        async for _ in esair.every(1e-7):
+            pass
+
+
+class Beat(esair.Behavior):
+    """A 100 Hz beat that notes how late it is."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.late: list[float] = []
+
+    async def run(self) -> None:
+        begin = None
+        async for tick in esair.every(0.01):
+            now = time.monotonic()
+            begin = now - tick if begin is None else min(begin, now - tick)
+            self.late.append(now - begin - tick)
+
+
+@pytest.mark.promise("TURN-4")
+async def test_a_beat_is_in_time_beside_twenty_loops_without_end(
+    fake_sensor: Any,
+) -> None:
+    """Cached reads, instant writes, puts, and ticks that are late."""
+    sonar = fake_sensor("sonar", 1.0, rate=20.0)
+    beat = Beat()
+    behaviors = [Decide(n) for n in range(10)]
+    robot = esair.Robot(
+        resources=[sonar, *(Instant(name=f"wheels_{n}") for n in range(4))],
+        behaviors=[
+            beat,
+            *behaviors,
+            *(_writer(n) for n in range(4)),
+            Sink(),
+            *(Put(name=f"put_{n}") for n in range(3)),
+            *(Late(name=f"late_{n}") for n in range(3)),
+        ],
+        stall_warning=None,
+    )
+    turns: list[float] = []
+
+    def turn(began: float) -> None:
+        now = time.thread_time()  # a computer that is busy otherwise must not count
+        turns.append(now - began)
+        if len(turns) < 1000:
+            loop.call_soon(turn, now)
+
+    async with robot:
+        loop = asyncio.get_running_loop()
+        await asyncio.sleep(0.5)
+        turn(time.thread_time())
+        await asyncio.sleep(1.5)
+        assert all(each.rounds > 100 for each in behaviors)
+        assert len(beat.late) > 100
+    # A beat wakes in the third turn after its timer, so three are its lateness.
+    assert 3 * statistics.quantiles(turns, n=100)[-1] <= 0.005
+
+
+def _writer(number: int) -> esair.Behavior:
+    class Writer(Write):
+        wheels = esair.writes(float, name=f"wheels_{number}")
+
+    return Writer(name=f"write_{number}")
+
+
+class Push(esair.Sensor[float]):
+    """Pushes its present value, and never another one."""
+
+    async def stream(self) -> Any:
+        yield 1.0
+        await asyncio.sleep(1000)
+
+
+class ReadDecideWrite(esair.Behavior):
+    """The first loop that anybody writes."""
+
+    push = esair.reads(float)
+    instant = esair.writes(float)
+
+    async def run(self) -> None:
+        while True:
+            await self.instant.write(await self.push.read())
+
+
+@pytest.mark.promise("TURN-4", "ROB-6")
+async def test_a_duration_ends_read_decide_write() -> None:
+    """What never waits for anything still gives way to a deadline."""
+    robot = esair.Robot(resources=[Push(), Instant()], behaviors=[ReadDecideWrite()])
+    began = time.monotonic()
+    await asyncio.to_thread(esair.run, robot, duration=0.3)
+    assert time.monotonic() - began < 2.0
+    assert robot.stopped[0].safe
+    assert robot.stopped.reason == "it has run for 0.3 s"
+
+
+class Hog(esair.Behavior):
+    """Holds the loop once."""
+
+    async def run(self) -> None:
+        await asyncio.sleep(0.1)
+        time.sleep(0.5)  # noqa: ASYNC251 - that is its fault
+        await asyncio.sleep(100)
+
+
+@pytest.mark.promise("TURN-4")
+@pytest.mark.fault("O09", "B07")
+async def test_who_holds_the_loop_is_named_while_it_does() -> None:
+    """One line with the component, the place and the stack, before it is over."""
+    records: list[tuple[float, str]] = []
+
+    class Keep(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            records.append((time.monotonic(), record.getMessage()))
+
+    keep = Keep()
+    logging.getLogger("esair").addHandler(keep)
+    try:
+        async with esair.Robot(behaviors=[Hog()], stall_warning=0.1):
+            await asyncio.sleep(0.05)
+            over = time.monotonic() + 0.55
+            await asyncio.sleep(0.8)
+    finally:
+        logging.getLogger("esair").removeHandler(keep)
+    held = [(at, text) for at, text in records if "is held" in text]
+    assert len(held) == 1
+    at, text = held[0]
+    assert at < over
+    assert "by hog (" in text
+    assert "time.sleep(0.5)" in text
+
+
+@pytest.mark.promise("ROB-7")
+async def test_cycles_are_collected_while_a_robot_runs() -> None:
+    """Memory stays bounded, and no collection takes long."""
+    alive = 0
+
+    class Node:
+        def __init__(self) -> None:
+            nonlocal alive
+            alive += 1
+            self.me = self
+            self.load = bytes(20_000)
+
+        def __del__(self) -> None:
+            nonlocal alive
+            alive -= 1
+
+    class Litter(esair.Behavior):
+        async def run(self) -> None:
+            recent: deque[Node] = deque(maxlen=300)  # old enough to be long-lived
+            async for _ in esair.every(0.01):
+                recent.extend(Node() for _ in range(10))
+
+    most = 0
+    async with esair.Robot(behaviors=[Litter()]):
+        before = collector.collections
+        for _ in range(20):
+            await asyncio.sleep(0.15)
+            most = max(most, alive)
+        assert collector.collections > before
+    assert (
+        most < 1_200
+    )  # 3,000 were made; 300 are kept, 250 come in a quarter of a second
+    assert collector.longest < 0.05
+    assert gc.get_threshold()[2] < 1_000_000
+
+
+async def test_what_a_long_collection_keeps_is_not_looked_at_again() -> None:
+    """A robot with a large map is not stopped by each collection."""
+    async with esair.Robot():
+        large = [[number] for number in range(400_000)]
+        collector.collect()
+        collector.collect()  # it has doubled: all of it is looked at once more
+        first = collector.longest
+        began = time.perf_counter()
+        collector.collect()
+        again = time.perf_counter() - began
+        assert again < first / 3
+        assert len(large) == 400_000
+    assert gc.get_freeze_count() == 0
