@@ -19,6 +19,7 @@ from benchmarks.cases import (
     data_path,
     devices,
     garbage,
+    journal,
     lifecycle,
     mediator,
     minimal,
@@ -36,6 +37,7 @@ CASES = {
     "P11": starting,
     "P13": garbage,
     "P15": minimal,
+    "P18": journal,
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import collections
 import logging
+import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -18,6 +19,9 @@ BACKLOG = 4096
 
 SLICE = 0.001
 """How long one listener may take in one turn before its other events wait, in s."""
+
+_new = tuple.__new__
+"""Makes an event without the checks of its arguments, which are here."""
 
 _log = logging.getLogger("esair")
 
@@ -139,9 +143,13 @@ class Journal:
     ) -> None:
         """Make an event of an effect; called where the effect is, in the loop."""
         self.number += 1
-        event = Event(self.number, self._time(), kind, component, peer, value, text)
-        for resident in self._residents.get(kind, ()):
-            resident(event)
+        event = _new(
+            Event, (self.number, self._time(), kind, component, peer, value, text)
+        )
+        residents = self._residents
+        if kind in residents:
+            for resident in residents[kind]:
+                resident(event)
         listeners = self._listeners
         if not listeners:
             return
@@ -177,14 +185,16 @@ class Journal:
 
     def _tell(self, listener: Listener, seconds: float | None) -> None:
         waiting, function = listener.waiting, listener.function
-        end = None if seconds is None else time.perf_counter() + seconds
+        end = math.inf if seconds is None else time.perf_counter() + seconds
+        told = 0
         while waiting:
             event = waiting.popleft()
-            listener.heard += 1
+            told += 1
             try:
                 function(event)
             except Exception as error:  # contained: it is somebody else's code
                 self.forget(listener)
+                listener.heard += told
                 self.ended_listeners += 1
                 _log.exception(
                     "journal: a listener raised at event %d (%s) and is ended: %s",
@@ -193,8 +203,9 @@ class Journal:
                     describe(error),
                 )
                 return
-            if end is not None and time.perf_counter() >= end:
-                return
+            if time.perf_counter() >= end:
+                break
+        listener.heard += told
 
     # Counters.
 
