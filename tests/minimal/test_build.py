@@ -441,3 +441,76 @@ def test_the_command_line_says_what_it_wrote(tmp_path, capsys) -> None:
         main(["min", "build", str(demo), "--out", str(tmp_path / "no")])
     assert caught.value.code == 2
     assert "behavior.explore" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("import time; time.monotonic()", "MicroPython's time has no monotonic"),
+        ("import math; math.hypot(1, 2)", "MicroPython's math has no hypot"),
+        ("from random import gauss", "MicroPython's random has no gauss"),
+        ("from collections import defaultdict", "collections has no defaultdict"),
+        ("from collections import deque; deque(maxlen=3)", "deque takes no maxlen="),
+        ("'1'.zfill(3)", "MicroPython's types have no method zfill"),
+        ("int.from_bytes(b'1', 'big', signed=True)", "from_bytes takes no signed="),
+        ("print('x', flush=True)", "MicroPython's print takes no flush="),
+        ("sum([1], start=2)", "MicroPython's sum takes no start="),
+        ("import itertools", "imports 'itertools', which MicroPython does not have"),
+    ],
+)
+def test_what_only_a_computer_knows_is_told(
+    micropython, tmp_path, line, reason
+) -> None:
+    """Also where nobody comes by in the second that it is tried: with its line."""
+    path = simple(tmp_path)
+    parts = tmp_path / "simple_parts.py"
+    parts.write_text(f"{SIMPLE}\ndef never():\n    {line}\n")
+    number = len(parts.read_text().splitlines())
+
+    found = misfits(path, tmp_path / "board")
+
+    assert any(reason in each for each in found), found
+    assert any(f"line {number}" in each for each in found), found
+
+
+def test_what_fails_on_the_board_is_told_with_file_and_line(
+    micropython, tmp_path
+) -> None:
+    """A mistake that only running shows; what a missing part raises is none."""
+    path = simple(tmp_path)
+    parts = tmp_path / "simple_parts.py"
+    parts.write_text(SIMPLE.replace("return 0.5", "return [0.5][:].sort() + 1"))
+
+    with pytest.raises(ExceptionGroup) as caught:
+        firmware.build(path, tmp_path / "board")
+    (error,) = caught.value.exceptions
+    assert "go: Traceback" in str(error)
+    assert 'File "simple_parts.py", line 19, in react' in str(error)
+
+
+def test_a_pin_that_the_board_does_not_have_is_told(micropython, tmp_path) -> None:
+    """Pins are found by opening the parts."""
+    path = tmp_path / "robot.toml"
+    path.write_text(
+        "[actuator.arm]\ndriver = 'esair.boards.servo:PwmServo'\npin = 34\n"
+    )
+
+    for board, reason in (("pico", "no such pin"), ("esp32", "cannot drive it")):
+        with pytest.raises(ExceptionGroup) as caught:
+            firmware.build(path, tmp_path / "board", board=board)
+        assert f"pin 34: a {board} " in str(caught.value.exceptions[0])
+        assert reason in str(caught.value.exceptions[0])
+
+
+def test_a_built_folder_runs(micropython, tmp_path, capfd) -> None:
+    """``esair min run`` shows what it prints, and how it went."""
+    from esair.cli import main
+
+    firmware.build(simple(tmp_path), tmp_path / "board")
+    with pytest.raises(SystemExit) as caught:
+        main(["min", "run", str(tmp_path / "board"), "--seconds", "0.2"])
+    shown = capfd.readouterr().out
+
+    assert caught.value.code == 0
+    assert "motor 0.5" in shown
+    assert "10 steps, 0 commands refused" in shown

@@ -147,4 +147,4 @@ def test_the_options_of_the_page_are_options(capsys) -> None:
 
     used = set(re.findall(r"(?<=[ `])--[a-z]+", PAGE))
     assert used <= known, used - known
-    assert {"--out", "--board", "--arm", "--rate", "--watchdog"} <= used
+    assert {"--out", "--board", "--arm", "--link", "--rate", "--watchdog"} <= used

@@ -38,6 +38,8 @@ class Start:
         watchdog: The time-out of the hardware watchdog, in milliseconds; 0 for none.
         parts: The devices. One that has a method ``is_set_up`` is asked once a second,
             and set up again, made safe, when it says no: its supply had failed.
+        orders: With a `esair.boards.link`, what `from_host` has returned; then the host
+            arms by the link.
     """
 
     def __init__(
@@ -46,6 +48,7 @@ class Start:
         arm: "str | int" = "always",
         watchdog: int = 0,
         parts: "tuple[Any, ...]" = (),
+        orders: "Any" = None,
     ) -> None:
         self.loop = loop
         self.arm = arm
@@ -59,8 +62,15 @@ class Start:
         self.cause = reset_cause()
         self.feed: "Any" = None
         loop.arm(self.armed)
+        self.link: "Any" = None
+        self.poll: "Any" = None
+        if orders is not None:
+            from esair.boards.link import Link
+
+            self.link = Link(loop, orders, self.cause)
         if arm == "host":
-            self.poll = _polled_stdin()
+            if orders is None:
+                self.poll = _polled_stdin()
         elif not self.armed:
             from machine import Pin
 
@@ -84,8 +94,10 @@ class Start:
             self.feed()
         if self.pin is not None:
             self._arm(not self.pin.value())
-        elif self.arm == "host":
+        elif self.poll is not None:
             self._listen()
+        if self.link is not None:
+            self.link()
         if self.loop.now_ms // 1000 != self.second:
             self.second = self.loop.now_ms // 1000
             self._look_after()

@@ -26,6 +26,7 @@ def build(
     rate: float | None = None,
     watchdog: float | None = None,
     arm: str = "host",
+    link: bool = False,
 ) -> int:
     """Write the files that a microcontroller needs to run the robot of a robot.toml.
 
@@ -41,8 +42,11 @@ def build(
         watchdog: Time-out of the board's hardware watchdog, in seconds.
         arm: When the board may move after a start: "host" (it is told so), "pin:NUMBER"
             (while that pin is low), or "always".
+        link: The board is a part of a robot on a computer, on its serial line.
     """
-    built = build_files(file, out, board=board, rate=rate, watchdog=watchdog, arm=arm)
+    built = build_files(
+        file, out, board=board, rate=rate, watchdog=watchdog, arm=arm, link=link
+    )
     console = Console(highlight=False)
     console.print(_files(built))
     compiled = "; compiled files are in compiled/" if built.compiled else ""

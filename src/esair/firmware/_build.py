@@ -54,6 +54,7 @@ def build(
     rate: float | None = None,
     watchdog: float | None = None,
     arm: str = "host",
+    link: bool = False,
 ) -> Built:
     """Write the files that a board needs to run a robot, and try them.
 
@@ -69,6 +70,7 @@ def build(
             given. It is fed after each step, and resets a board that hangs.
         arm: When actuators may move after a start: ``"always"``, ``"pin:NUMBER"`` while
             that pin is low, or ``"host"`` when the computer says so.
+        link: Whether the board is a part of a robot on a computer, on its serial line.
 
     Raises:
         ExceptionGroup: The file has mistakes, parts do not fit, or what was written
@@ -103,6 +105,8 @@ def build(
     armed_by = _armed_by(arm, kind, misfit)
     modules = Modules(path.parent, misfit)
     modules.add("esair.boards.start", "")
+    if link:
+        modules.add("esair.boards.link", "")
     with searched_first(path.parent):
         for part in parts:
             modules.add(type(part.made).__module__, part.key)
@@ -114,7 +118,7 @@ def build(
     files = _files_of(modules)
     milliseconds = round((watchdog or 0) * 1000)
     files["main.py"] = main_file(
-        path.name, parts, keywords, steps, milliseconds, armed_by
+        path.name, parts, keywords, steps, milliseconds, armed_by, link
     )
     try:
         built = _write(files, folder, steps, kind)

@@ -45,6 +45,7 @@ def main_file(
     rate: float,
     watchdog: int,
     arm: str | int,
+    link: bool,
 ) -> str:
     """Return the text of ``main.py``.
 
@@ -55,11 +56,22 @@ def main_file(
         rate: Steps per second.
         watchdog: The time-out of the hardware watchdog, in milliseconds; 0 for none.
         arm: As `esair.boards.start.Start` takes it.
+        link: Whether it is a part of a robot on a computer.
     """
     imports = Imports()
     imports.add("esair.minimal", "Loop")
     start = imports.add("esair.boards.start", "Start")
     body = [line for part in parts for line in made(part, keywords, imports)]
+    orders = ""
+    if link:
+        host = imports.add("esair.boards.link", "Host")
+        moved = "".join(
+            f"{each.variable}, " for each in parts if each.kind == "actuator"
+        )
+        body.append(
+            f"_host = {imports.add('esair.boards.link', 'from_host')}(({moved}))"
+        )
+        orders = ", _host"
     body += ["", "_loop = Loop("]
     for word, kind in (
         ("reactions", "behavior"),
@@ -67,13 +79,16 @@ def main_file(
         ("actuators", "actuator"),
     ):
         names = ", ".join(part.variable for part in parts if part.kind == kind)
-        body.append(f"    {word}=[{names}],")
+        if link and kind == "sensor":
+            names += f", {host}('host')" if names else f"{host}('host')"
+        more = " + _host" if link and kind == "behavior" else ""
+        body.append(f"    {word}=[{names}]{more},")
     devices = "".join(f"{each.variable}, " for each in parts if each.kind != "behavior")
     body += [
         f"    rate={rate:.10g},",
         "    armed=False,",
         ")",
-        f"_loop.run(feed={start}(_loop, {arm!r}, {watchdog}, ({devices})))",
+        f"_loop.run(feed={start}(_loop, {arm!r}, {watchdog}, ({devices}){orders}))",
         "",
     ]
     first = f"# Made by `esair min build` from {source}: change that, and make it anew."

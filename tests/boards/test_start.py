@@ -1,0 +1,90 @@
+"""How a board starts and stays well: arming, watchdog, parts that browned out."""
+
+import sys
+
+import pytest
+from tests.minimal import rules
+
+from esair.boards import stand_in
+from esair.boards.start import Start
+from esair.minimal import Loop
+
+pytestmark = pytest.mark.promise("MIN-5")
+
+
+@pytest.fixture
+def pins(monkeypatch):
+    """A board without anything connected."""
+    for each in ("inputs", "outputs"):
+        monkeypatch.setattr(stand_in, each, {})
+    monkeypatch.setattr(stand_in, "fed", [])
+    monkeypatch.setitem(sys.modules, "machine", stand_in)
+    return stand_in
+
+
+def made(*parts, **options) -> tuple[Loop, rules.Motor, Start]:
+    motor = rules.Motor()
+    loop = Loop([rules.Go()], [rules.Sonar(0.5)], [motor], rate=50, armed=False)
+    return loop, motor, Start(loop, parts=parts, **options)
+
+
+def steps(loop: Loop, start: Start, count: int) -> None:
+    for _ in range(count):
+        loop.step()
+        start()
+
+
+@pytest.mark.parametrize("cause", [1, 3])
+def test_a_start_moves_nothing_unless_it_is_armed(pins, capsys, cause) -> None:
+    """Whatever the reason, which is printed; a switch on a pin arms and disarms."""
+    pins.cause, before = cause, pins.cause
+    try:
+        loop, motor, start = made(arm=14)
+    finally:
+        pins.cause = before
+    steps(loop, start, 2)
+    assert motor.told == [0.0]
+    pins.inputs[14] = 0
+    steps(loop, start, 2)
+    assert motor.told == [0.0, 0.5]
+    pins.inputs[14] = 1
+    steps(loop, start, 2)
+    assert motor.told == [0.0, 0.5, 0.5, 0.0]
+
+    word = {1: "power-on", 3: "watchdog"}[cause]
+    assert f"esair: ready, {word}, armed by pin 14" in capsys.readouterr().out
+
+
+def test_armed_always_it_moves_at_once(pins) -> None:
+    """Who wants that has said so."""
+    loop, motor, start = made(arm="always", watchdog=2000)
+    steps(loop, start, 2)
+
+    assert motor.told == [0.0, 0.5, 0.5]
+    assert pins.fed == [2000, 0]
+
+
+def test_a_part_that_browned_out_is_set_up_again(pins) -> None:
+    """It is asked once a second; what it was told last is no longer true: safe."""
+
+    class Forgetful(rules.Motor):
+        opened = 0
+        there = True
+
+        def open(self):
+            self.opened += 1
+            self.there = True
+
+        def is_set_up(self):
+            return self.there
+
+    motor = Forgetful()
+    loop = Loop([], [], [motor], rate=50)
+    start = Start(loop, parts=(motor,))
+    steps(loop, start, 10)
+    assert motor.opened == 1
+    motor.there = False
+    steps(loop, start, 60)
+    assert motor.opened == 2
+    assert start.repaired == 1
+    assert motor.told == [0.0, 0.0]

