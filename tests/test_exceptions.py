@@ -119,3 +119,11 @@ def test_any_error_can_be_described_in_one_line() -> None:
     assert describe(MuteError()) == "MuteError: (its text cannot be shown)"
     assert describe(ValueError("a\n  b")) == "ValueError: a b"
     assert describe(KeyboardInterrupt()) == "KeyboardInterrupt"
+
+
+@pytest.mark.promise("SEC-1")
+@pytest.mark.fault("P06")
+def test_what_a_device_says_forges_no_line() -> None:
+    """Line ends, escapes and what turns the direction of writing are shown as numbers."""
+    error = ValueError("bad\n\x1b[2J\u202egnp\x00")
+    assert describe(error) == r"ValueError: bad \x1b[2J\u202egnp\x00"

@@ -355,9 +355,14 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def describe(error: BaseException) -> str:
-    """Name an error in one line, even one whose own ``__str__`` raises."""
+    """Name an error in one line, even one whose own ``__str__`` raises.
+
+    What cannot be printed is escaped: the text may be that of a device.
+    """
+    from esair.values import printable  # which raises the errors of this module
+
     try:
-        text = " ".join(str(error).split())
+        text = printable(" ".join(str(error).split()))
     except BaseException:  # a user's __str__ may raise anything
         text = "(its text cannot be shown)"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

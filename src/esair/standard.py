@@ -393,7 +393,7 @@ class Robot:
                 facts=facts_about(self.name, components),
             )
         except RecordingError as error:
-            _log.error("%s; the robot starts without it", error)
+            _log.error("%s; the robot starts without it", describe(error))
             return None
         self.journal.count("recording", lambda: [("recording", recorder.counts())])
         recorder.start(loop.time())
@@ -410,7 +410,7 @@ class Robot:
                 async with asyncio.timeout(BUS_TIMEOUT):
                     await bus.open()
             except Exception as error:
-                _log.debug("bus %s: %s", bus.name, error)
+                _log.debug("bus %s: %s", bus.name, describe(error))
 
         await _all(open_bus(bus) for bus in self._buses)
 

@@ -17,6 +17,7 @@ class Server:
     def __init__(self) -> None:
         self.port = 0
         self.silent = False
+        self.delay = 0.0
         self._server: asyncio.Server | None = None
         self._clients: dict[asyncio.StreamWriter, None] = {}
 
@@ -39,6 +40,7 @@ class Server:
         self._clients[writer] = None
         try:
             while request := await reader.readline():
+                await asyncio.sleep(self.delay)
                 if not self.silent:
                     writer.write(b"got " + request)
         except ConnectionError:
@@ -81,6 +83,12 @@ class TestTcpBus(BusContract):
 
     async def resume(self, bus: TcpBus) -> None:
         self.server.silent = False
+
+    async def ask(self, bus: TcpBus, number: int) -> int:
+        return int((await bus.ask(b"%d" % number)).removeprefix(b"got "))
+
+    async def delay(self, bus: TcpBus, seconds: float) -> None:
+        self.server.delay = seconds
 
 
 @pytest.mark.real_clock

@@ -94,6 +94,36 @@ def test_one_kind_may_be_enough(kind: str, body: bytes) -> None:
     assert (fix.speed is None) == (kind == "GGA")
 
 
+def test_a_field_may_be_empty() -> None:
+    """A receiver that does not count its satellites knows where it is all the same."""
+    fix = FixBuilder(["GGA"]).feed(GGA.replace(b",1,08,", b",1,,"))
+
+    assert fix is not None
+    assert fix.satellites is None
+
+
+def test_sentences_of_different_moments_are_fixes_each() -> None:
+    """Of a receiver that never says both of one moment; nothing is mixed, or made up."""
+    builder = FixBuilder()
+    fixes = []
+    for second in range(20, 40):
+        at = b"1235%d.50" % second
+        fixes.append(builder.feed(GGA.replace(b"123519.50", at)))
+        other = b"1235%d.00" % second
+        fixes.append(builder.feed(RMC.replace(b"123519.50", other)))
+
+    got = [fix for fix in fixes if fix is not None]
+    assert len(got) == 37
+    assert {(fix.altitude is None, fix.speed is None) for fix in got} == {
+        (True, False), (False, True),
+    }  # fmt: skip
+    assert builder.feed(GGA) is not None
+    whole = builder.feed(RMC)
+    assert whole is not None
+    assert None not in {whole.altitude, whole.speed}
+    assert builder.feed(GGA.replace(b"123519.50", b"123520.50")) is None
+
+
 def test_moments_are_not_mixed() -> None:
     """A sentence that was lost costs its own moment only."""
     builder = FixBuilder()

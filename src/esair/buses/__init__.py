@@ -19,6 +19,7 @@ from esair.buses._stats import BusStats
 from esair.buses._wire import LateWire, Wire
 
 if TYPE_CHECKING:
+    from esair.buses._exchanges import Exchange, Exchanges
     from esair.buses._inbox import Inbox
     from esair.buses._link_bus import LinkBus
     from esair.buses._opening import open_on, shut_on
@@ -39,6 +40,8 @@ __all__ = [
     "BusStats",
     "CanBus",
     "CanState",
+    "Exchange",
+    "Exchanges",
     "Frame",
     "FrameKind",
     "FrameLink",
@@ -63,6 +66,8 @@ _late, _ = late(
     {
         "CanBus": "can",
         "CanState": "can",
+        "Exchange": "_exchanges",
+        "Exchanges": "_exchanges",
         "Frame": "can",
         "FrameKind": "can",
         "FrameLink": "can",

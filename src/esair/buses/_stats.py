@@ -16,6 +16,7 @@ class BusStats:
         bad_frames: Messages that came damaged, too long, or not as expected.
         dropped: What came and was thrown away because nobody took it in time.
         unheard: Messages that nobody listened to.
+        late: Answers that came after their request was given up.
         retries: Operations that were tried again.
         refused: Operations refused because too many waited, or obsolete when their
             turn came.
@@ -31,6 +32,7 @@ class BusStats:
     bad_frames: int = 0
     dropped: int = 0
     unheard: int = 0
+    late: int = 0
     retries: int = 0
     refused: int = 0
     discarded: int = 0

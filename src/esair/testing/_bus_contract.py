@@ -67,6 +67,31 @@ class BusContract(abc.ABC):
         """Let the other end go on; skips unless overridden."""
         await _do(bus, "resume")
 
+    async def ask(self, bus: Any, number: int) -> int:
+        """Ask for a number and return the one that was answered; skips unless overridden.
+
+        The other end answers with the number that it was asked for.
+        """
+        pytest.skip("override ask() and delay() to test whose an answer is")
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        """Let the other end answer so much later from now on; skips unless overridden."""
+        pytest.skip("override ask() and delay() to test whose an answer is")
+
+    @pytest.mark.parametrize("given_up", [0.0, 0.02, 0.04])
+    async def test_cancel_then_ask(self, given_up: float) -> None:
+        """An answer to a request that was given up is never that to another."""
+        async with _closing(self.make()) as bus:
+            await bus.open()
+            await self.delay(bus, 0.05)
+            for number in range(1, 6):
+                asking = asyncio.ensure_future(self.ask(bus, number))
+                await asyncio.sleep(given_up)
+                asking.cancel()
+                await asyncio.wait({asking})
+                for other in (10 * number, 10 * number + 1):
+                    assert await self.ask(bus, other) == other
+
     async def test_it_opens_and_closes_again_and_again(self) -> None:
         """A bus is opened after each loss, by the same object."""
         async with _closing(self.make()) as bus:

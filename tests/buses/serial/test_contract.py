@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -20,6 +21,16 @@ class OnFakes(BusContract):
 
     async def use(self, bus: Any) -> None:
         assert await bus.ask(b"hello", prefix=b"echo") == b"echo hello"
+
+    async def ask(self, bus: Any, number: int) -> int:
+        return int((await bus.ask(b"%d" % number, timeout=1.0)).removeprefix(b"echo "))
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        def answer(message: bytes) -> None:
+            loop.call_later(seconds, bus.say, b"echo " + message)
+
+        loop = asyncio.get_running_loop()
+        bus.on_frame = answer
 
 
 class TestInMemory(OnFakes):

@@ -196,7 +196,7 @@ async def test_cancelled_at_any_step(
     assert asking.cancelled() or asking.result() == b"first"
     assert await waiting == b"second"
     assert await line.ask(b"two", prefix=b"s") == b"second"
-    assert line._turns.waiting == 0
+    assert line._exchanges.waiting == 0
     assert line._inboxes == []
     await line.close()
 
@@ -226,7 +226,7 @@ async def test_what_came_before_the_request_is_no_answer(line: FakeSerial) -> No
     line.answer(b"range?", b"range=2")
 
     assert await line.ask(b"range?") == b"range=2"
-    assert line.stats.unheard == 1
+    assert (line.stats.unheard, line.stats.late) == (1, 1)
     await line.close()
 
 

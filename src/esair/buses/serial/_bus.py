@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from esair.buses._bus import Bus
+from esair.buses._exchanges import LATE_LIMIT, Exchanges
 from esair.buses._inbox import Inbox, within
-from esair.buses._turns import Turns
 from esair.buses._wire import Wire
 from esair.buses.serial._framing import make_framing, resync_bytes
 from esair.buses.serial._line import Line, SerialLink
@@ -61,6 +61,8 @@ class SerialBus(Bus):
             table with its ``type`` and its parameters.
         out_limit: How many bytes may wait to be sent; more is refused.
         write_timeout: How long a write may take unless it says otherwise, in s.
+        late_limit: How long after its request was given up an answer may still come, in
+            s; see `ask`.
         bad_limit: After how many damaged messages in a row everybody who listens is
             told that the device is at fault.
         wire: What is opened instead of a port, such as a line in memory.
@@ -83,6 +85,7 @@ class SerialBus(Bus):
         framing: Framing | str | Mapping[str, Any] = "lines",
         out_limit: int = 4096,
         write_timeout: float = 0.5,
+        late_limit: float = LATE_LIMIT,
         bad_limit: int = 100,
         dtr: bool = True,
         rts: bool = True,
@@ -102,12 +105,14 @@ class SerialBus(Bus):
                 raise ConfigError(
                     name, field, f"expected true or false, not {level!r:.80}"
                 )
-        if not 0 < write_timeout < math.inf:
-            raise ConfigError(
-                name,
-                "write_timeout",
-                f"expected seconds > 0, not {write_timeout!r:.80}",
-            )
+        for field, seconds in (
+            ("write_timeout", write_timeout),
+            ("late_limit", late_limit),
+        ):
+            if not 0 < seconds < math.inf:
+                raise ConfigError(
+                    name, field, f"expected seconds > 0, not {seconds!r:.80}"
+                )
         self.port = port
         self.baudrate = baudrate
         self.framing = make_framing(name, framing)
@@ -127,7 +132,7 @@ class SerialBus(Bus):
         self._bad_in_row = 0
         self._is_cut = False
         """Whether only the beginning of the message before was sent."""
-        self._turns = Turns()
+        self._exchanges = Exchanges(self, late_limit=late_limit, limit=ASK_LIMIT)
 
     @property
     def resync(self) -> bytes:
@@ -198,24 +203,25 @@ class SerialBus(Bus):
         self,
         payload: bytes,
         *,
-        prefix: bytes = b"",
+        prefix: bytes | tuple[bytes, ...] = b"",
         timeout: float | None = None,
         answers: Callable[[bytes], bool] | None = None,
     ) -> bytes:
         """Send a message and return the next one that answers it.
 
         Exchanges of several devices on the line never overlap: each waits for its
-        turn. What came before the request was sent is no answer to it. An answer
-        that comes after its time-out is thrown away if nobody asks by then; it could
-        be mistaken for the answer to the next request, unless the prefix or *answers*
-        (a sequence number, an echo of the request) tells the two apart.
+        turn. What came before the request was sent is no answer to it. An answer that
+        comes after its request was given up is nobody's: until it has come, or
+        ``late_limit`` is over, a request whose answer has the same prefix waits.
 
         Args:
             payload: The request, not framed yet.
-            prefix: What the answer begins with.
+            prefix: What the answer begins with; one of several if it is a tuple.
             timeout: How long to wait, for the turn, the sending and the answer
                 together, in seconds; ``write_timeout`` if None.
-            answers: Tells whether a message with the prefix is the answer.
+            answers: Tells whether a message with the prefix is the answer to this
+                request and to no other, by a sequence number or an echo of the
+                request; then no late one is waited for.
 
         Raises:
             DeviceLostError: The line is gone.
@@ -224,30 +230,15 @@ class SerialBus(Bus):
             DriverStuckError: No answer in time, or the device took no bytes.
         """
         self._connected()
-        if self._turns.waiting > ASK_LIMIT:
-            self.stats.refused += 1
-            raise BusyError(f"bus {self.name}", "number of requests", ASK_LIMIT)
         seconds = self.write_timeout if timeout is None else timeout
-        now = asyncio.get_running_loop().time
-        deadline = now() + seconds
-        try:
-            await self._turns.take(seconds)
-            try:
-                inbox = self.frames(prefix)
-                try:
-                    await self.send(payload, timeout=deadline - now())
-                    while True:
-                        message = await inbox.take(timeout=deadline - now())
-                        if answers is None or answers(message):
-                            return message
-                finally:
-                    inbox.close()
-            finally:
-                self._turns.give()
-        except DriverStuckError:
-            raise
-        except TimeoutError:
-            raise self._stuck(f"answer to {payload!r:.40}", seconds) from None
+        kinds = prefix if isinstance(prefix, tuple) else (prefix,)
+        exchange = self._exchanges.request(*kinds, timeout=seconds, answers=answers)
+        exchange.name = f"answer to {payload!r:.40}"
+        async with exchange:
+            self._connected()
+            exchange.begin()
+            await self.send(payload, timeout=exchange.left)
+            return await exchange.answer()
 
     async def _sent(self, line: Line, seconds: float) -> None:
         writer = line.wait()
@@ -292,6 +283,7 @@ class SerialBus(Bus):
     async def _open(self) -> None:
         await self._close()  # what a loss has left behind
         self.framing.reset()
+        self._exchanges.clear()
         self._bad_in_row = 0
         line = Line(self._received, self._gone)
         if self._wire is None:
@@ -350,7 +342,7 @@ class SerialBus(Bus):
             self._fail_all(fault)
 
     def _deliver(self, message: bytes) -> None:
-        heard = False
+        heard = self._exchanges.offer(message)
         for prefix, inbox in self._inboxes:
             if message.startswith(prefix):
                 dropped = inbox.dropped
@@ -361,6 +353,7 @@ class SerialBus(Bus):
             self.stats.unheard += 1
 
     def _fail_all(self, error: BaseException) -> None:
+        self._exchanges.fail(error)
         inboxes, self._inboxes = self._inboxes, []
         for _, inbox in inboxes:
             inbox.fail(error)

@@ -41,6 +41,9 @@ KNOT = 1852 / 3600
 SENTENCES = ("GGA", "RMC")
 """The kinds of sentence that a fix is made of."""
 
+APART = 3
+"""After how many moments in a row that stayed incomplete each sentence is a fix."""
+
 _ERRORS = (
     exceptions.NMEAMessageError,
     exceptions.NMEAParseError,
@@ -84,6 +87,9 @@ class Fix:
 class FixBuilder:
     """Puts the sentences of one moment together. No I/O.
 
+    Some receivers never say both kinds of one moment. After three moments in a row that
+    stayed incomplete each sentence is a fix by itself, until a moment is complete.
+
     Args:
         sentences: The kinds that have to come before a fix is whole.
 
@@ -96,6 +102,7 @@ class FixBuilder:
         self._wanted = frozenset(sentences)
         self._found: dict[str, Any] = {}
         self._moment: datetime.time | None = None
+        self._apart = 0
         self.bad_sentences = 0
         self.without_fix = 0
 
@@ -119,13 +126,18 @@ class FixBuilder:
             self.without_fix += 1
             return None
         if moment != self._moment:
+            self._apart += bool(self._found)
             self._moment = moment
             self._found.clear()
         self._found[kind] = message if valid else None
-        if self._wanted - self._found.keys():
-            return None
-        found, self._found = self._found, {}
-        self._moment = None
+        found = self._found
+        if self._wanted - found.keys():
+            if self._apart < APART:
+                return None
+        else:
+            self._apart = 0
+            self._found = {}
+            self._moment = None
         if None in found.values():
             self.without_fix += 1
             return None
@@ -141,7 +153,7 @@ class FixBuilder:
                 speed=rmc and _optional(rmc.spd, KNOT),
                 course=rmc and _optional(rmc.cog, math.radians(1.0)),
                 quality=gga and int(gga.quality),
-                satellites=gga and int(gga.numSV),
+                satellites=gga and _count(gga.numSV),
                 hdop=gga and _optional(gga.HDOP),
                 time=datetime.datetime.combine(rmc.date, moment, datetime.UTC)
                 if rmc is not None and isinstance(rmc.date, datetime.date)
@@ -158,6 +170,10 @@ def _number(value: Any, low: float, high: float) -> float:
     if not low <= number <= high:
         raise ValueError(f"expected {low} to {high}, not {number}")
     return number
+
+
+def _count(value: Any) -> int | None:
+    return None if value == "" else int(value)  # an empty field
 
 
 def _optional(value: Any, unit: float = 1.0) -> float | None:

@@ -32,7 +32,9 @@ from esair.watchdog import SafeFrames
 __all__ = ["LineActuator", "LineSensor"]
 
 _KEY = re.compile(r"[A-Za-z]\w{0,31}\Z", re.ASCII)
-_NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\Z")
+_NUMBER = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?\Z")
+_DIGITS = 64
+"""The most characters that a number has; no computer needs more for a float."""
 
 
 class LineError(ValueError):
@@ -58,7 +60,11 @@ def decode_value(line: bytes) -> tuple[str, float]:
     """
     key, value = _split(line, b"=:")
     number = value.strip()
-    if not _NUMBER.match(number) or not math.isfinite(float(number)):
+    if (
+        len(number) > _DIGITS
+        or not _NUMBER.match(number)
+        or not math.isfinite(float(number))
+    ):
         raise LineError(f"expected a number in {line!r:.80}")
     return key, float(number)
 
@@ -174,9 +180,7 @@ class LineActuator(_LineDevice, Actuator[float]):
     Args:
         safe: The number that makes it safe.
         key: Its name on the wire; the actuator's own name unless given.
-        ack: Whether the board confirms each command, with what it has applied. An
-            answer that comes after its time-out can be taken for that to the next
-            command.
+        ack: Whether the board confirms each command, with what it has applied.
         limits: Least and greatest number.
         own_timeout: After how many seconds without a command the board itself stops.
     """
@@ -218,9 +222,7 @@ class LineActuator(_LineDevice, Actuator[float]):
             await self.bus.send(line)
             return None
         done, refused = f"{self.key}:".encode("ascii"), f"{self.key}!".encode("ascii")
-        answer = await self.bus.ask(
-            line, answers=lambda line: line.startswith((done, refused))
-        )
+        answer = await self.bus.ask(line, prefix=(done, refused))
         if answer.startswith(refused):
             why = answer[len(refused) :].strip().decode("ascii", "replace")
             raise DeviceFaultError(self.name, f"the board refused {line!r}: {why:.80}")

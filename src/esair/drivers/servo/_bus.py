@@ -12,10 +12,11 @@ from typing import Any, Final, Protocol, TypeVar
 
 from dynamixel_sdk import (  # type: ignore[import-untyped]
     COMM_RX_CORRUPT,
+    COMM_RX_TIMEOUT,
     PacketHandler,
 )
 
-from esair.buses import Bus, open_on, shut_on, wanted
+from esair.buses import Bus, Exchanges, open_on, shut_on, wanted
 from esair.buses.serial import OPEN_TIMEOUT, Port, SerialPlace, close_port, reach_port
 from esair.exceptions import (
     ConfigError,
@@ -32,6 +33,9 @@ HARDWARE_ERROR = 70
 
 ANSWER_TIMEOUT: Final = 0.05
 """How long a servo may take for a whole answer, in seconds."""
+
+LATE_LIMIT: Final = 0.1
+"""How long after it was given up an answer may still come, in seconds."""
 
 ALERT: Final = 0x80
 """The bit of an answer that says: look at ``HARDWARE_ERROR``."""
@@ -98,6 +102,7 @@ class ServoBus(Bus):
         self.baudrate = baudrate
         self.timeout = timeout
         self._opener = opener
+        self._exchanges = Exchanges(self, late_limit=LATE_LIMIT)
         self._device: Port | None = None
         self._link: _SdkPort | None = None
         self._handler: Any = PacketHandler(2.0)
@@ -187,27 +192,21 @@ class ServoBus(Bus):
         link = self._link
         if not self.is_open or link is None:
             raise DeviceLostError(self.name, "the line is not open")
-        self.stats.sent += 1
-        try:
-            value, result, error = await self.executor.call(
-                self._run, link, call, timeout=self.timeout, guard=wanted
-            )
-        except DriverStuckError as stuck:
-            self._count(stuck)
-            raise
-        except TimeoutError as slow:
-            late = DriverStuckError(self.name, what, ANSWER_TIMEOUT)
-            self._count(late)
-            raise late from slow
-        except OSError as gone:
-            loss = DeviceLostError(self.name, describe(gone))
-            self.lost(loss)
-            raise loss from gone
+        # The package tells answers apart by the servo, and throws away what came before.
+        exchange = self._exchanges.request(servo, timeout=self.timeout)
+        exchange.name = what
+        async with exchange:
+            exchange.begin()
+            value, result, error = await self._call(link, what, call, exchange.left)
+            if result != COMM_RX_TIMEOUT:
+                exchange.end()
         if result:
             self.stats.bad_frames += result == COMM_RX_CORRUPT
             fault = DeviceFaultError(
                 self.name, f"servo {servo}, {what}: {_plain(self._handler, result)}"
             )
+            if result == COMM_RX_TIMEOUT:
+                fault.errno = errno.ETIMEDOUT  # it has no power, say
             self._count(fault)
             raise fault
         self.stats.received += 1
@@ -225,6 +224,33 @@ class ServoBus(Bus):
             )
         return value
 
+    async def _call(
+        self,
+        link: _SdkPort,
+        what: str,
+        call: Callable[[Any, _SdkPort], tuple[int, int, int]],
+        seconds: float,
+    ) -> tuple[int, int, int]:
+        if self._link is not link:
+            raise DeviceLostError(self.name, "the line is not open")
+        self.stats.sent += 1
+        try:
+            return await self.executor.call(
+                self._run, link, call, timeout=seconds, guard=wanted
+            )
+        except DriverStuckError as stuck:
+            self._count(stuck)
+            raise
+        except TimeoutError as slow:
+            late = DriverStuckError(self.name, what, ANSWER_TIMEOUT)
+            self._count(late)
+            raise late from slow
+        except OSError as gone:
+            loss = DeviceLostError(self.name, describe(gone))
+            self._exchanges.fail(loss)
+            self.lost(loss)
+            raise loss from gone
+
     def _run(
         self, link: _SdkPort, call: Callable[[Any, _SdkPort], tuple[int, int, int]]
     ) -> tuple[int, int, int]:
@@ -237,6 +263,7 @@ class ServoBus(Bus):
 
     async def _open(self) -> None:
         await self._close()  # what a loss has left behind
+        self._exchanges.clear()
         line: ServoLink
         if self._opener is None:
             assert self._place is not None

@@ -1,0 +1,317 @@
+"""Requests on a wire, and whose answer is what comes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Hashable
+from types import TracebackType
+from typing import Self
+
+from esair.buses._bus import Bus
+from esair.buses._inbox import within
+from esair.buses._turns import Turns
+from esair.exceptions import BusyError, DeviceLostError, DriverStuckError, describe
+
+LATE_LIMIT = 0.4
+"""How long after its request was given up an answer may still come, in seconds."""
+
+REQUEST_LIMIT = 64
+"""How many requests may wait on one wire."""
+
+
+class Exchanges:
+    """One request at a time on a wire, each with the answer that belongs to it.
+
+    A request that was sent and given up, because its time was up or its requester was
+    cancelled, is still owed an answer. When that comes it is counted in
+    ``bus.stats.late`` and is nobody's. Until it has come, or *late_limit* is over, a
+    request whose answer it could be taken for is not sent; the others are.
+
+    A bus has one, offers it each message that comes, and asks through it::
+
+        answer = await self.exchanges.ask(send, timeout=0.5)
+
+    Args:
+        bus: The bus, whose name is in the errors and whose ``stats`` count.
+        late_limit: How long after its request was given up an answer may still come, in
+            seconds. What comes even later is taken for another's: choose it for the
+            device.
+        limit: How many requests may wait.
+    """
+
+    def __init__(
+        self, bus: Bus, *, late_limit: float = LATE_LIMIT, limit: int = REQUEST_LIMIT
+    ) -> None:
+        self._bus = bus
+        self._late_limit = late_limit
+        self._limit = limit
+        self._turns = Turns()
+        self._waiting = 0
+        self._now: Exchange | None = None
+        self._owed: list[Exchange] = []
+        self._settled: list[asyncio.Future[None]] = []
+
+    @property
+    def waiting(self) -> int:
+        """How many requests wait for their turn, or for their answer."""
+        return self._waiting
+
+    @property
+    def owed(self) -> int:
+        """How many answers may still come that nobody waits for."""
+        self._forget_old()
+        return len(self._owed)
+
+    async def ask(
+        self,
+        send: Callable[[float], Awaitable[object]],
+        *kinds: Hashable,
+        timeout: float,
+        answers: Callable[[bytes], bool] | None = None,
+    ) -> bytes:
+        """Send a request in its turn, and return the message that answers it.
+
+        Args:
+            send: Sends it; gets how many seconds are left.
+            *kinds: What the answer begins with; anything if none is given.
+            timeout: How long to wait, for the turn, the sending and the answer
+                together, in seconds.
+            answers: Tells its answer from those to all other requests, by a sequence
+                number, say; then late ones need not be waited for.
+
+        Raises:
+            BusyError: Too many requests wait; it was not sent.
+            DriverStuckError: There was no answer, or no turn, in time.
+        """
+        async with self.request(*kinds, timeout=timeout, answers=answers) as exchange:
+            exchange.begin()
+            await send(exchange.left)
+            return await exchange.answer()
+
+    def request(
+        self,
+        *kinds: Hashable,
+        timeout: float,
+        answers: Callable[[bytes], bool] | None = None,
+    ) -> Exchange:
+        """Return an exchange, for ``async with``: its turn begins there.
+
+        For a package that finds the answer by itself: call `Exchange.begin` before
+        the request leaves and `Exchange.end` when its answer is there. Args and errors
+        are those of `ask`; a kind can be anything then, such as an address.
+        """
+        return Exchange(self, kinds, timeout, answers)
+
+    def offer(self, message: bytes) -> bool:
+        """Take a message that came; tells whether somebody waited for it."""
+        self._forget_old()
+        now = self._now
+        mine = now is not None and now.takes(message)
+        for owed in self._owed:  # oldest first, as a device answers
+            if owed.takes(message):
+                if mine and now is not None:  # they cannot be told apart
+                    owed.answers = now.answers = None
+                self._bus.stats.late += 1
+                self._owed.remove(owed)
+                self._tell_settled()
+                return False
+        if mine and now is not None:
+            now.settle(message)
+        return mine
+
+    def fail(self, error: BaseException) -> None:
+        """Let the request that waits for its answer fail; after a loss none is owed."""
+        if self._now is not None:
+            self._now.fail(error)
+        if isinstance(error, DeviceLostError):
+            if self._now is not None:
+                self._now.end()
+            self.clear()
+
+    def clear(self) -> None:
+        """Owe nothing any more: what was at the other end is there anew."""
+        self._owed.clear()
+        self._tell_settled()
+
+    # For the exchanges.
+
+    async def take_turn(self, exchange: Exchange) -> None:
+        """Wait until an exchange may leave."""
+        if self._waiting > self._limit:
+            self._bus.stats.refused += 1
+            raise BusyError(f"bus {self._bus.name}", "number of requests", self._limit)
+        self._waiting += 1
+        try:
+            while True:
+                await self._wait_for_owed(exchange)
+                await self._turns.take(exchange.left)
+                if self._owed_to(exchange) is None:
+                    self._now = exchange
+                    return
+                self._turns.give()
+        except BaseException:
+            self._waiting -= 1
+            raise
+
+    def end_turn(self, exchange: Exchange) -> None:
+        """Let the next one leave, and remember what is owed."""
+        self._now = None
+        self._waiting -= 1
+        if exchange.is_owed:
+            exchange.until = _time() + self._late_limit
+            self._owed.append(exchange)
+            del self._owed[: -self._limit]
+        self._turns.give()
+
+    async def _wait_for_owed(self, exchange: Exchange) -> None:
+        while (owed := self._owed_to(exchange)) is not None:
+            if exchange.left <= 0:
+                raise TimeoutError
+            settled: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+            self._settled.append(settled)
+            try:
+                await within(settled, min(exchange.left, owed.until - _time()))
+            except TimeoutError:
+                continue
+            finally:
+                self._settled.remove(settled)
+
+    def _owed_to(self, exchange: Exchange) -> Exchange | None:
+        self._forget_old()
+        return next((each for each in self._owed if each.is_like(exchange)), None)
+
+    def _forget_old(self) -> None:
+        if self._owed:
+            now = _time()
+            self._owed = [each for each in self._owed if each.until - now > 1e-9]
+
+    def _tell_settled(self) -> None:
+        for future in self._settled:
+            if not future.done():
+                future.set_result(None)
+
+    def stuck(self, what: str, seconds: float) -> DriverStuckError:
+        """Return the error for a request whose time is up, counted."""
+        error = DriverStuckError(self._bus.name, what, seconds)
+        self._bus.stats.errors += 1
+        self._bus.stats.last_error = describe(error)
+        return error
+
+
+class Exchange:
+    """A request and its answer, from its turn to its end.
+
+    Attributes:
+        name: What it is called in errors.
+        answers: What tells its answer from all others; None if nothing does.
+        until: When its answer comes no more, on the loop's clock, once it is given up.
+    """
+
+    name = "answer"
+
+    def __init__(
+        self,
+        exchanges: Exchanges,
+        kinds: tuple[Hashable, ...],
+        seconds: float,
+        answers: Callable[[bytes], bool] | None,
+    ) -> None:
+        self.answers = answers
+        self.until = 0.0
+        self._exchanges = exchanges
+        self._kinds = kinds
+        self._seconds = seconds
+        self._deadline = _time() + seconds
+        self._is_sent = False
+        self._is_answered = False
+        self._answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+
+    @property
+    def left(self) -> float:
+        """How many seconds are left of its time."""
+        return self._deadline - _time()
+
+    @property
+    def is_owed(self) -> bool:
+        """Whether it was sent and not answered."""
+        return self._is_sent and not self._is_answered
+
+    def begin(self) -> None:
+        """The request leaves now: what comes from now on can be its answer."""
+        self._is_sent = True
+
+    def end(self) -> None:
+        """Its answer is there, or it was not sent: nothing is owed."""
+        self._is_answered = True
+
+    async def answer(self) -> bytes:
+        """Wait for the answer."""
+        return await within(self._answer, max(0.0, self.left))
+
+    def takes(self, message: bytes) -> bool:
+        """Tell whether a message can be its answer."""
+        if not self.is_owed:
+            return False
+        kinds = self._kinds
+        fits = not kinds or any(
+            isinstance(kind, bytes) and message.startswith(kind) for kind in kinds
+        )
+        return fits and (self.answers is None or self.answers(message))
+
+    def is_like(self, other: Exchange) -> bool:
+        """Tell whether its answer could be taken for that of another."""
+        if self.answers is not None or other.answers is not None:
+            return False
+        if not self._kinds or not other._kinds:
+            return True
+        return any(
+            _begin_alike(one, another)
+            for one in self._kinds
+            for another in other._kinds
+        )
+
+    def settle(self, message: bytes) -> None:
+        """Be answered."""
+        self._is_answered = True
+        if not self._answer.done():
+            self._answer.set_result(message)
+
+    def fail(self, error: BaseException) -> None:
+        """Have no answer, and an error instead."""
+        if not self._answer.done():
+            self._answer.set_exception(error)
+            self._answer.exception()  # heard, also if nobody waits
+
+    async def __aenter__(self) -> Self:
+        try:
+            await self._exchanges.take_turn(self)
+        except DriverStuckError:
+            raise
+        except TimeoutError:
+            raise self._stuck() from None
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if isinstance(error, BusyError):  # nothing has left
+            self.end()
+        self._exchanges.end_turn(self)
+        if isinstance(error, TimeoutError) and not isinstance(error, DriverStuckError):
+            raise self._stuck() from None
+
+    def _stuck(self) -> DriverStuckError:
+        return self._exchanges.stuck(self.name, self._seconds)
+
+
+def _begin_alike(one: Hashable, other: Hashable) -> bool:
+    if isinstance(one, bytes) and isinstance(other, bytes):
+        return one.startswith(other) or other.startswith(one)
+    return one == other
+
+
+def _time() -> float:
+    return asyncio.get_running_loop().time()

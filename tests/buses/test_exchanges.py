@@ -1,0 +1,129 @@
+"""Whose answer is what comes: late ones, lost ones, those of others."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+
+from esair.drivers.line import LineActuator, LineSensor
+from esair.exceptions import DriverStuckError
+from esair.testing import FakeSerial
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class LateBoard:
+    """Answers each line with its number, so many seconds later."""
+
+    def __init__(self, line: FakeSerial, seconds: float) -> None:
+        self.seconds = seconds
+        self.lost = 0
+        self.heard = 0
+        self._line = line
+        line.on_frame = self._hear
+
+    def _hear(self, message: bytes) -> None:
+        self.heard += 1
+        if self.lost:
+            self.lost -= 1
+            return
+        key = message.rstrip(b"?").partition(b"=")[0]
+        mark = b"=" if message.endswith(b"?") else b":"
+        answer = key + mark + b"%d" % self.heard
+        asyncio.get_running_loop().call_later(self.seconds, self._line.say, answer)
+
+
+@pytest.fixture
+def line() -> FakeSerial:
+    return FakeSerial("front", write_timeout=0.1)
+
+
+@pytest.mark.promise("BUS-3")
+async def test_a_late_answer_is_never_that_to_another_request(line: FakeSerial) -> None:
+    """Twenty requests to a board that is slower than they wait: none is answered wrongly."""
+    board = LateBoard(line, 0.15)
+    await line.open()
+    for _ in range(20):
+        before = board.heard
+        try:
+            answer = await line.ask(b"range?", prefix=b"range=")
+        except DriverStuckError:
+            continue
+        assert answer == b"range=%d" % (before + 1)
+    assert line.stats.late >= 5
+    board.seconds = 0.01
+    await asyncio.sleep(0.3)
+    assert await line.ask(b"range?") == b"range=%d" % board.heard
+    await line.close()
+
+
+@pytest.mark.promise("BUS-3")
+@pytest.mark.parametrize("told", [False, True], ids=["asked", "told"])
+async def test_cancelled_once_the_next_is_not_one_behind(
+    line: FakeSerial, told: bool
+) -> None:
+    """As the driver of lines uses it: values, and acknowledgements."""
+    board = LateBoard(line, 0.05)
+    if told:
+        part = LineActuator(name="speed", safe=0.0, ack=True, bus=line)
+
+        async def use() -> float | None:
+            return await part.write(1.0)
+    else:
+        use = LineSensor(name="range", ask=True, bus=line).read
+    await line.open()
+    cancelled = asyncio.create_task(use())
+    await asyncio.sleep(0.01)
+    cancelled.cancel()
+    for number in range(2, 12):
+        assert await use() == number
+    assert board.heard == 11
+    assert line.stats.late == 1
+    await line.close()
+
+
+@pytest.mark.promise("BUS-3")
+async def test_an_answer_that_never_comes_is_owed_for_its_time(
+    line: FakeSerial,
+) -> None:
+    """Then others of its kind are asked again; those of another kind never wait."""
+    board = LateBoard(line, 0.01)
+    board.lost = 1
+    loop = asyncio.get_running_loop()
+    await line.open()
+    with pytest.raises(DriverStuckError):
+        await line.ask(b"range?", prefix=b"range=")
+    given_up = loop.time()
+    assert await line.ask(b"speed?", prefix=b"speed=") == b"speed=2"
+    assert loop.time() - given_up == pytest.approx(0.01)
+    with pytest.raises(DriverStuckError):
+        await line.ask(b"range?", prefix=b"range=")
+    assert board.heard == 2
+    assert await line.ask(b"range?", prefix=b"range=", timeout=1.0) == b"range=3"
+    assert loop.time() - given_up == pytest.approx(0.41)
+    await line.close()
+
+
+async def test_numbers_tell_answers_apart_without_waiting(line: FakeSerial) -> None:
+    """If they do not, what is late is still nobody's."""
+    board = LateBoard(line, 0.01)
+    board.lost = 1
+    await line.open()
+    loop = asyncio.get_running_loop()
+
+    def numbered(number: int) -> Callable[[bytes], bool]:
+        return lambda message: message == b"n=%d" % number
+
+    with pytest.raises(DriverStuckError):
+        await line.ask(b"n?", answers=numbered(1))
+    before = loop.time()
+    assert await line.ask(b"n?", answers=numbered(2)) == b"n=2"
+    assert loop.time() - before == pytest.approx(0.01)
+    board.seconds = 0.15
+    with pytest.raises(DriverStuckError):
+        await line.ask(b"n?", answers=lambda _: True)
+    assert await line.ask(b"n?", answers=lambda _: True, timeout=0.2) == b"n=4"
+    assert line.stats.late == 1
+    await line.close()
