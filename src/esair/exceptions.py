@@ -359,10 +359,22 @@ def describe(error: BaseException) -> str:
 
     What cannot be printed is escaped: the text may be that of a device.
     """
-    from esair.values import printable  # which raises the errors of this module
-
     try:
         text = printable(" ".join(str(error).split()))
     except BaseException:  # a user's __str__ may raise anything
         text = "(its text cannot be shown)"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def printable(text: str) -> str:
+    """Return a text from outside so that a terminal or a log can show it.
+
+    Line ends, escapes, and what turns the direction of writing are shown as their
+    numbers: nothing that a device, a file or a client says can forge a line.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode("ascii")
+        for each in text
+    )

@@ -11,6 +11,7 @@ import typing
 from typing import Any
 
 from esair.exceptions import BadValueError, ConfigError
+from esair.exceptions import printable as printable
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,62}\Z")
 
@@ -144,18 +145,4 @@ def check_seconds(component: str, field: str, value: object) -> float:
         return float(typing.cast("float", value))
     raise ConfigError(
         component, field, f"expected a number of seconds > 0, not {value!r:.80}"
-    )
-
-
-def printable(text: str) -> str:
-    """Return a text from outside so that a terminal or a log can show it.
-
-    Line ends, escapes, and what turns the direction of writing are shown as their
-    numbers: nothing that a device, a file or a client says can forge a line.
-    """
-    if text.isprintable():
-        return text
-    return "".join(
-        each if each.isprintable() else each.encode("unicode_escape").decode("ascii")
-        for each in text
     )

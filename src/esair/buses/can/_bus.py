@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import functools
 from collections.abc import Callable, Hashable
 from typing import Any, Final, Literal
@@ -279,18 +280,21 @@ class CanBus(Bus):
                 return
         self.stats.discarded += 1
         if self._unacknowledged:
-            raise DeviceFaultError(
-                self.name,
+            raise self._silent(
                 f"no other node acknowledges, for {seconds:g} s: is one on the bus, "
-                "switched on, with the same bit rate?",
+                "switched on, with the same bit rate?"
             )
         if self.stats.received == heard:
-            raise DeviceFaultError(
-                self.name,
+            raise self._silent(
                 f"no frame was sent for {seconds:g} s, and none came: no other node "
-                "acknowledges; is one on the bus, switched on, with the same bit rate?",
+                "acknowledges; is one on the bus, switched on, with the same bit rate?"
             )
         raise DriverStuckError(self.name, "send", seconds)
+
+    def _silent(self, detail: str) -> DeviceFaultError:
+        fault = DeviceFaultError(self.name, detail)
+        fault.errno = errno.ETIMEDOUT  # nobody has said anything wrong
+        return fault
 
     def _count(self, error: EsairError) -> None:
         if isinstance(error, BusyError):

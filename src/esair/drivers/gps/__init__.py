@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import errno
 import math
 from collections.abc import AsyncIterator, Sequence
 from typing import Any
@@ -228,10 +229,12 @@ class Gps(Sensor[Fix]):
             try:
                 await sentences.take(timeout=self.deadline)
             except TimeoutError:
-                raise DeviceFaultError(
+                fault = DeviceFaultError(
                     self.name,
                     f"no sentence in {self.deadline:g} s: check the baud rate",
-                ) from None
+                )
+                fault.errno = errno.ETIMEDOUT  # silence: it is waited for
+                raise fault from None
 
     async def stream(self) -> AsyncIterator[Fix]:
         """Yield each fix as soon as it is whole."""

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import math
 import struct
 from collections.abc import AsyncIterator
@@ -310,7 +311,10 @@ class RpLidar(Sensor[Scan]):
                         return data[begin:]
         except TimeoutError:
             pass
-        raise DeviceFaultError(
+        fault = DeviceFaultError(
             self.name,
             f"no answer to request {command:#04x}, but {len(data)} other bytes",
         )
+        if not data:  # it has no power yet, say, and is waited for
+            fault.errno = errno.ETIMEDOUT
+        raise fault
