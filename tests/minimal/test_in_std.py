@@ -343,3 +343,30 @@ async def test_a_file_names_them(tmp_path) -> None:
         assert sonar.settings["rate"] == 20.0
         assert robot.resources.get("motor").command_timeout == 0.5
         assert robot.resources.why("motor").holder == "go"
+
+
+@pytest.mark.promise("MIN-3")
+@pytest.mark.virtual_clock
+async def test_a_guard_of_min_guards_in_std(fake_sensor, fake_actuator) -> None:
+    """What it lets pass, and what while it is blind."""
+
+    class Half(minimal.Reaction):
+        eye = minimal.reads(float, max_age=0.2)
+        motor = minimal.guards(float)
+
+        def react(self, eye, motor):
+            return motor / 2
+
+        def blind(self, motor):
+            return motor / 8
+
+    eye: FakeSensor[float] = fake_sensor("eye", 1.0, rate=20.0)
+    sonar: FakeSensor[float] = fake_sensor("sonar", 1.0, rate=20.0)
+    motor: FakeActuator[float] = fake_actuator("motor", safe=0.0)
+
+    async with esair.Robot(
+        resources=[eye, sonar, motor], behaviors=[Half(), rules.Go()]
+    ):
+        await motor.until(0.5, timeout=1.0)
+        eye.unplug()
+        await motor.until(0.125, timeout=1.0)

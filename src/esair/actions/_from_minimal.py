@@ -60,6 +60,8 @@ class MinimalReaction(Reaction):
         if type(reaction).react is not minimal.Reaction.react:
             # In the instance: its parameters are looked at, and nothing lies between.
             self.react = reaction.react  # type: ignore[method-assign]
+        if type(reaction).blind is not minimal.Reaction.blind:
+            self.blind = reaction.blind  # type: ignore[method-assign]
 
 
 def _type_of(need: minimal.Need) -> Any:
