@@ -32,6 +32,7 @@ from esair.connections import Stopped
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
 from esair.messages import Access, Reading, Refused, ResourceState, Why, Written
+from esair.resources import Operation
 
 A = TypeVar("A")
 T = TypeVar("T")
@@ -110,7 +111,8 @@ def methods(module: str, cls: str) -> list[ast.FunctionDef | ast.AsyncFunctionDe
 
 def passed(arguments: ast.arguments) -> str:
     """Return a call's arguments that hand on what a method gets."""
-    names = [each.arg for each in arguments.args[1:]]
+    positional = [*arguments.posonlyargs, *arguments.args]
+    names = [each.arg for each in positional[1:]]
     names += [f"{each.arg}={each.arg}" for each in arguments.kwonlyargs]
     if arguments.kwarg is not None:
         names.append(f"**{arguments.kwarg.arg}")

@@ -67,7 +67,7 @@ from esair.messages import (
     Why,
     Written,
 )
-from esair.resources import HOLD, Actuator, Resource, Sensor, setting
+from esair.resources import HOLD, Actuator, Resource, Sensor, operation, setting
 from esair.standard import Robot, run
 from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
 
@@ -130,6 +130,7 @@ __all__ = [
     "answers",
     "every",
     "guards",
+    "operation",
     "reads",
     "run",
     "setting",

@@ -1,5 +1,6 @@
 """The two drivers of the how-to page, under the contracts that all drivers keep."""
 
+import asyncio
 import inspect
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from parts import Mcp4725, Mcp9808, decode_temperature
+from scale import Scale, Weigh, weights
 
 import esair
 from esair.testing import ActuatorContract, FakeI2c, SensorContract
@@ -109,6 +111,34 @@ async def test_another_chip_is_refused() -> None:
     with pytest.raises(esair.DeviceFaultError, match="no MCP9808"):
         await part.open()
     await part.bus.close()
+
+
+@pytest.mark.virtual_clock
+async def test_the_scale_is_tared_by_its_operation() -> None:
+    """What lay on it before weighs nothing; what is added is told."""
+    chip = Load()
+    part = Scale(bus=FakeI2c(chips={0x2A: chip}))
+    weigh = Weigh()
+    async with esair.Robot(resources=[part], behaviors=[weigh]) as robot:
+        assert weights(robot) == ["tare(samples: int = 4)"]
+        await asyncio.sleep(1.0)
+        assert part.zero == 1.5
+        chip.count = 50_000
+        await asyncio.sleep(1.0)
+        assert await robot.behaviors.get(sender="weigh", receiver="me") == 1.0
+
+
+class Load:
+    """The far end: three bytes that count what lies on the scale."""
+
+    count = 30_000
+
+    def read(self, register: int, length: int) -> bytes:
+        assert (register, length) == (0x12, 3)
+        return self.count.to_bytes(3, signed=True)
+
+    def write(self, register: int, data: bytes) -> None:
+        raise AssertionError("the driver writes nothing")
 
 
 def test_a_driver_has_no_more_than_20_lines() -> None:

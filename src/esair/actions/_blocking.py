@@ -18,6 +18,7 @@ from esair.connections import Stopped
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
 from esair.messages import Access, Reading, Refused, ResourceState, Why, Written
+from esair.resources import Operation
 
 A = TypeVar("A")
 T = TypeVar("T")
@@ -100,6 +101,32 @@ class BlockingSensorPort(Generic[T]):
         """
         self._portal.call(self._port.configure, **settings)
 
+    def operate(self, name: str, /, **parameters: Any) -> Any:
+        """Call an operation of the sensor, such as ``home``, and wait for its outcome.
+
+        Args:
+            name: The name of the operation.
+            **parameters: What it takes, by name; checked before anything is done.
+
+        Returns:
+            What the operation returns.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``.
+            UnknownNameError: There is no such operation.
+            BadValueError: A parameter is unknown, missing, or not allowed.
+            HaltedError: The robot is halted.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            DriverStuckError: It did not end within its deadline.
+        """
+        return self._portal.call(self._port.operate, name, **parameters)
+
+    @property
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be called by `operate`, by name, with its parameters."""
+        return self._port.operations
+
     @property
     def settings(self) -> Mapping[str, Any]:
         """The current settings of the sensor."""
@@ -177,6 +204,33 @@ class BlockingActuatorPort(Generic[T]):
             BadValueError: A setting is unknown, or a value is not allowed.
         """
         self._portal.call(self._port.configure, **settings)
+
+    def operate(self, name: str, /, **parameters: Any) -> Any:
+        """Call an operation of the actuator, such as ``home``, and wait for its outcome.
+
+        Args:
+            name: The name of the operation.
+            **parameters: What it takes, by name; checked before anything is done.
+
+        Returns:
+            What the operation returns.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``, or
+                somebody else holds the actuator.
+            UnknownNameError: There is no such operation.
+            BadValueError: A parameter is unknown, missing, or not allowed.
+            HaltedError: The robot is halted.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            DriverStuckError: It did not end within its deadline.
+        """
+        return self._portal.call(self._port.operate, name, **parameters)
+
+    @property
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be called by `operate`, by name, with its parameters."""
+        return self._port.operations
 
     @property
     def settings(self) -> Mapping[str, Any]:

@@ -7,23 +7,32 @@ from collections.abc import (
     AsyncGenerator,
     AsyncIterator,
     Awaitable,
-    Callable,
-    Coroutine,
     Generator,
     Mapping,
 )
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from esair.connections import READ_TIMEOUT, ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import EsairError, NotRegisteredError
 from esair.loop import WRITE_COST, Budget, speaks_for_nobody
 from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
+from esair.resources import Operation
 from esair.values import check_duration
 
 T = TypeVar("T")
 
-Configure = Callable[..., Coroutine[Any, Any, None]]
-"""``ResourceSupervisor.configure``: the control path of a port."""
+
+class Control(Protocol):
+    """The resource supervisor: the control path of a port."""
+
+    async def configure(self, registration: Registration, /, **settings: Any) -> None:
+        """Change settings of a resource."""
+
+    async def operate(
+        self, registration: Registration, name: str, /, **parameters: Any
+    ) -> Any:
+        """Call an operation of a resource."""
+
 
 _ANY_AGE = float("inf")
 
@@ -38,19 +47,19 @@ class SensorPort(Generic[T]):
             seconds; the sensor's own limit unless given, infinite if it has none.
     """
 
-    __slots__ = ("_budget", "_channel", "_configure", "_max_age", "registration")
+    __slots__ = ("_budget", "_channel", "_control", "_max_age", "registration")
 
     def __init__(
         self,
         channel: SensorChannel,
         registration: Registration,
         max_age: float | None,
-        configure: Configure,
+        control: Control,
     ) -> None:
         self._channel = channel
         self.registration = registration
         self._max_age = max_age
-        self._configure = configure
+        self._control = control
         self._budget = Budget.of(asyncio.get_running_loop())
 
     @property
@@ -170,7 +179,35 @@ class SensorPort(Generic[T]):
         """
         if speaks_for_nobody():
             raise _run_ended(self.registration)
-        await self._configure(self.registration, **settings)
+        await self._control.configure(self.registration, **settings)
+
+    async def operate(self, name: str, /, **parameters: Any) -> Any:
+        """Call an operation of the sensor, such as ``home``, and wait for its outcome.
+
+        Args:
+            name: The name of the operation.
+            **parameters: What it takes, by name; checked before anything is done.
+
+        Returns:
+            What the operation returns.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``.
+            UnknownNameError: There is no such operation.
+            BadValueError: A parameter is unknown, missing, or not allowed.
+            HaltedError: The robot is halted.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            DriverStuckError: It did not end within its deadline.
+        """
+        if speaks_for_nobody():
+            raise _run_ended(self.registration)
+        return await self._control.operate(self.registration, name, **parameters)
+
+    @property
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be called by `operate`, by name, with its parameters."""
+        return self._channel.sensor.operations
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -231,14 +268,14 @@ class ActuatorPort(Generic[T]):
         registration: The right to write it.
     """
 
-    __slots__ = ("_budget", "_channel", "_configure", "registration")
+    __slots__ = ("_budget", "_channel", "_control", "registration")
 
     def __init__(
-        self, channel: ActuatorChannel, registration: Registration, configure: Configure
+        self, channel: ActuatorChannel, registration: Registration, control: Control
     ) -> None:
         self._channel = channel
         self.registration = registration
-        self._configure = configure
+        self._control = control
         self._budget = Budget.of(asyncio.get_running_loop())
 
     @property
@@ -303,7 +340,36 @@ class ActuatorPort(Generic[T]):
         """
         if speaks_for_nobody():
             raise _run_ended(self.registration)
-        await self._configure(self.registration, **settings)
+        await self._control.configure(self.registration, **settings)
+
+    async def operate(self, name: str, /, **parameters: Any) -> Any:
+        """Call an operation of the actuator, such as ``home``, and wait for its outcome.
+
+        Args:
+            name: The name of the operation.
+            **parameters: What it takes, by name; checked before anything is done.
+
+        Returns:
+            What the operation returns.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``, or
+                somebody else holds the actuator.
+            UnknownNameError: There is no such operation.
+            BadValueError: A parameter is unknown, missing, or not allowed.
+            HaltedError: The robot is halted.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            DriverStuckError: It did not end within its deadline.
+        """
+        if speaks_for_nobody():
+            raise _run_ended(self.registration)
+        return await self._control.operate(self.registration, name, **parameters)
+
+    @property
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be called by `operate`, by name, with its parameters."""
+        return self._channel.actuator.operations
 
     @property
     def settings(self) -> Mapping[str, Any]:

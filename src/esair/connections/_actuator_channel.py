@@ -14,12 +14,15 @@ from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
 from esair.connections._driver import Guard
 from esair.connections._halt import HALT, HALT_PRIORITY, Halt
+from esair.connections._operations import Operating, Operations
 from esair.connections._protected_device import ProtectedDevice
 from esair.connections._registrations import Registration, Registrations
 from esair.connections._waiting_writes import Sent, WaitingWrites
 from esair.exceptions import (
+    AccessDeniedError,
     DeviceLostError,
     EsairError,
+    HaltedError,
     StoppingError,
 )
 from esair.journal import Kind
@@ -87,6 +90,7 @@ class ActuatorChannel(ProtectedDevice):
         "_slews",
         "_waiting",
         "decision",
+        "operations",
         "refusals",
         "since",
         "timeouts",
@@ -118,6 +122,7 @@ class ActuatorChannel(ProtectedDevice):
         """Grows with each halt: a command from before is never sent after it."""
         self.decision = Decision(self, loop)
         """What reactions want of it in this turn."""
+        self.operations = Operations(self, loop, on_error)
         super().__init__(actuator, registrations, loop, on_error, left)
 
     def attach(self, actuator: Actuator[Any]) -> None:
@@ -204,6 +209,7 @@ class ActuatorChannel(ProtectedDevice):
         self._accepts = False
         self._disarm()
         super().down(state, error)
+        self.operations.gone(error)
 
     def _disarm(self) -> None:
         self.holder = self._writer = None
@@ -452,6 +458,7 @@ class ActuatorChannel(ProtectedDevice):
 
     def _idle(self) -> None:
         super()._idle()
+        self.operations.look()
         if self._guards:
             self.review()
         self._look()
@@ -528,6 +535,7 @@ class ActuatorChannel(ProtectedDevice):
         Its writes that wait for their turn are withdrawn.
         """
         self._withdraw(registration)
+        self.operations.drop(registration)
         if self._writer is registration:
             self.make_safe()
         elif self.holder is registration:
@@ -545,6 +553,8 @@ class ActuatorChannel(ProtectedDevice):
             The sending; its result tells whether the device took it.
         """
         self._disarm()
+        if self.operations.running:
+            self.operations.end(self._safe_instead())
         return super().make_safe(stay=stay)
 
     def _nobody_wrote(self) -> None:
@@ -558,6 +568,89 @@ class ActuatorChannel(ProtectedDevice):
         self.make_safe()
         if holder is not None and self._time() + _EARLY < until:
             self.holder = holder  # a longer hold keeps lower priorities away
+
+    # Operations.
+
+    def review(self) -> None:
+        """Put what stands to the guards again; an operation is ended by a blind one."""
+        if not self.operations.running:
+            super().review()
+        elif any(guard.stops for guard in self._guards):
+            self.make_safe(stay=True)
+
+    def ready_for(self, operation: Operating) -> bool:
+        """Tell whether an operation may begin now: what moves is made safe first.
+
+        Raises:
+            AccessDeniedError: Somebody else holds the actuator, or is blind.
+            StoppingError: The robot is stopping.
+        """
+        right, now = operation.registration, self._time()
+        if self.latched:
+            raise StoppingError(self.name, "stopping")
+        rule = ""
+        holder, blind = self.holder, self._blind
+        if (
+            blind is not None
+            and right.priority <= blind.priority
+            and blind.is_against(right.behavior)
+        ):
+            rule = blind.rule
+        elif (stop := next((g for g in self._guards if g.stops), None)) is not None:
+            rule = stop.rule
+        elif (
+            holder is not None
+            and now < self.until
+            and right.priority <= holder.priority
+            and holder.behavior != right.behavior
+        ):
+            rule = rule_of(holder)
+        if rule:
+            raise AccessDeniedError(
+                right.behavior, self.name, f"operate ({operation.name})", rule
+            )
+        if self._busy:
+            return False
+        if self.moves:
+            self.make_safe(stay=True)
+            return False
+        if self.watch is not None and not self.watch.may_move():
+            raise StoppingError(self.name, "made safe by the watchdog")
+        return True
+
+    def operating(self, operation: Operating, call: Call) -> None:
+        """The device has begun with an operation: whoever asked for it holds it."""
+        self._lane, self._busy = call, True
+        self._told, self._told_safe = operation, False
+        self._told_error = "it has not answered yet"
+        self.holder = self._writer = operation.registration
+        self.since, self.until = self._time(), operation.until
+
+    def operated(self, call: Call | None) -> None:
+        """An operation has its outcome: nobody knows what moves, so it is made safe."""
+        if call is not None and call is self._lane and call.ended is not None:
+            self._lane = None
+        if self._safe_task is not None:
+            self._again = True
+        elif self.state is ResourceState.READY:
+            self.make_safe(stay=True)
+        self._idle()
+
+    def _safe_instead(self) -> EsairError:
+        """Make the error for an operation that the safe command has ended."""
+        halt = self.registrations.halt
+        if halt is not None:
+            return HaltedError(self.name, halt.reason)
+        if self.latched:
+            return StoppingError(self.name, "stopping")
+        right = self.operations.current
+        stops = self._blind or next((g for g in self._guards if g.stops), None)
+        return AccessDeniedError(
+            "" if right is None else right.registration.behavior,
+            self.name,
+            "operate",
+            "it was made safe meanwhile" if stops is None else stops.rule,
+        )
 
     # What people ask.
 

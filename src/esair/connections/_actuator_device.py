@@ -223,7 +223,7 @@ class ActuatorDevice:
         """A call has ended whose outcome was out before: who knows what it did."""
         if call is self._lane:
             self._lane_free(call)
-        elif call.kind == "write":
+        elif call.may_move:
             self._repeat_safe()
         self._pulse()
 
@@ -319,7 +319,7 @@ class ActuatorDevice:
         """Return a motion that is alive, and may still undo the safe command."""
         for calls in (self.calls.alive.values(), self._left):
             for call in calls:
-                if call.kind == "write" and call.resource == self.name:
+                if call.may_move and call.resource == self.name:
                     return call
         return None
 

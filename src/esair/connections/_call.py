@@ -17,6 +17,9 @@ UNWIND = 0.1
 ABANDONED_LIMIT = 8
 """How many abandoned calls of one device may be alive; with more, none is begun."""
 
+OPERATE = "operate"
+"""How the calls of operations are named; the operation's name comes after it."""
+
 
 class End(NamedTuple):
     """What came of a call: a value, or an error."""
@@ -93,6 +96,11 @@ class Call:
     def is_abandoned(self) -> bool:
         """Whether its caller was told an outcome while it is still alive."""
         return self.ended is None and self.outcome is not None
+
+    @property
+    def may_move(self) -> bool:
+        """Whether it may move an actuator: a command, or an operation."""
+        return self.kind == "write" or self.kind.startswith(OPERATE)
 
     def cancel(self) -> None:
         """Ask the driver to end it; a thread cannot be asked."""

@@ -138,6 +138,13 @@ class Protection:
             told += f"; MUTED by the user for {self.muted_until - now:.3g} s more"
         return told
 
+    @property
+    def stops(self) -> bool:
+        """Whether nothing passes now: it is blind, latched, or has refused last."""
+        if asyncio.get_running_loop().time() < self.muted_until:
+            return False
+        return bool(self.latched or self.reason or self.stopping)
+
     def is_against(self, behavior: str) -> bool:
         """Tell whether a hold refuses the writes of a behavior, priorities apart."""
         return not (self.is_own and behavior == self.component)

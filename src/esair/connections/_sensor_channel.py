@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from esair.connections._call import Call, Calls, End
 from esair.connections._driver import Driver, Method, translate
 from esair.connections._measured import measured_at
+from esair.connections._operations import Operating, Operations
 from esair.connections._reading_check import ReadingCheck
 from esair.connections._registrations import Registration, Registrations
 from esair.exceptions import (
@@ -121,6 +122,7 @@ class SensorChannel:
         """The question that waits for its answer: there is one at a time."""
         self._asks: asyncio.Handle | None = None
         """Asks the device in the next turn, for all who have asked in this one."""
+        self.operations = Operations(self, loop, on_error)
         self.attach(sensor)
 
     def attach(self, sensor: Sensor[Any]) -> None:
@@ -206,6 +208,7 @@ class SensorChannel:
         for follower in self._followers:
             follower.changed(error)
         self._answered()
+        self.operations.gone(error)
 
     def forget_age(self) -> None:
         """Make every reading stale, as after a suspend of the computer."""
@@ -383,8 +386,7 @@ class SensorChannel:
                 self.publish(value, number)
             else:  # its device was lost by this very call
                 self.calls.late += 1
-        if self._waiters:
-            self._ask()
+        self._free()
 
     def _read_ended(self, call: Call, end: End) -> None:
         """Apply the outcome of a question that has waited for the device."""
@@ -399,8 +401,27 @@ class SensorChannel:
             self._fail(end.error, self.transactions)
         if polled:
             self._answered()
+        self._free()
+
+    def _free(self) -> None:
+        """The device may have become free: an operation first, then those who ask."""
+        self.operations.look()
         if self._waiters:
             self._ask()
+
+    def ready_for(self, operation: Operating) -> bool:
+        """Tell whether an operation may begin now."""
+        return not self._asking
+
+    def operating(self, operation: Operating, call: Call) -> None:
+        """The device has begun with an operation."""
+        self._asking = call
+
+    def operated(self, call: Call | None) -> None:
+        """An operation has its outcome; the device is free if it has ended."""
+        if call is not None and call is self._asking and call.ended is not None:
+            self._asking = False
+        self._free()
 
     def when_answered(self, function: Callable[[], None]) -> None:
         """Call a function when the poll of this turn has ended, whatever came of it."""
@@ -420,8 +441,7 @@ class SensorChannel:
             if call.ended is not None:
                 self._asking = False
             told(end)
-            if self._waiters:
-                self._ask()
+            self._free()
 
         try:
             value = self.calls.begin(
@@ -439,8 +459,7 @@ class SensorChannel:
     def _late(self, call: Call) -> None:
         if call is self._asking:
             self._asking = False
-            if self._waiters:
-                self._ask()
+            self._free()
 
     def _stuck(self, call: Call) -> None:
         self._on_error(
@@ -581,6 +600,7 @@ class SensorChannel:
     def drop(self, registration: Registration) -> None:
         """Feed nothing more to the followers with this registration."""
         error = self.registrations.refusal(registration)
+        self.operations.drop(registration)
         for follower in self._followers:
             if follower.registration is registration:
                 self.unfollow(follower)

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from typing import Any
 
 from esair.connections import CommandCheck, limits_by_field, part_of
 from esair.exceptions import BadValueError
-from esair.plan._finding import Finding, mistake
+from esair.plan._finding import Finding, mistake, warning
 from esair.plan._signatures import wrong_signatures
-from esair.resources import HOLD, Actuator, Resource, Sensor, bus_kind
+from esair.resources import (
+    HOLD,
+    Actuator,
+    Resource,
+    Sensor,
+    bus_kind,
+    wrong_operations,
+)
 from esair.values import is_positive
 
 
@@ -39,6 +47,28 @@ def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Find
             yield wrong("read", "a sensor must have a read or stream method")
     for field, told in wrong_signatures(resource):
         yield wrong(field, told)
+    for field, told in wrong_operations(type(resource)):
+        yield wrong(field, told)
+    if isinstance(resource, Actuator):
+        for name, each in resource.operations.items():
+            limit = resource.deadline if each.deadline is None else each.deadline
+            if blocks_safe(resource, name, limit):
+                yield warning(
+                    "time",
+                    resource,
+                    resource.name,
+                    name,
+                    f"it blocks its thread for up to {limit:g} s, and the safe "
+                    "command waits behind it",
+                    "write it as async def, or let it only begin what the device does",
+                )
+
+
+def blocks_safe(actuator: Actuator[Any], operation: str, limit: object) -> bool:
+    """Tell whether an operation keeps the safe command waiting for too long."""
+    if inspect.iscoroutinefunction(getattr(actuator, operation)):
+        return False
+    return is_positive(limit) and float(str(limit)) > actuator.deadline
 
 
 def wrong_bus(cls: type[Resource], bus: object) -> str | None:

@@ -6,6 +6,14 @@ from esair.resources._from_minimal import (
     MinimalSensor,
     adapt_resource,
 )
+from esair.resources._operation import (
+    Operation,
+    Parameter,
+    operation,
+    operation_of,
+    operations_of,
+    wrong_operations,
+)
 from esair.resources._resource import Resource, bus_kind
 from esair.resources._sensor import Sensor
 from esair.resources._setting import Setting, check_settings, setting, settings_of
@@ -15,12 +23,18 @@ __all__ = [
     "Actuator",
     "MinimalActuator",
     "MinimalSensor",
+    "Operation",
+    "Parameter",
     "Resource",
     "Sensor",
     "Setting",
     "adapt_resource",
     "bus_kind",
     "check_settings",
+    "operation",
+    "operation_of",
+    "operations_of",
     "setting",
     "settings_of",
+    "wrong_operations",
 ]

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from esair import abc
+from esair.resources._operation import Operation, operations_of
 from esair.resources._setting import Setting, check_settings, setting, settings_of
 
 if TYPE_CHECKING:
@@ -127,6 +128,11 @@ class Resource(abc.Resource):
         return MappingProxyType(
             {key: getattr(self, key) for key in settings_of(type(self))}
         )
+
+    @property
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be called by `operate`, by name, with its parameters (read only)."""
+        return MappingProxyType(operations_of(type(self)))
 
     if TYPE_CHECKING:
 

@@ -612,10 +612,10 @@ class Member(Mailbox):
         self, registration: Registration, max_age: float | None
     ) -> SensorPort[Any] | ActuatorPort[Any]:
         channel = self._channel(registration.resource)
-        configure = self._supervisor.resources.configure
+        control = self._supervisor.resources
         if isinstance(channel, SensorChannel):
-            return SensorPort(channel, registration, max_age, configure)
-        return ActuatorPort(channel, registration, configure)
+            return SensorPort(channel, registration, max_age, control)
+        return ActuatorPort(channel, registration, control)
 
     def _start_runner(
         self,

@@ -79,6 +79,8 @@ class ResourceLife:
         """Done when the device was tried for the first time."""
         self.configuring = asyncio.Lock()
         """Held while settings are applied: one change at a time, none in an opening."""
+        self.operations = 0
+        """How many operations wait or run."""
         self._journal = channel.registrations.journal
         self._budget = RestartBudget(restart)
         self._loop = asyncio.get_running_loop()
@@ -199,6 +201,11 @@ class ResourceLife:
         self.channel.configured()
         if self.watch is not None:
             await self.watch.arm()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the resource was removed, or another one has its place."""
+        return self._over
 
     async def _apply(self, changes: dict[str, Any]) -> None:
         await self._call("apply", **changes)

@@ -24,6 +24,7 @@ from esair.exceptions import (
     ConfigError,
     DeviceLostError,
     EsairError,
+    HaltedError,
     ResourceRemovedError,
     StoppingError,
     UnknownNameError,
@@ -42,6 +43,7 @@ from esair.messages import (
 from esair.plan import Finding, Plan, examine_resource, in_use, refuse
 from esair.resources import Actuator, Resource, Sensor, adapt_resource, check_settings
 from esair.supervisors._command_queue import CommandQueue
+from esair.supervisors._operate import operate
 from esair.supervisors._resource_life import ResourceLife
 from esair.supervisors._rules import Declared, Rules
 from esair.values import check_name, is_positive, same_type
@@ -499,7 +501,40 @@ class ResourceSupervisor(abc.Supervisor):
         task.add_done_callback(lambda done: done.cancelled() or done.exception())
         await asyncio.shield(task)
 
-    def _configurable(self, registration: Registration) -> ResourceLife:
+    async def operate(
+        self, registration: Registration, name: str, /, **parameters: Any
+    ) -> Any:
+        """Call an operation of a resource, such as ``home``, when its device is free.
+
+        Whoever is cancelled here ends the operation.
+
+        Args:
+            registration: A registration with the CONFIGURE right.
+            name: The name of the operation; `Resource.operations` has them.
+            **parameters: What it takes, by name.
+
+        Returns:
+            What the operation returns.
+
+        Raises:
+            NotRegisteredError: The registration is not valid (any more).
+            AccessDeniedError: It does not include CONFIGURE, or somebody holds the
+                actuator, or has made it safe meanwhile.
+            HaltedError: The robot is halted, or was halted meanwhile.
+            UnknownNameError: The resource has no such operation.
+            BadValueError: A parameter is unknown, missing, or not allowed; every
+                mistake is named.
+            BusyError: Too many operations wait.
+            DeviceLostError: The device is not there, or went away.
+            DeviceFaultError: The device answered wrongly.
+            DriverStuckError: It did not end within its deadline.
+        """
+        life = self._configurable(registration, operates=True)
+        return await operate(life, registration, name, parameters)
+
+    def _configurable(
+        self, registration: Registration, *, operates: bool = False
+    ) -> ResourceLife:
         if (
             not isinstance(registration, Registration)
             or self._registrations.live.get(registration.number) is not registration
@@ -513,6 +548,8 @@ class ResourceSupervisor(abc.Supervisor):
                 f"it is registered to {registration.access} only",
             )
         life = self._life(registration.resource)
+        if operates and self._registrations.halt is not None:
+            raise HaltedError(life.resource.name, self._registrations.halt.reason)
         if life.channel.state is not ResourceState.READY:
             raise life.channel.error or DeviceLostError(registration.resource)
         return life

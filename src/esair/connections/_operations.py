@@ -1,0 +1,252 @@
+"""The operations of one device: one at a time, between its other calls."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, Protocol
+
+from esair.connections._call import OPERATE, Call, Calls, End
+from esair.connections._driver import Driver, translate
+from esair.connections._registrations import Registration, Registrations
+from esair.exceptions import (
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    HaltedError,
+    describe,
+)
+from esair.journal import Kind
+from esair.loop import Deadlines, clock_of
+from esair.messages import ResourceState
+
+
+class Device(Protocol):
+    """The channel of a resource, as an operation sees it."""
+
+    name: str
+    state: ResourceState
+    error: EsairError | None
+    driver: Driver
+    calls: Calls
+    registrations: Registrations
+
+    def ready_for(self, operation: Operating) -> bool:
+        """Tell whether it may begin now; or see to it that it soon may.
+
+        Raises:
+            EsairError: It must not begin.
+        """
+
+    def operating(self, operation: Operating, call: Call) -> None:
+        """The device has begun with it, and is busy."""
+
+    def operated(self, call: Call | None) -> None:
+        """It has its outcome; the device is free once the call has ended."""
+
+
+class Operating:
+    """One operation that was asked for: it waits for its turn, or runs."""
+
+    def __init__(
+        self,
+        registration: Registration,
+        name: str,
+        parameters: dict[str, Any],
+        until: float,
+        outcome: asyncio.Future[Any],
+    ) -> None:
+        self.registration = registration
+        self.name = name
+        self.parameters = parameters
+        self.until = until
+        self.outcome = outcome
+        self.call: Call | None = None
+        self.ended_by: EsairError | None = None
+        """Why it was ended before its time."""
+
+    def __repr__(self) -> str:
+        given = ", ".join(f"{key}={value!r}" for key, value in self.parameters.items())
+        return f"<operation {self.name}({given})>"
+
+
+class Operations:
+    """Runs the operations of a device; its caller sees to it that there is one.
+
+    Args:
+        device: The channel of the resource.
+        loop: The event loop.
+        on_error: Told of a device that is lost.
+    """
+
+    __slots__ = ("_deadlines", "_device", "_loop", "_on_error", "_time", "current")
+
+    def __init__(
+        self, device: Device, loop: asyncio.AbstractEventLoop, on_error: Any
+    ) -> None:
+        self._device = device
+        self._loop = loop
+        self._time = clock_of(loop)
+        self._deadlines = Deadlines.of(loop)
+        self._on_error = on_error
+        self.current: Operating | None = None
+        """What waits for its turn, or runs."""
+
+    async def run(
+        self,
+        registration: Registration,
+        name: str,
+        parameters: dict[str, Any],
+        until: float,
+        limit: float,
+    ) -> Any:
+        """Call an operation when the device is free, and wait for its outcome.
+
+        Whoever is cancelled here ends it.
+
+        Raises:
+            EsairError: What has come of it instead.
+        """
+        assert self.current is None
+        outcome: asyncio.Future[Any] = self._loop.create_future()
+        this = Operating(registration, name, parameters, until, outcome)
+        self.current = this
+        stuck = DriverStuckError(self._device.name, f"{OPERATE} {name}", limit)
+        deadline = self._deadlines.after(
+            max(0.0, until - self._time()), self._expire, this, stuck
+        )
+        try:
+            self.look()
+            return await outcome
+        except asyncio.CancelledError:
+            if self.current is this:
+                self._withdraw(this)
+            raise
+        finally:
+            deadline.cancel()
+
+    def look(self) -> None:
+        """Begin with what waits, if the device is free."""
+        this = self.current
+        if this is None or this.call is not None or this.outcome.done():
+            return
+        device = self._device
+        begun = False
+        try:
+            self.check(this.registration)
+            if not device.ready_for(this):
+                return
+            begun = True
+            method = device.driver.method(this.name)
+            if this.parameters:
+                method = method.bound(**this.parameters)
+            value = device.calls.begin(
+                f"{OPERATE} {this.name}",
+                method,
+                (),
+                max(0.001, this.until - self._time()),
+                self._ended,
+            )
+        except Exception as error:
+            self._over(this, End(None, error))
+            if begun:
+                device.operated(None)
+            return
+        if type(value) is Call:
+            this.call = value
+            value.owner = this.registration
+            device.operating(this, value)
+        else:
+            self._over(this, End(value, None))
+            device.operated(None)
+
+    def check(self, registration: Registration) -> None:
+        """Pass if a registration is valid, the device is there, and nothing is halted.
+
+        Raises:
+            EsairError: It is not so.
+        """
+        device = self._device
+        table = device.registrations
+        if table.live.get(registration.number) is not registration:
+            raise table.refusal(registration)
+        if table.halt is not None:
+            raise HaltedError(device.name, table.halt.reason)
+        if device.state is not ResourceState.READY:
+            error = device.error or DeviceLostError(device.name)
+            raise error.with_traceback(None)
+
+    def end(self, error: EsairError) -> None:
+        """End what waits or runs, because it must not go on."""
+        this = self.current
+        if this is None:
+            return
+        this.ended_by = this.ended_by or error
+        if this.call is None:
+            self._over(this, End(None, error))
+        elif not this.call.cancelled:
+            this.call.cancel()
+
+    @property
+    def running(self) -> bool:
+        """Whether the device is at work for one."""
+        return self.current is not None and self.current.call is not None
+
+    def gone(self, error: EsairError) -> None:
+        """The device is gone; its calls are fenced."""
+        if self.current is not None:
+            self._over(self.current, End(None, self.current.ended_by or error))
+
+    def drop(self, registration: Registration) -> None:
+        """End what was begun by a right that is void."""
+        if self.current is not None and self.current.registration is registration:
+            self.end(self._device.registrations.refusal(registration))
+
+    def _withdraw(self, this: Operating) -> None:
+        if this.call is None:
+            self.current = None
+        else:
+            this.call.cancel()
+
+    def _expire(self, this: Operating, stuck: DriverStuckError) -> None:
+        if self.current is this and this.call is None:  # a call has its own deadline
+            self._over(this, End(None, stuck))
+
+    def _ended(self, call: Call, end: End) -> None:
+        this = self.current
+        if this is not None and this.call is call:
+            self._over(this, end)
+        self._device.operated(call)
+
+    def _over(self, this: Operating, end: End) -> None:
+        """Tell the one outcome of an operation."""
+        self.current = None
+        device = self._device
+        error = this.ended_by
+        if error is None and end.error is not None:
+            error = self._translated(this, end.error)
+        device.registrations.journal.publish(
+            Kind.OPERATED,
+            device.name,
+            this.registration.behavior,
+            end.value if error is None else error,
+            this.name if error is None else f"{this.name}: {describe(error)}",
+        )
+        if this.outcome.done():
+            return  # who asked for it has gone
+        if error is None:
+            this.outcome.set_result(end.value)
+        else:
+            this.outcome.set_exception(error)
+
+    def _translated(self, this: Operating, error: BaseException) -> EsairError:
+        name = self._device.name
+        if this.call is None and isinstance(error, EsairError):
+            return error  # it has not begun
+        if isinstance(error, TimeoutError) and not isinstance(error, EsairError):
+            stuck = DriverStuckError(name, this.name, self._time() - this.until)
+            stuck.__cause__ = error
+            return stuck
+        translated = translate(name, error)
+        if isinstance(translated, DeviceLostError):
+            self._on_error(translated)
+        return translated

@@ -1,0 +1,389 @@
+"""Operations of a resource: home, calibrate, zero, clear a fault."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from typing import Any
+
+import pytest
+
+import esair
+from esair import Access
+from esair.journal import Event, Kind
+
+pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("RS-7")]
+
+
+class Lift(esair.Actuator[float]):
+    """Notes what its driver does, in order; a home takes a second."""
+
+    safe = 0.0
+    limits = (-1.0, 1.0)
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.did: list[Any] = []
+
+    async def write(self, command: float) -> None:
+        self.did.append(command)
+
+    @esair.operation(deadline=2.0)
+    async def home(self, speed: float = 0.1, *, seconds: float = 1.0) -> float:
+        """Find the lower end."""
+        self.did.append(f"home {speed}")
+        try:
+            await asyncio.sleep(seconds)
+        except asyncio.CancelledError:
+            self.did.append("home ended")
+            raise
+        self.did.append("home done")
+        return 0.25
+
+    @esair.operation
+    def zero(self) -> None:
+        """Take this place for zero."""
+        self.did.append("zero")
+
+    @esair.operation
+    async def clear_fault(self, code: int) -> None:
+        raise RuntimeError(f"fault {code} stays")
+
+
+class Scale(esair.Sensor[float]):
+    """Is asked for its weight while it is not tared."""
+
+    rate = esair.setting(50.0, unit="Hz")
+    deadline = 2.0
+    tared = 0
+    alive = 0
+
+    async def read(self) -> float:
+        return await self._alone(0.01, 1.0)
+
+    async def _alone(self, seconds: float, value: float) -> float:
+        assert self.alive == 0, "the device has one call at a time"
+        self.alive += 1
+        try:
+            await asyncio.sleep(seconds)
+        finally:
+            self.alive -= 1
+        return value
+
+    @esair.operation
+    async def tare(self) -> float:
+        """Take this weight for nothing."""
+        self.tared += 1
+        return await self._alone(0.5, 3.0)
+
+
+class User(esair.Behavior):
+    """Has the right to configure, and does what the test says."""
+
+    lift = esair.writes(float, configure=True)
+
+
+ALL = Access.WRITE | Access.CONFIGURE
+
+
+async def right(robot: esair.Robot, name: str = "lift", who: str = "me") -> Any:
+    """Register somebody with the right to configure."""
+    return await robot.resources.register(who, name, ALL)
+
+
+def made(lift: Any, *more: Any) -> esair.Robot:
+    """Make a robot in which anybody may do anything with the lift."""
+    policy = esair.Policy(lift.name, allow={"*": ALL})
+    return esair.Robot(resources=[lift, *more], policies=[policy])
+
+
+async def test_an_operation_is_called_through_a_port() -> None:
+    """It has its parameters, and its caller what it returns; all can see what there is."""
+    lift, user = Lift(), User()
+    async with esair.Robot(resources=[lift], behaviors=[user]):
+        port: Any = user.lift
+        assert await port.operate("home", speed=0.5) == 0.25
+        assert "home 0.5" in lift.did
+        assert sorted(port.operations) == ["clear_fault", "home", "zero"]
+        assert str(lift.operations["home"]) == (
+            "home(speed: float = 0.1, seconds: float = 1.0)"
+        )
+        assert lift.operations["home"].doc == "Find the lower end."
+
+
+@pytest.mark.real_clock
+async def test_a_thread_waits_for_its_operation() -> None:
+    """A behavior with a plain run has the blocking form, also of a blocking driver."""
+    lift = Lift()
+    done = threading.Event()
+    result: list[Any] = []
+
+    class Threaded(esair.ThreadBehavior):
+        lift = esair.writes(float, configure=True)
+
+        def run(self) -> None:
+            result.append(self.lift.operate("home", speed=1, seconds=0.01))
+            result.append(self.lift.operate("zero"))
+            result.append(sorted(self.lift.operations))
+            done.set()
+
+    async with esair.Robot(resources=[lift], behaviors=[Threaded()]):
+        assert await asyncio.to_thread(done.wait, 5.0)
+    assert result == [0.25, None, ["clear_fault", "home", "zero"]]
+    assert "home 1.0" in lift.did
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "told"),
+    [
+        ("home", {"speed": "fast"}, "speed: expected float, not 'fast'"),
+        ("home", {"speed": float("nan")}, "finite"),
+        ("home", {"spede": 1.0}, "did you mean 'speed'"),
+        ("clear_fault", {}, "code: it is missing"),
+        ("clear_fault", {"code": 1.5}, "code: expected int, not 1.5"),
+        ("clear_fault", {"code": True}, "code: expected int, not True"),
+    ],
+)
+async def test_parameters_are_checked_before_anything_is_done(
+    name: str, given: dict[str, Any], told: str
+) -> None:
+    """The device hears nothing of a wrong call."""
+    lift = Lift()
+    async with made(lift) as robot:
+        before = list(lift.did)
+        with pytest.raises(esair.BadValueError, match=told):
+            await robot.resources.operate(await right(robot), name, **given)
+        assert lift.did == before
+
+
+async def test_who_may_not_configure_may_not_operate() -> None:
+    """Nor with a right that is void, nor what the class does not offer."""
+    lift = Lift()
+    async with made(lift) as robot:
+        writes = await robot.resources.register("pilot", "lift", Access.WRITE)
+        with pytest.raises(esair.AccessDeniedError, match="CONFIGURE"):
+            await robot.resources.operate(writes, "zero")
+        mine = await right(robot)
+        with pytest.raises(esair.UnknownNameError, match="home"):
+            await robot.resources.operate(mine, "hom")
+        with pytest.raises(esair.UnknownNameError):
+            await robot.resources.operate(mine, "write")
+        robot.resources.revoke(mine)
+        with pytest.raises(esair.NotRegisteredError):
+            await robot.resources.operate(mine, "zero")
+        assert "zero" not in lift.did
+
+
+async def test_nothing_comes_between_and_what_moved_is_made_safe_first() -> None:
+    """A write of the same behavior waits; another's is refused while it is homed."""
+    lift = Lift()
+    async with made(lift) as robot:
+        mine = await right(robot)
+        await robot.actuators.write(mine, 0.7)
+        lift.did.clear()
+        home = asyncio.ensure_future(robot.resources.operate(mine, "home"))
+        await asyncio.sleep(0.1)
+        other = await robot.resources.register("other", "lift", Access.WRITE)
+        refused: Any = await robot.actuators.write(other, 1.0)
+        assert not refused
+        assert refused.holder == "me"
+        write = asyncio.ensure_future(robot.actuators.write(mine, 0.3))
+        await home
+        assert await write
+        assert lift.did == [0.0, "home 0.1", "home done", 0.0, 0.3]
+
+
+async def test_who_does_not_hold_the_actuator_does_not_operate_it() -> None:
+    """As a write would be refused, with the rule."""
+    lift = Lift()
+    async with made(lift) as robot:
+        pilot = await robot.resources.register("pilot", "lift", ALL, priority=5)
+        await robot.actuators.write(pilot, 0.7)
+        with pytest.raises(esair.AccessDeniedError, match="priority 5 of 'pilot'"):
+            await robot.resources.operate(await right(robot), "home")
+        assert "home 0.1" not in lift.did
+
+
+async def test_a_sensor_is_not_read_while_it_is_tared() -> None:
+    """The polls go on afterwards; two who ask have their turns."""
+    scale = Scale()
+    async with esair.Robot(
+        resources=[scale],
+        policies=[esair.Policy("scale", allow={"*": Access.READ | Access.CONFIGURE})],
+    ) as robot:
+        rights = [
+            await robot.resources.register(who, "scale", Access.READ | Access.CONFIGURE)
+            for who in ("a", "b")
+        ]
+        reading = asyncio.ensure_future(robot.sensors.read(rights[0], fresh=True))
+        tares = [robot.resources.operate(each, "tare") for each in rights]
+        assert await asyncio.gather(*tares) == [3.0, 3.0]
+        await reading
+        assert scale.tared == 2
+        assert (await robot.sensors.read(rights[1], fresh=True)).value == 1.0
+
+
+async def test_a_halt_ends_an_operation_and_lets_none_begin() -> None:
+    """`HaltedError` at the caller; the safe command is the last thing on the wire."""
+    lift = Lift()
+    async with made(lift) as robot:
+        mine = await right(robot)
+        home = asyncio.ensure_future(robot.resources.operate(mine, "home"))
+        await asyncio.sleep(0.2)
+        await robot.halt("enough")
+        with pytest.raises(esair.HaltedError, match="enough"):
+            await home
+        assert lift.did.index("home ended") < len(lift.did) - 1
+        assert lift.did[-1] == 0.0
+        before = list(lift.did)
+        with pytest.raises(esair.HaltedError, match="enough"):
+            await robot.resources.operate(mine, "zero")
+        assert lift.did == before
+        robot.resume()
+        assert await robot.resources.operate(mine, "home") == 0.25
+
+
+@pytest.mark.parametrize("way", ["cancelled", "revoked", "removed", "stopped"])
+async def test_an_operation_ends_with_whoever_asked_and_with_its_device(
+    way: str,
+) -> None:
+    """It does not go on when nobody is there any more; the device is safe then."""
+    lift = Lift()
+    async with made(lift) as robot:
+        mine = await right(robot)
+        home = asyncio.ensure_future(robot.resources.operate(mine, "home"))
+        await asyncio.sleep(0.2)
+        if way == "cancelled":
+            home.cancel()
+        elif way == "revoked":
+            robot.resources.revoke(mine)
+        elif way == "removed":
+            await robot.resources.remove("lift")
+        else:
+            await robot.stop("that is all")
+        errors = {
+            "cancelled": asyncio.CancelledError,
+            "revoked": esair.NotRegisteredError,
+            "removed": esair.EsairError,
+            "stopped": esair.StoppingError,
+        }
+        with pytest.raises(errors[way]):
+            await home
+        await asyncio.sleep(0.1)
+        assert "home ended" in lift.did
+        assert "home done" not in lift.did
+        assert lift.did[-1] == 0.0
+
+
+async def test_an_operation_has_a_deadline_and_the_others_their_turn() -> None:
+    """The device is free again when the call has ended."""
+    lift = Lift()
+    async with made(lift) as robot:
+        mine = await right(robot)
+        with pytest.raises(esair.DriverStuckError, match=r"operate home.*2 s"):
+            await robot.resources.operate(mine, "home", seconds=60.0)
+        await asyncio.sleep(0.05)
+        assert lift.did[-2:] == ["home ended", 0.0]
+        assert await robot.actuators.write(mine, 0.5)
+
+
+async def test_an_operation_that_fails_says_so_once() -> None:
+    """The journal has one event for each, with who asked and what came of it."""
+    lift = Lift()
+    events: list[Event] = []
+    async with made(lift) as robot:
+        robot.journal.listen(events.append)
+        mine = await right(robot)
+        with pytest.raises(esair.DeviceFaultError, match="fault 7 stays"):
+            await robot.resources.operate(mine, "clear_fault", code=7)
+        await robot.resources.operate(mine, "home")
+        await asyncio.sleep(0.01)
+    told = [
+        (each.component, each.peer, each.text.partition(":")[0])
+        for each in events
+        if each.kind is Kind.OPERATED
+    ]
+    assert told == [("lift", "me", "clear_fault"), ("lift", "me", "home")]
+
+
+async def test_operations_that_wait_are_bounded() -> None:
+    """The seventeenth is told so at once; the others have one outcome each."""
+    lift = Lift()
+    async with made(lift) as robot:
+        mine = await right(robot)
+        asked = [
+            asyncio.ensure_future(robot.resources.operate(mine, "home"))
+            for _ in range(17)
+        ]
+        with pytest.raises(esair.BusyError):
+            await asked[-1]
+        outcomes = await asyncio.gather(*asked[:-1], return_exceptions=True)
+        done = [each for each in outcomes if each == 0.25]
+        late = [each for each in outcomes if isinstance(each, esair.DriverStuckError)]
+        assert len(done) == 1
+        assert len(late) == 15
+
+
+async def test_a_blind_guard_ends_an_operation(fake_sensor: Any) -> None:
+    """An operation may move: who cannot see lets none begin, and none go on."""
+    door = fake_sensor("door", True)
+
+    class Fence(esair.Reaction):
+        door = esair.reads(bool)
+        lift = esair.guards(float)
+
+        def react(self, door: bool, lift: float) -> float | None:
+            return lift if door else None
+
+    lift = Lift()
+    robot = esair.Robot(
+        resources=[lift, door],
+        behaviors=[Fence()],
+        policies=[esair.Policy("lift", allow={"*": ALL | Access.GUARD})],
+    )
+    async with robot:
+        mine = await right(robot)
+        home = asyncio.ensure_future(robot.resources.operate(mine, "home"))
+        await asyncio.sleep(0.2)
+        assert lift.did[-1] == "home 0.1"
+        door.unplug()
+        with pytest.raises(esair.AccessDeniedError, match="fence is blind"):
+            await home
+        assert lift.did[-1] == 0.0
+        with pytest.raises(esair.AccessDeniedError, match="fence is blind"):
+            await robot.resources.operate(mine, "home")
+
+
+def test_the_rulebook_finds_what_is_declared_wrongly() -> None:
+    """All mistakes at once, before anything starts."""
+
+    class Wrong(Lift):
+        @esair.operation
+        async def park(self, place, *rest: int) -> None:  # type: ignore[no-untyped-def]
+            """Neither typed, nor by name."""
+
+        @esair.operation(deadline=-1.0)
+        async def aim(self, angle: float = "north") -> None:  # type: ignore[assignment]
+            """A default of another type."""
+
+        @esair.operation
+        async def close(self) -> None:
+            """esair calls it."""
+
+        @esair.operation(deadline=9.0)
+        def grind(self) -> None:
+            """Blocks."""
+
+    from esair.plan import Plan, examine
+
+    found = examine(Plan(resources=[Wrong(name="lift")], behaviors=[]))
+    told = {f"{each.field}: {each.text}" for each in found}
+    for part in (
+        "park: its parameter 'place' has no type",
+        "park: its parameter 'rest' cannot be given by name",
+        "aim: the default of 'angle': expected float, not 'north'",
+        "aim: deadline: expected seconds > 0, not -1.0",
+        "close: a method that esair calls by itself is no operation",
+        "grind: it blocks its thread for up to 9 s",
+    ):
+        assert any(each.startswith(part) for each in told), (part, told)
