@@ -50,7 +50,7 @@ from esair.exceptions import (
     StoppingError,
     UnknownNameError,
 )
-from esair.loop import every
+from esair.loop import ComponentRandom, every, now
 from esair.messages import (
     Access,
     BehaviorState,
@@ -70,6 +70,9 @@ from esair.messages import (
 from esair.resources import HOLD, Actuator, Resource, Sensor, operation, setting
 from esair.standard import Robot, run
 from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
+
+random = ComponentRandom()
+"""Random numbers from the stream of the component that asks; see `ComponentRandom`."""
 
 __version__ = "0.1.0"
 
@@ -130,7 +133,9 @@ __all__ = [
     "answers",
     "every",
     "guards",
+    "now",
     "operation",
+    "random",
     "reads",
     "run",
     "setting",

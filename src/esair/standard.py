@@ -6,6 +6,7 @@ import asyncio
 import gc
 import logging
 import os
+import secrets
 import signal
 import sys
 import threading
@@ -98,6 +99,8 @@ class Robot:
             robot until it is resumed, ``"alarm"`` only says so. It is started anew.
         stall_warning: Code that holds the event loop longer than this is named in the
             log while it does, in seconds; None for never. Not on a virtual clock.
+        seed: What `esair.random` begins with. Unless given it is 0 on a virtual clock,
+            and another one at each start elsewhere; the recording has it.
 
     Attributes:
         resources: The resource supervisor (RS).
@@ -126,6 +129,7 @@ class Robot:
         watchdog_policy: Literal["kill", "freeze"] = "kill",
         watchdog_death: Literal["stop", "alarm"] = "stop",
         stall_warning: float | None = STALL_WARNING,
+        seed: int | None = None,
     ) -> None:
         self.name = check_name("robot", name)
         self._recording = record
@@ -182,6 +186,12 @@ class Robot:
                 ),
                 halt=self._halts.halt,
             )
+        if seed is not None and type(seed) is not int:
+            raise ConfigError(
+                f"robot {name!r}", "seed", f"expected a whole number, not {seed!r:.80}"
+            )
+        self.seed = seed
+        """What `esair.random` begins with; known when the robot has started."""
         self.stopped = Stopped()
         """After the stop: what each actuator was told last, whether it answered, and
         in ``reason`` why the robot stopped."""
@@ -244,6 +254,7 @@ class Robot:
         if mistakes := errors_in(examine(self.plan)):
             raise ExceptionGroup(f"robot {self.name!r} cannot start", mistakes)
         self._entered = True
+        self.behaviors.seed = self._take_seed()
         self.resources.wake()
         self.behaviors.wake()
         loop = asyncio.get_running_loop()
@@ -379,6 +390,12 @@ class Robot:
 
     # Inside.
 
+    def _take_seed(self) -> int:
+        if self.seed is None:
+            virtual = getattr(asyncio.get_running_loop(), "virtual", False)
+            self.seed = 0 if virtual else secrets.randbits(64)
+        return self.seed
+
     def _start_recorder(
         self, recording: Recording, loop: asyncio.AbstractEventLoop
     ) -> Recorder | None:
@@ -390,7 +407,7 @@ class Robot:
                 recording,
                 self.journal,
                 name=self.name,
-                facts=facts_about(self.name, components),
+                facts=facts_about(self.name, components, seed=str(self.seed)),
             )
         except RecordingError as error:
             _log.error("%s; the robot starts without it", describe(error))

@@ -88,6 +88,18 @@ class BlockingSensorPort(Generic[T]):
             self._port.reading, fresh=fresh, max_age=max_age, timeout=timeout
         )
 
+    @property
+    def newest(self) -> Reading[T]:
+        """The newest reading, without a wait, as a reaction sees it.
+
+        Raises:
+            StaleReadingError: There is none, or it is older than `max_age`.
+            DeviceLostError: The device is not there.
+            ResourceRemovedError: The user took the sensor away.
+            NotRegisteredError: The registration was revoked.
+        """
+        return self._port.newest
+
     def history(self, count: int) -> list[Reading[T]]:
         """Return the last readings, the oldest first; at most `history_size` of them."""
         return self._portal.call(in_loop, self._port.history, count)

@@ -14,6 +14,7 @@ from esair.connections import (
     Registration,
     SensorChannel,
 )
+from esair.loop import Owner, stepping
 
 
 class GuardRunner(ReactionRunner):
@@ -33,6 +34,8 @@ class GuardRunner(ReactionRunner):
         on_sight: Called when all its sensors are heard.
         until: Ends it, as a step of a behavior; asked when it looks again.
         on_end: Called when ``until`` came true.
+        began: When the robot has started, in seconds of the loop's clock.
+        owner: Whose random numbers it draws.
     """
 
     __slots__ = ("_channel", "_port", "_protection")
@@ -48,6 +51,8 @@ class GuardRunner(ReactionRunner):
         on_sight: Callable[[], None],
         until: Callable[..., bool] | None = None,
         on_end: Callable[[], None] | None = None,
+        began: float = 0.0,
+        owner: Owner | None = None,
     ) -> None:
         super().__init__(
             reaction,
@@ -56,6 +61,8 @@ class GuardRunner(ReactionRunner):
             on_sight=on_sight,
             until=until,
             on_end=on_end,
+            began=began,
+            owner=owner,
         )
         self._port = port
         self._protection = protection
@@ -107,7 +114,12 @@ class GuardRunner(ReactionRunner):
             self.job.soon()  # it is parked in a step of its own
             return BLIND
         self.steps += 1
-        passed = self._react(**self.values, **{self._port: command})
+        self._clock.step(began)
+        stepping.owner, before = self._owner, stepping.owner
+        try:
+            passed = self._react(**self.values, **{self._port: command})
+        finally:
+            stepping.owner = before
         if self._budget is None:
             return passed
         failed = self.overran(self._time() - began)

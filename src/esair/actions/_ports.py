@@ -166,6 +166,18 @@ class SensorPort(Generic[T]):
         finally:
             self._channel.unfollow(stream)
 
+    @property
+    def newest(self) -> Reading[T]:
+        """The newest reading, without a wait, as a reaction sees it.
+
+        Raises:
+            StaleReadingError: There is none, or it is older than `max_age`.
+            DeviceLostError: The device is not there.
+            ResourceRemovedError: The user took the sensor away.
+            NotRegisteredError: The registration was revoked.
+        """
+        return self._channel.known(self.registration, self.max_age)
+
     def history(self, count: int) -> list[Reading[T]]:
         """Return the last readings, the oldest first; at most `history_size` of them."""
         return self._channel.history(self.registration, count)

@@ -7,6 +7,9 @@ from typing import Any, ClassVar
 from esair.actions._needs import Blind, Guards, ProfiledAction, Reads, Writes
 from esair.messages import Restart
 
+EVERY_LIMIT = 256
+"""How many readings of ports with ``every=True`` wait for a step; the oldest go."""
+
 
 class Reaction(ProfiledAction):
     """A reactive action: one small decision each step, on the newest readings.
@@ -48,6 +51,12 @@ class Reaction(ProfiledAction):
     """For how long the user may mute what it protects, in seconds; 0: not at all."""
 
     blind_unless_said: ClassVar[Blind] = "safe"
+
+    now_ms: int = 0
+    """The moment of this step, in whole milliseconds since the robot started."""
+
+    elapsed_ms: int = 0
+    """Milliseconds since its previous step; 0 at the first."""
 
     def react(self, *args: Any, **readings: Any) -> Any:
         """Decide on the newest readings, which come by the names of their ports.

@@ -20,12 +20,14 @@ class Input:
 
     __slots__ = (
         "channel",
+        "every",
         "max_age",
         "name",
         "optional",
         "ready",
         "registration",
         "runner",
+        "seen",
         "stale_at",
     )
 
@@ -38,6 +40,7 @@ class Input:
         max_age: float | None,
         *,
         optional: bool,
+        every: bool = False,
     ) -> None:
         self.runner = runner
         self.name = name
@@ -46,6 +49,10 @@ class Input:
         self.max_age = max_age
         """The greatest age of a reading; the sensor's own limit if it is None."""
         self.optional = optional
+        self.every = every
+        """Whether each single reading has a step."""
+        self.seen = -1
+        """How many steps there were when it was fed last."""
         self.ready = False
         self.stale_at = FOR_EVER
 
@@ -61,6 +68,12 @@ class Input:
             self.ready = True
             if not self.optional:
                 runner.arrived()
+        if self.every:
+            if not runner.missing:
+                runner.queue(self.name, reading.value)
+        elif self.seen == runner.steps and not runner.missing:
+            runner.skipped += 1
+        self.seen = runner.steps
         if runner.on_reading and not runner.missing:
             runner.job.soon()
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import collections
 import functools
 import inspect
 import logging
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from esair.actions._reaction import Reaction
+from esair.actions._from_minimal import MinimalReaction
+from esair.actions._reaction import EVERY_LIMIT, Reaction
 from esair.actions._reaction_ports import FOR_EVER, Input, Output
+from esair.actions._step_clock import StepClock
 from esair.connections import ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import (
     BadValueError,
@@ -19,7 +22,16 @@ from esair.exceptions import (
     StaleReadingError,
     describe,
 )
-from esair.loop import Job, OneShot, Order, Scheduler, Step, clock_of
+from esair.loop import (
+    Job,
+    OneShot,
+    Order,
+    Owner,
+    Scheduler,
+    Step,
+    clock_of,
+    stepping,
+)
 from esair.messages import Refused, Written
 
 _log = logging.getLogger("esair")
@@ -41,12 +53,15 @@ class ReactionRunner:
         on_end: Called when ``until`` came true.
         on_sight: Called when it has decided for the first time since it was blind,
             before what it has decided leaves.
+        began: When the robot has started, in seconds of the loop's clock.
+        owner: Whose random numbers it draws.
     """
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
         "_awaits",
         "_budget",
+        "_clock",
         "_deferred",
         "_inputs",
         "_loop",
@@ -56,6 +71,7 @@ class ReactionRunner:
         "_on_state",
         "_outputs",
         "_overruns_in_row",
+        "_owner",
         "_patience",
         "_polled",
         "_react",
@@ -69,14 +85,17 @@ class ReactionRunner:
         "_watch",
         "blind",
         "conflated",
+        "every",
         "job",
         "missing",
         "on_reading",
+        "overflow",
         "overruns",
         "parked",
         "reaction",
         "refused",
         "rejected",
+        "skipped",
         "stale_at",
         "steps",
         "values",
@@ -91,8 +110,21 @@ class ReactionRunner:
         until: Callable[..., bool] | None = None,
         on_end: Callable[[], None] | None = None,
         on_sight: Callable[[], None] = _ignore,
+        began: float = 0.0,
+        owner: Owner | None = None,
     ) -> None:
         self.reaction = reaction
+        self._owner = owner
+        decides = (
+            reaction.reaction if isinstance(reaction, MinimalReaction) else reaction
+        )
+        self._clock = StepClock(decides, began)
+        self.every: collections.deque[tuple[str, Any]] | None = None
+        """The readings that wait for a step each, of ports with ``every=True``."""
+        self.overflow = 0
+        """How many of those were dropped because too many waited."""
+        self.skipped = 0
+        """How many readings were replaced by a newer one before a step."""
         self.blind = True
         """Whether it has not decided since it could not."""
         self._on_sight = on_sight
@@ -148,6 +180,8 @@ class ReactionRunner:
             "refused": self.refused,
             "rejected": self.rejected,
             "conflated": self.conflated,
+            "skipped": self.skipped,
+            "overflow": self.overflow,
             "overruns": self.overruns,
         }
 
@@ -168,10 +202,13 @@ class ReactionRunner:
             outputs: For each command its channel and registration.
         """
         optional = {k for k, need in self.reaction.inputs.items() if need.optional}
+        every = {k for k, need in self.reaction.inputs.items() if need.every}
         self._inputs = [
-            Input(self, name, *terms, optional=name in optional)
+            Input(self, name, *terms, optional=name in optional, every=name in every)
             for name, terms in inputs.items()
         ]
+        if every:
+            self.every = collections.deque()
         self.values.update(dict.fromkeys(optional))
         self._outputs = {
             name: Output(self, name, *terms) for name, terms in outputs.items()
@@ -260,6 +297,8 @@ class ReactionRunner:
         if self.parked or self._stopped:
             return
         self.parked = self.blind = True
+        if self.every:
+            self.every.clear()
         for output in self._outputs.values():
             output.forget()
             output.active = False
@@ -376,14 +415,32 @@ class ReactionRunner:
         if now >= self.stale_at:
             self._stale(now)
             return None
+        if self.every is None:
+            self._decide(now)
+            return None
+        while not (self.missing or self._stopped):
+            if self.every:
+                name, value = self.every.popleft()
+                self.values[name] = value
+            self._decide(now)
+            if not self.every:
+                break
+        return None
+
+    def _decide(self, now: float) -> None:
+        """Make one step on the values that there are now."""
         self.steps += 1
+        self._clock.step(now)
+        stepping.owner = self._owner
         try:
             result = self._react(**self.values)
         except BaseException as error:  # contained: one component's failure
             self._crash(error)
-            return None
+            return
+        finally:
+            stepping.owner = None
         if self._until is not None and self._is_over():
-            return None
+            return
         if self.blind:
             self.blind = False
             self._on_sight()
@@ -392,7 +449,16 @@ class ReactionRunner:
             self._decide_all(result)
         elif result is not None or output.active:
             output.decide(result)
-        return None
+
+    def queue(self, name: str, value: Any) -> None:
+        """Keep a reading for a step of its own."""
+        waiting = self.every
+        if waiting is None:
+            return
+        if len(waiting) >= EVERY_LIMIT:
+            waiting.popleft()
+            self.overflow += 1
+        waiting.append((name, value))
 
     def _is_over(self) -> bool:
         assert self._until is not None

@@ -233,6 +233,20 @@ class SensorChannel:
             return reading
         return None
 
+    def known(self, registration: Registration, limit: float) -> Reading[Any]:
+        """Return the newest reading, or raise because there is none that is current.
+
+        Raises:
+            StaleReadingError: There is none, or it is older than the limit.
+            DeviceLostError: The device is not there.
+        """
+        self._check(registration)
+        reading = self.newest
+        age = None if reading is None else self.time() - reading.time
+        if reading is None or age is None or age > limit:
+            raise StaleReadingError(self.name, age, limit)
+        return reading
+
     async def ask(
         self, registration: Registration, *, fresh: bool, max_age: float, timeout: float
     ) -> Reading[Any]:

@@ -9,6 +9,7 @@ from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import WAITS, LightTask
+from esair.loop._now import now, works_for
 from esair.loop._ownership import (
     OwnedTasks,
     Owner,
@@ -18,6 +19,7 @@ from esair.loop._ownership import (
     speaks_for_nobody,
 )
 from esair.loop._portal import Portal, portal
+from esair.loop._random import ComponentRandom, stepping
 from esair.loop._rate_group import Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
 from esair.loop._signals import ProcessWatch, SignalWatch
@@ -33,6 +35,7 @@ __all__ = [
     "WRITE_COST",
     "Budget",
     "CallRefused",
+    "ComponentRandom",
     "Deadline",
     "Deadlines",
     "Door",
@@ -63,10 +66,13 @@ __all__ = [
     "collector",
     "current_owner",
     "every",
+    "now",
     "portal",
     "run_and_end",
     "script_context",
     "spawn",
     "speaks_for_nobody",
+    "stepping",
     "threads_that_keep_the_process",
+    "works_for",
 ]

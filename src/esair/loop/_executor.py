@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 from esair.exceptions import BusyError, DriverStuckError
 from esair.loop._deadlines import Deadlines
 from esair.loop._door import Door
+from esair.loop._now import works_for
 
 T = TypeVar("T")
 
@@ -223,6 +224,7 @@ class Results:
         self._executor = executor
         self._tag = (executor.name,)
         self._door = Door.of(loop)
+        self.loop = loop
 
     def add(self, call: Call, result: Any, error: BaseException | None) -> None:
         """Hand over a result, from the thread."""
@@ -252,6 +254,7 @@ class Results:
 
 
 def _work(calls: queue.SimpleQueue[Call | None], results: Results) -> None:
+    works_for(results.loop)
     while (call := calls.get()) is not None:
         result: Any = None
         error: BaseException | None = None

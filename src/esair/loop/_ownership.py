@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import threading
-from collections.abc import Coroutine, Generator
+from collections.abc import Callable, Coroutine, Generator
+from random import Random
 from typing import Any, TypeVar
 
 from esair.loop._of_loop import of_loop
@@ -16,7 +17,7 @@ T = TypeVar("T")
 class Owner:
     """Holds every task that a component has started and that still runs."""
 
-    __slots__ = ("_first", "_others", "context", "over", "threads")
+    __slots__ = ("_first", "_others", "context", "over", "stream", "threads")
 
     def __init__(self, context: contextvars.Context | None = None) -> None:
         self.context = context
@@ -26,6 +27,8 @@ class Owner:
         self._others: set[asyncio.Task[Any]] | None = None
         self.threads: tuple[threading.Thread, ...] = ()
         """The threads that run its plain functions."""
+        self.stream: Callable[[], Random] | None = None
+        """Gives its random numbers."""
         self.over = False
         """Its run has ended: what would not end with it speaks for nobody."""
 

@@ -31,8 +31,8 @@ class Portal:
     def __init__(self, name: str, owner: Owner) -> None:
         self.name = name
         self._owner = owner
-        self._loop = asyncio.get_running_loop()
-        self._door = Door.of(self._loop)
+        self.loop = asyncio.get_running_loop()
+        self._door = Door.of(self.loop)
         self.closed = False
         self._calls: set[asyncio.Task[Any]] = set()
         self._home = threading.current_thread()
@@ -43,7 +43,7 @@ class Portal:
         If the waiting task is cancelled the portal is closed and the end is
         awaited; cancel again not to wait for it.
         """
-        loop = self._loop
+        loop = self.loop
         owner = self._owner
         ended: asyncio.Future[None] = loop.create_future()
 
@@ -145,7 +145,7 @@ class Portal:
                 go_on(outcome.set_exception, error)
                 return
             task = spawn(
-                self._loop,
+                self.loop,
                 coroutine,
                 name=f"{self.name} call",
                 owner=self._owner,

@@ -31,7 +31,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Event, Kind
-from esair.loop import Budget, ProcessWatch, script_context, spawn
+from esair.loop import Budget, ProcessWatch, now, script_context, spawn
 from esair.messages import (
     Access,
     BehaviorState,
@@ -111,6 +111,10 @@ class BehaviorSupervisor(abc.Supervisor):
         self.zombie_count = 0
         self._undead: set[asyncio.Task[Any]] = set()
         """Tasks of zombies: the loop itself keeps only weak references."""
+        self.began = 0.0
+        """When the robot has started, on the loop's clock: the zero of ``now_ms``."""
+        self.seed = 0
+        """What the random numbers of its components are made from."""
         self.context: contextvars.Context | None = None
         """The context variables of the script; those of its behaviors begin so."""
         self._halt = halt
@@ -431,6 +435,7 @@ class BehaviorSupervisor(abc.Supervisor):
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
         self.context = script_context()
+        self.began = now()
         self._command_queue.wake()
 
     def accept(self, behaviors: Iterable[Behavior | Reaction]) -> None:

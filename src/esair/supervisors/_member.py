@@ -7,6 +7,7 @@ import inspect
 import logging
 import types
 from collections.abc import Awaitable, Callable
+from random import Random
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import (
@@ -81,6 +82,7 @@ class Member(Mailbox):
     __slots__ = (
         "_budget",
         "_portal",
+        "_random",
         "_supervisor",
         "_timer",
         "detail",
@@ -118,11 +120,19 @@ class Member(Mailbox):
         """The names of its tasks and threads that would not end."""
         self.undead: list[asyncio.Task[Any]] = []
         self._supervisor = supervisor
+        self._random: Random | None = None
+        self.owner.stream = self.stream
         self._budget: RestartBudget | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._portal: Portal | None = None
         self.sight = Sight(supervisor.actuators.protections, action, name)
         """What it protects, and whether it sees."""
+
+    def stream(self) -> Random:
+        """Return its random numbers, made from the robot's seed and its name."""
+        if self._random is None:
+            self._random = Random(f"{self._supervisor.seed}/{self.name}")
+        return self._random
 
     # What the behavior asks (`Host`).
 
@@ -165,7 +175,15 @@ class Member(Mailbox):
         loop = asyncio.get_running_loop()
         table = self._supervisor.actuators.protections
         sight = Sight(table, reaction, reaction.name, step_of=self.name)
-        perform = _Perform(reaction, until, loop, sight, blind_timeout)
+        perform = _Perform(
+            reaction,
+            until,
+            loop,
+            sight,
+            blind_timeout,
+            self._supervisor.began,
+            self.owner,
+        )
         self.performs.append(perform)
         sight.accept()
         timer = None
@@ -221,11 +239,14 @@ class Member(Mailbox):
                 on_state=self._runs,
                 on_crash=self._crashed,
                 on_sight=self.sight.sees,
+                began=self._supervisor.began,
+                owner=self.owner,
             )
             self._start_runner(self.runner, self.action)
             return
         survivors = self.owner.living()
         self.owner = Owner(self._supervisor.context)
+        self.owner.stream = self.stream
         for task in survivors:  # they would not end with the run before
             self.owner.adopt(task)
         self.outlived = bool(survivors)
@@ -641,6 +662,7 @@ class Member(Mailbox):
             channel = self._channel(need.resource)
             if isinstance(channel, SensorChannel):
                 inputs[attribute] = (channel, registration, _max_age(need))
+                reaction.__dict__[attribute] = self._port(registration, _max_age(need))
             elif isinstance(need, Guards):
                 guarded = channel
             else:
@@ -723,6 +745,8 @@ class _Perform:
         loop: asyncio.AbstractEventLoop,
         sight: Sight,
         blind_timeout: float | None,
+        began: float,
+        owner: Owner,
     ) -> None:
         self.sight = sight
         self.runner = _runner_for(
@@ -733,6 +757,8 @@ class _Perform:
             on_sight=self._sees,
             until=until,
             on_end=lambda: self.end(True),
+            began=began,
+            owner=owner,
         )
         self._loop = loop
         self._blind_timeout = blind_timeout
@@ -800,6 +826,8 @@ def _runner_for(
     on_sight: Callable[[], None],
     until: Callable[..., bool] | None = None,
     on_end: Callable[[], None] | None = None,
+    began: float = 0.0,
+    owner: Owner | None = None,
 ) -> ReactionRunner:
     """Make what runs a reaction: one that moves something, or a guard."""
     if reaction.guarded is None:
@@ -810,6 +838,8 @@ def _runner_for(
             on_sight=on_sight,
             until=until,
             on_end=on_end,
+            began=began,
+            owner=owner,
         )
     return GuardRunner(
         reaction,
@@ -820,6 +850,8 @@ def _runner_for(
         on_sight=on_sight,
         until=until,
         on_end=on_end,
+        began=began,
+        owner=owner,
     )
 
 

@@ -10,7 +10,7 @@ import random
 from collections.abc import Callable
 from typing import Any
 
-from esair.loop import Door
+from esair.loop import Door, works_for
 
 STEP_BUDGET = 200_000
 """How many turns of the loop may pass without any time passing."""
@@ -84,11 +84,16 @@ class VirtualLoop(asyncio.SelectorEventLoop):
                     thread_name_prefix="asyncio"
                 )
                 self._default_executor = executor
+
+        def work_for_loop(*args: Any) -> Any:
+            works_for(self)
+            return func(*args)
+
         door = Door.of(self)
         future: asyncio.Future[Any] = self.create_future()
 
         def begin(work: int) -> None:
-            inner = executor.submit(func, *args)
+            inner = executor.submit(work_for_loop, *args)
             inner.add_done_callback(
                 lambda _: door.post(work, ("run_in_executor",), _settle, future, inner)
             )
