@@ -59,7 +59,7 @@ class Collector:
             self._before = gc.get_threshold()
             gc.freeze()
             gc.set_threshold(self._before[0], self._before[1], _NEVER)
-            self._set_aside = gc.get_freeze_count()
+            self._set_aside = -1  # counting looks at each object: only when it matters
             self.longest = self._expected = 0.0
             self._looks_at_all = False
         self._robots += 1
@@ -92,6 +92,8 @@ class Collector:
             self._set_aside_what_was_kept()
 
     def _set_aside_what_was_kept(self) -> None:
+        if self._set_aside < 0:
+            self._set_aside = gc.get_freeze_count()
         gc.freeze()
         count = gc.get_freeze_count()
         self._expected = 0.0
