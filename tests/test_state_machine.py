@@ -277,7 +277,7 @@ class SupervisorMachine(RuleBasedStateMachine):
             self.refused(esair.UnknownNameError, worker.register(resource, access))
             return
         if self.state(name) is esair.BehaviorState.FAILED:
-            self.refused(esair.BehaviorRemovedError, worker.register(resource, access))
+            self.refused(esair.BehaviorFailedError, worker.register(resource, access))
             return
         port = self.run(worker.register(resource, access))
         self.extra.setdefault(name, []).append(port.registration)
@@ -325,7 +325,7 @@ class SupervisorMachine(RuleBasedStateMachine):
             worker.offer(self.next())
         except esair.BusyError:
             assert not self.robot.behaviors._members[name].askers.count
-        except esair.BehaviorRemovedError:
+        except esair.BehaviorFailedError:
             assert self.state(name) is esair.BehaviorState.FAILED
         self.settle()
 

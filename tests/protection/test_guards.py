@@ -285,6 +285,42 @@ async def test_a_latched_guard_waits_for_the_user() -> None:
         assert await op.wheels.write(0.5)
 
 
+@pytest.mark.promise("PRO-9")
+async def test_only_reset_ends_a_latch() -> None:
+    """A restart or a replacement of the guard keeps it; so does a new actuator."""
+
+    class Button(esair.Reaction):
+        button = esair.reads(bool)
+        wheels = esair.guards(float, latch=True)
+
+        def react(self, button: bool, wheels: float) -> float | None:
+            return None if button else wheels
+
+    button: FakeSensor[bool] = FakeSensor("button", False, type=bool, rate=20.0)
+    wheels, op = Wheels(), user()
+    async with esair.Robot(
+        resources=[button, wheels], behaviors=[Button(name="stop"), op]
+    ) as robot:
+        assert await op.wheels.write(0.5)
+        button.feed(True)
+        await asyncio.sleep(0.1)
+        button.feed(False)
+        await asyncio.sleep(0.1)
+        await robot.behaviors.restart("stop")
+        await asyncio.sleep(0.1)
+        assert "latched" in (await op.wheels.write(0.5)).rule
+        await robot.behaviors.replace("stop", Button(name="stop"))
+        await asyncio.sleep(0.1)
+        assert "latched" in (await op.wheels.write(0.5)).rule
+        await robot.resources.remove("wheels")
+        await robot.resources.add(wheels)
+        await robot.behaviors.restart(op.name)
+        await asyncio.sleep(0.1)
+        assert "latched" in (await op.wheels.write(0.5)).rule
+        robot.behaviors.reset("stop")
+        assert await op.wheels.write(0.5)
+
+
 @pytest.mark.promise("PRO-10")
 async def test_the_user_may_mute_for_a_while() -> None:
     """At most for the limit of the class; then it guards again by itself."""
@@ -298,7 +334,9 @@ async def test_the_user_may_mute_for_a_while() -> None:
         with pytest.raises(esair.BadValueError, match="reason"):
             robot.behaviors.mute("g", 1.0, "")
         robot.behaviors.mute("g", 1.0, "out of the corner")
-        assert "MUTED" in str(robot.resources.why("wheels"))
+        why = str(robot.resources.why("wheels"))
+        assert "MUTED" in why
+        assert "out of the corner" in why
         for _ in range(10):
             assert await op.wheels.write(0.1)
             await asyncio.sleep(0.1)

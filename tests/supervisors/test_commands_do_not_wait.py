@@ -329,3 +329,29 @@ async def test_a_restart_does_not_wait_for_what_swallows_its_end() -> None:
         assert wheels.commands[-1] == 1.0
         await robot.behaviors.remove("swallows")
         await asyncio.sleep(10.0)  # the zombies end
+
+
+class Drives(esair.Behavior):
+    """Writes without end."""
+
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.wheels.write(1.0)
+
+
+async def test_what_is_being_removed_does_not_come_back() -> None:
+    """A restart waits for a removal, also while only the actuator is made safe."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels], behaviors=[Drives()]) as robot:
+        await asyncio.sleep(0.12)
+        wheels.slow(0.3)
+        removal = asyncio.create_task(robot.behaviors.remove("drives"))
+        await asyncio.sleep(0.1)
+        with pytest.raises(esair.UnknownNameError):
+            await robot.behaviors.restart("drives")
+        await removal
+        told = len(wheels.commands)
+        await asyncio.sleep(1.0)
+        assert wheels.commands[told:] in ([], [0.0])

@@ -1477,3 +1477,23 @@ async def test_a_thread_that_outlives_a_crash_speaks_for_nobody(fake_actuator):
 
     assert len(errors) == 2
     assert set(wheels.commands) == {0.0}
+
+
+async def test_what_has_failed_for_good_says_so_to_its_own_code() -> None:
+    """Whoever still acts in its name hears that it failed, not that it was removed."""
+
+    class Fails(esair.Behavior):
+        restart = esair.Restart(max=0)
+
+        async def run(self) -> None:
+            raise RuntimeError("no")
+
+    behavior = Fails()
+    async with esair.Robot(behaviors=[behavior]) as robot:
+        await asyncio.sleep(0.1)
+        assert robot.behaviors.query("fails").state is esair.BehaviorState.FAILED
+        for work in (behavior.get("fails"), behavior.put("fails", 1)):
+            with pytest.raises(esair.BehaviorFailedError, match="RuntimeError: no"):
+                await work
+        with pytest.raises(esair.BehaviorFailedError, match="RuntimeError: no"):
+            behavior.offer(1)

@@ -69,6 +69,7 @@ class Protection:
         "label",
         "latch",
         "latched",
+        "muted_for",
         "muted_until",
         "on_crash",
         "priority",
@@ -102,6 +103,8 @@ class Protection:
         self.since = 0.0
         self.latched = ""
         self.muted_until = 0.0
+        self.muted_for = ""
+        """The user's reason, while it is muted."""
         self.judge: Judge | None = None
         """Of a guard: what decides; None while the guard does not run."""
         self.fallback = fallback
@@ -135,7 +138,8 @@ class Protection:
         elif self.stopping:
             told += "; now: it lets nothing pass"
         if now < self.muted_until:
-            told += f"; MUTED by the user for {self.muted_until - now:.3g} s more"
+            left = self.muted_until - now
+            told += f"; MUTED by the user for {left:.3g} s more: {self.muted_for}"
         return told
 
     @property
@@ -148,6 +152,11 @@ class Protection:
     def is_against(self, behavior: str) -> bool:
         """Tell whether a hold refuses the writes of a behavior, priorities apart."""
         return not (self.is_own and behavior == self.component)
+
+    def inherit(self, before: Protection) -> None:
+        """Keep what only the user may end: the latch of what it takes the place of."""
+        if self.latch and before.latched and self.actuator == before.actuator:
+            self.latched, self.refused = before.latched, before.refused
 
     def refusal(self) -> Refused:
         """Make the answer for a command that does not pass."""
@@ -293,11 +302,12 @@ class Protections:
                 entry.since = _now()
                 self._tell(entry.actuator)
 
-    def mute(self, entries: Iterable[Protection], seconds: float) -> None:
+    def mute(self, entries: Iterable[Protection], seconds: float, reason: str) -> None:
         """Let everything pass for a while; 0 ends that."""
         until = _now() + seconds
         for entry in entries:
             entry.muted_until = until
+            entry.muted_for = reason
             self._tell(entry.actuator)
         if seconds > 0:
             asyncio.get_running_loop().call_at(until, self._tell_all)

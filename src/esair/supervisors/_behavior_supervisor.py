@@ -262,7 +262,7 @@ class BehaviorSupervisor(abc.Supervisor):
             except BaseException:
                 if self._members.get(member.name) is not member:
                     raise  # somebody has removed or replaced it meanwhile
-                if member.state is BehaviorState.STOPPING:
+                if member.is_leaving:
                     await self._gone(member.name)
                     raise
                 member.state = BehaviorState.STOPPING
@@ -347,7 +347,7 @@ class BehaviorSupervisor(abc.Supervisor):
                     self._command_queue.changed()
                     await asyncio.wait({new.sight.decided()}, timeout=TAKE_OVER)
                 old = self._member(name)  # it may be another one by now
-                if old.state is BehaviorState.STOPPING:
+                if old.is_leaving:
                     raise BehaviorRemovedError(name)
             except BaseException:
                 new.give_up()
@@ -579,7 +579,7 @@ class BehaviorSupervisor(abc.Supervisor):
         """Wait until a removal of that name that runs is over; others do not wait."""
         while True:
             member = self._members.get(name)
-            if member is None or member.state is not BehaviorState.STOPPING:
+            if member is None or not member.is_leaving:
                 return
             self._command_queue.changed()
             await asyncio.wait({member.over})

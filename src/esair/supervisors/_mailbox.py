@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from esair.actions import NOTHING, Behavior, Reaction
 from esair.exceptions import (
+    BehaviorFailedError,
     BehaviorRemovedError,
     BehaviorUnavailableError,
     BusyError,
     ConfigError,
     NotRegisteredError,
+    describe,
 )
 from esair.loop import Budget, Owner, Portal, speaks_for_nobody
 from esair.messages import BehaviorState
@@ -127,13 +129,32 @@ class Mailbox:
         self.is_quick = self.alive and not self.outlived
         self.receives = state is BehaviorState.RUNNING and self.room > 0
 
+    @property
+    def is_leaving(self) -> bool:
+        """Whether it is being removed, or has been: its actuators may still be."""
+        return self._state in {BehaviorState.STOPPING, BehaviorState.REMOVED}
+
+    def failure(self) -> BehaviorFailedError:
+        """Return what whoever needs it gets after it has failed for good."""
+        assert self.error is not None
+        return self.failed_by(self.error)
+
+    def failed_by(self, error: BaseException) -> BehaviorFailedError:
+        """Return what whoever waits for it gets when an error has ended its run."""
+        failed = BehaviorFailedError(self.name, describe(error))
+        failed.__cause__ = error
+        return failed
+
     def check_speaker(self) -> None:
         """Pass if the code that runs now may act in the name of the behavior.
 
         Raises:
-            BehaviorRemovedError: It was removed, or has failed for good.
+            BehaviorRemovedError: It was removed.
+            BehaviorFailedError: It has failed for good.
             NotRegisteredError: The run that the code belongs to has ended.
         """
+        if self.state is BehaviorState.FAILED:
+            raise self.failure()
         if not self.alive:
             raise BehaviorRemovedError(self.name)
         if speaks_for_nobody():

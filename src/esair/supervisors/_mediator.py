@@ -294,7 +294,7 @@ class Mediator:
             request.offered = True
             request.future.set_result(data)
         else:
-            failed: EsairError = _failed(member, error)
+            failed: EsairError = member.failed_by(error)
             if type(error) is CircularRequestError and request.asker in error.path:
                 # It waits for itself: told as plainly as to the one that closed the circle.
                 failed = CircularRequestError(error.path)
@@ -307,7 +307,7 @@ class Mediator:
     def peer_failed(self, member: Mailbox, error: BaseException) -> None:
         """End every request that waits for a behavior that has crashed."""
         for request in self._drain(member):
-            self._fail(request, _failed(member, error), Outcome.PEER_FAILED)
+            self._fail(request, member.failed_by(error), Outcome.PEER_FAILED)
         if member.state is BehaviorState.FAILED:
             for queue in member.queues.values():
                 queue.fail_all(describe(error), error)
@@ -393,9 +393,8 @@ class Mediator:
             raise UnknownNameError("behavior", peer, self._members)
         state = member.state
         if state is BehaviorState.FAILED:
-            assert member.error is not None
-            raise _failed(member, member.error)
-        if state is BehaviorState.STOPPING or state is BehaviorState.REMOVED:
+            raise member.failure()
+        if member.is_leaving:
             raise BehaviorRemovedError(peer, data)
         return member
 
@@ -502,9 +501,3 @@ async def _make_data(member: Mailbox, request: Request) -> _Made:
         return await member.make_data(), None
     except BaseException as error:  # contained: it is the other's code
         return None, error
-
-
-def _failed(member: Mailbox, error: BaseException) -> BehaviorFailedError:
-    failed = BehaviorFailedError(member.name, describe(error))
-    failed.__cause__ = error
-    return failed

@@ -60,6 +60,9 @@ class Sight:
         """Take the place of another one, in one step."""
         there = set(self._table)
         self._table.enter(each for each in self.entries if each not in there)
+        for each in self.entries:
+            for before in old.entries:
+                each.inherit(before)
         self._table.leave(old.entries)
 
     def blind(self, reason: str) -> None:
@@ -111,7 +114,7 @@ class Sight:
             raise BadValueError(self.name, "seconds", told)
         if not isinstance(reason, str) or not reason.strip():
             raise BadValueError(self.name, "reason", "say why in a few words")
-        self._table.mute(self.entries, seconds)
+        self._table.mute(self.entries, seconds, reason)
         _log.warning("%s: muted for %g s by the user: %s", self.name, seconds, reason)
 
     def reset(self) -> None:
