@@ -44,6 +44,8 @@ STUCK = {
     "regex": "re.match('(a+)+$', 'a' * 60 + 'b')",
     "swallow": "\n        while True:\n            try: await asyncio.sleep(1)\n"
     "            except asyncio.CancelledError: pass",
+    "deaf": "\n        while True:\n            try: await asyncio.sleep(1)\n"
+    "            except BaseException: pass",
     "tight": "\n        while True: await self.wheels.write(1.0)",
     "thread": "await asyncio.to_thread(time.sleep, 60)",
 }
@@ -116,7 +118,9 @@ async def test_the_ladder_of_exits_with_a_stuck_loop(
 
 
 @pytest.mark.promise("ROB-6")
-@pytest.mark.parametrize("stuck", ["loop", "sleep", "swallow", "tight", "thread"])
+@pytest.mark.parametrize(
+    "stuck", ["loop", "sleep", "swallow", "deaf", "tight", "thread"]
+)
 async def test_run_ends_after_its_duration_whatever_is_stuck(
     tmp_path: Path, stuck: str
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import logging
 import threading
 from collections.abc import Callable, Coroutine
@@ -46,10 +47,22 @@ def _end_tasks(loop: asyncio.AbstractEventLoop) -> None:
     if alive:
         _log.warning("left behind, they would not end: %s", ", ".join(alive))
     for task in left:
+        if not task.done():
+            _keep_for_ever(task)
+    for task in left:
         if task.done() and not task.cancelled() and (error := task.exception()):
             _log.warning("%s: it ended with %r", task.get_name(), error)
     generators = loop.create_task(loop.shutdown_asyncgens())
     loop.run_until_complete(asyncio.wait({generators}, timeout=PATIENCE))
+
+
+def _keep_for_ever(task: asyncio.Task[Any]) -> None:
+    """Never let a task be collected, not even at the interpreter's end.
+
+    Its coroutine would be closed then, which runs its code once more; without a loop
+    each await of it raises, and what swallows that in a loop does not end.
+    """
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(task))
 
 
 def threads_that_keep_the_process(before: set[threading.Thread]) -> list[str]:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from esair.actions import NOTHING, Behavior
 from esair.exceptions import (
     BadValueError,
-    BehaviorFailedError,
     BehaviorRemovedError,
     BehaviorUnavailableError,
     BusyError,
