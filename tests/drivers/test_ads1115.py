@@ -68,6 +68,12 @@ class TestAds1115(SensorContract):
     def make(self) -> Ads1115:
         return Ads1115(channel=2, bus=FakeI2c(chips={0x48: FakeAds1115(0, 0, 1.5)}))
 
+    async def silence(self, device: Any) -> None:
+        device.bus.silent(0x48)
+
+    async def speak(self, device: Any) -> None:
+        device.bus.silent(0x48, silent=False)
+
     async def unplug(self, device: Any) -> None:
         device.bus.unplug()
 

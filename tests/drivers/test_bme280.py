@@ -125,6 +125,15 @@ class TestBme280(SensorContract):
     def make(self) -> Bme280:
         return Bme280(bus=FakeI2c(chips={0x76: FakeBme280()}))
 
+    async def silence(self, device: Any) -> None:
+        device.bus.silent(0x76)
+
+    async def speak(self, device: Any) -> None:
+        device.bus.silent(0x76, silent=False)
+
+    async def power_cycle(self, device: Any) -> None:
+        device.bus.chips[0x76].power_cycle()
+
     async def unplug(self, device: Any) -> None:
         device.bus.unplug()
 

@@ -66,6 +66,15 @@ class TestMpu6050(SensorContract):
     def make(self) -> Mpu6050:
         return Mpu6050(bus=FakeI2c(chips={0x68: FakeMpu6050()}))
 
+    async def silence(self, device: Any) -> None:
+        device.bus.silent(0x68)
+
+    async def speak(self, device: Any) -> None:
+        device.bus.silent(0x68, silent=False)
+
+    async def power_cycle(self, device: Any) -> None:
+        device.bus.chips[0x68].power_cycle()
+
     async def unplug(self, device: Any) -> None:
         device.bus.unplug()
 

@@ -20,7 +20,7 @@ from esair.drivers.pca9685._chip import (
 )
 from esair.drivers.pca9685.fake import FakePca9685
 from esair.drivers.pca9685.servo import PwmServo, ServoPosition
-from esair.exceptions import ConfigError, DeviceFaultError
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.testing import ActuatorContract, FakeI2c
 
 
@@ -34,6 +34,15 @@ class TestPwmChannel(ActuatorContract):
     def make(self) -> PwmChannel:
         return PwmChannel(channel=3, bus=bus_with())
 
+    async def silence(self, device: Any) -> None:
+        device.bus.silent(0x40)
+
+    async def speak(self, device: Any) -> None:
+        device.bus.silent(0x40, silent=False)
+
+    async def power_cycle(self, device: Any) -> None:
+        device.bus.chips[0x40].power_cycle()
+
     async def unplug(self, device: Any) -> None:
         device.bus.unplug()
 
@@ -46,6 +55,15 @@ class TestPwmServo(ActuatorContract):
 
     def make(self) -> PwmServo:
         return PwmServo(channel=15, bus=bus_with())
+
+    async def silence(self, device: Any) -> None:
+        device.bus.silent(0x40)
+
+    async def speak(self, device: Any) -> None:
+        device.bus.silent(0x40, silent=False)
+
+    async def power_cycle(self, device: Any) -> None:
+        device.bus.chips[0x40].power_cycle()
 
     async def unplug(self, device: Any) -> None:
         device.bus.unplug()
@@ -281,3 +299,21 @@ def test_a_fake_locks_its_frequency_while_it_runs() -> None:
 async def test_what_was_never_opened_closes() -> None:
     """Also without a bus: it has claimed no channel."""
     await PwmChannel(channel=0).close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("RES-4")
+async def test_a_write_into_a_chip_that_has_restarted_is_not_done() -> None:
+    """Asleep it takes every command, and does none of them."""
+    bus = bus_with()
+    pwm = PwmChannel(channel=3, bus=bus)
+    await bus.open()
+    await pwm.open()
+    assert await pwm.write(0.5) == 0.5
+    bus.chips[0x40].power_cycle()  # type: ignore[union-attr]
+    for _ in range(3):
+        with pytest.raises(DeviceLostError, match="it has restarted"):
+            await pwm.write(0.5)
+    await pwm.open()
+    assert await pwm.write(0.5) == 0.5
+    await bus.close()

@@ -53,7 +53,14 @@ def make(**options: Any) -> tuple[RpLidar, FakeSerial, FakeRpLidar]:
 
 class TestRpLidar(SensorContract):
     def make(self) -> RpLidar:
-        return make()[0]
+        lidar, _, self.part = make()
+        return lidar
+
+    async def silence(self, device: RpLidar) -> None:
+        self.part.silent = True
+
+    async def speak(self, device: RpLidar) -> None:
+        self.part.silent = False
 
     async def unplug(self, device: RpLidar) -> None:
         device.bus.unplug()

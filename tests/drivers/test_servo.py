@@ -78,6 +78,15 @@ class TestServoPosition(Memory, SensorContract):
     def make(self) -> ServoPosition:
         return ServoPosition(id=2, bus=self.make_bus())
 
+    async def silence(self, device: Any) -> None:
+        self.fakes.stall()
+
+    async def speak(self, device: Any) -> None:
+        self.fakes.resume()
+
+    async def power_cycle(self, device: Any) -> None:
+        self.fakes.servos[2].power_cycle()
+
     async def unplug(self, device: ServoPosition) -> None:
         self.fakes.unplug()
 
@@ -90,6 +99,15 @@ class TestServo(Memory, ActuatorContract):
 
     def commands(self) -> list[Goal]:
         return [Goal(0.5), Goal(-1.0), HOLD, RELEASE]
+
+    async def silence(self, device: Any) -> None:
+        self.fakes.stall()
+
+    async def speak(self, device: Any) -> None:
+        self.fakes.resume()
+
+    async def power_cycle(self, device: Any) -> None:
+        self.fakes.servos[2].power_cycle()
 
     async def unplug(self, device: Servo) -> None:
         self.fakes.unplug()
@@ -237,6 +255,7 @@ async def test_a_goal_goes_before_the_torque(bus: ServoBus, fakes: FakeServos) -
     servo = Servo(safe=RELEASE, bus=bus)
     await bus.open()
     await servo.open()
+    fakes.written.clear()
 
     await servo.write(Goal(math.pi / 2))
     await servo.write(Goal(0.0))
@@ -540,3 +559,23 @@ def test_one_servo_obeys_its_table() -> None:
     servo.obey(WRITE, struct.pack("<HB", TORQUE_ENABLE, 1))
 
     assert servo.get(132) == 100
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("RES-4")
+async def test_a_goal_for_a_servo_that_has_restarted_is_not_done(
+    bus: ServoBus, fakes: FakeServos
+) -> None:
+    """Without torque it takes every goal, and goes to none of them."""
+    servo = Servo(safe=RELEASE, bus=bus)
+    await bus.open()
+    await servo.open()
+    await servo.write(Goal(0.5))
+    fakes.servos[1].power_cycle()
+    for _ in range(3):
+        with pytest.raises(DeviceLostError, match="it has restarted"):
+            await servo.write(Goal(0.7))
+    await servo.open()
+    await servo.write(Goal(0.7))
+    assert fakes.servos[1].torque
+    await bus.close()

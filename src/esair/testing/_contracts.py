@@ -21,12 +21,17 @@ import pytest
 
 from esair.connections import CommandCheck, Driver, translate
 from esair.exceptions import DeviceLostError
+from esair.messages import ResourceState
 from esair.plan import Plan, errors_in, examine_resource
 from esair.resources import Actuator, Resource, Sensor, settings_of
+from esair.standard import Robot
 from esair.values import checked_class
 
 PATIENCE = 5.0
 """How long a suite waits for a device that has to give a value, in seconds."""
+
+LONGEST_PAUSE = 8.0
+"""How long a device may take to be found once it has power, in seconds."""
 
 
 class ResourceContract(abc.ABC):
@@ -49,6 +54,18 @@ class ResourceContract(abc.ABC):
         result = unplug()
         if inspect.isawaitable(result):
             await result
+
+    async def silence(self, device: Any) -> None:
+        """Take the device's power away, not its cable; skips unless overridden."""
+        await _tell(device, "silence")
+
+    async def speak(self, device: Any) -> None:
+        """Give the device its power back; skips unless overridden."""
+        await _tell(device, "speak")
+
+    async def power_cycle(self, device: Any) -> None:
+        """Take its power away for a moment, unnoticed; skips unless overridden."""
+        await _tell(device, "power_cycle")
 
     async def use(self, driver: Driver) -> Any:
         """Use the open device once."""
@@ -100,6 +117,33 @@ class ResourceContract(abc.ABC):
                 f"expected a ConnectionError, it raised {caught.value!r}"
             )
 
+    async def test_silent_first_then_there(self) -> None:
+        """A part whose power comes later comes up by itself, however late."""
+        device = self.make()
+        await self.silence(device)
+        async with Robot(resources=[device]) as robot:
+            for _ in range(12):
+                await asyncio.sleep(1.0)
+                state = robot.resources.query(device.name).state
+                assert state in {ResourceState.LOST, ResourceState.OPENING}
+            await self.speak(device)
+            async with asyncio.timeout(LONGEST_PAUSE):
+                await _until_ready(robot, device)
+
+    async def test_power_cycle(self) -> None:
+        """A part that has restarted is noticed, and set up again."""
+        device = self.make()
+        if not device.can_tell_set_up:
+            pytest.skip("the class has no is_set_up()")
+        async with Robot(resources=[device]) as robot:
+            await _until_ready(robot, device)
+            before = robot.resources.query(device.name).losses
+            await self.power_cycle(device)
+            await asyncio.sleep(device.set_up_period + device.deadline)
+            async with asyncio.timeout(PATIENCE):
+                await _until_ready(robot, device)
+            assert robot.resources.query(device.name).losses > before
+
     async def test_its_calls_end_within_its_deadline(self) -> None:
         """A use of the device takes no longer than the device itself says."""
         device = self.make()
@@ -107,6 +151,21 @@ class ResourceContract(abc.ABC):
             await session.open()
             async with asyncio.timeout(device.deadline):
                 await self.use(session.driver)
+
+
+async def _tell(device: Any, what: str) -> None:
+    method = getattr(device, what, None)
+    if method is None:
+        pytest.skip(f"override {what}() to test this")
+    result = method()
+    if inspect.isawaitable(result):
+        await result
+
+
+async def _until_ready(robot: Robot, device: Resource) -> None:
+    query = robot.resources.query
+    while query(device.name).state is not ResourceState.READY:  # noqa: ASYNC110
+        await asyncio.sleep(0.01)
 
 
 class SensorContract(ResourceContract):

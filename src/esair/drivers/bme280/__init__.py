@@ -238,6 +238,15 @@ class Bme280(Sensor[Climate]):
                 self.name, f"{error}: it has lost its power, or its memory"
             ) from error
 
+    async def is_set_up(self) -> bool:
+        """Tell whether it has its settings, which a restart forgets."""
+        bus = i2c_bus(self)
+        humidity = (await bus.read(self.address, CTRL_HUM))[0] & 0x07
+        smoothing = (await bus.read(self.address, CONFIG))[0] >> 2 & 0x07
+        return humidity == _OVERSAMPLING.index(
+            self._samples
+        ) + 1 and smoothing == _FILTER.index(self._filter)
+
     async def _configure(self, oversampling: int, smoothing: int) -> None:
         bus = i2c_bus(self)
         # Both count from the next measurement on; asleep, the chip takes all.

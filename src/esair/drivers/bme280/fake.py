@@ -66,6 +66,10 @@ class FakeBme280:
         self._samples_humidity = False
         self._reset()
 
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: it is as after power-up."""
+        self._reset()
+
     def read(self, register: int, length: int) -> bytes:
         """Return registers that follow one another."""
         if register <= STATUS < register + length:

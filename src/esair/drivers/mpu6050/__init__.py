@@ -150,6 +150,14 @@ class Mpu6050(Sensor[Motion]):
             )
         return decode_motion(block, self._accel_step, self._gyro_step)
 
+    async def is_set_up(self) -> bool:
+        """Tell whether it is awake and has its ranges, which a restart forgets."""
+        bus = i2c_bus(self)
+        power = (await bus.read(self.address, PWR_MGMT_1))[0]
+        ranges = await bus.read(self.address, GYRO_CONFIG, 2)
+        told = bytes([self._gyro_step << 3, self._accel_step << 3])
+        return power == CLOCK_FROM_GYRO and ranges == told
+
     async def _scale(self, gyro_range: int, accel_range: int) -> None:
         gyro_step = (250, 500, 1000, 2000).index(gyro_range)
         accel_step = (2, 4, 8, 16).index(accel_range)

@@ -49,6 +49,10 @@ class FakeMpu6050:
         self._motion = motion
         self._measure()
 
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: it is as after power-up."""
+        self._reset()
+
     def read(self, register: int, length: int) -> bytes:
         """Return registers that follow one another; they wrap around at the end."""
         registers = bytes(self._registers)  # one moment, whoever measures meanwhile

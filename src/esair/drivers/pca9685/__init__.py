@@ -53,6 +53,10 @@ class PwmChannel(Actuator[float]):
         """Set the chip up unless it is, and turn the output off."""
         await self.channel.open()
 
+    async def is_set_up(self) -> bool:
+        """Tell whether the chip is awake, with its frequency: asleep it takes commands."""
+        return await self.channel.is_set_up()
+
     async def close(self) -> None:
         """Leave the output to others, as it is."""
         self.channel.close()

@@ -13,7 +13,7 @@ import attrs
 
 from esair.buses import I2CBus, RegisterLink
 from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
-from esair.exceptions import ConfigError, DeviceFaultError
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Actuator
 from esair.watchdog import SafeFrames
 
@@ -157,10 +157,40 @@ class Channel:
         return SafeFrames([data], address=self.address)
 
     async def write(self, steps: int) -> None:
-        """Be on for so many of the 4096 steps of a period, from its beginning."""
-        await i2c_bus(self.owner).write(
-            self.address, self.register, encode_steps(steps), idempotent=True
+        """Be on for so many of the 4096 steps of a period, from its beginning.
+
+        Raises:
+            DeviceLostError: The chip has restarted: it sleeps, and nothing was written.
+        """
+
+        def put(link: RegisterLink) -> bool:
+            is_set_up = self._is_awake(link)
+            if is_set_up:
+                link.write_i2c_block_data(
+                    self.address, self.register, encode_steps(steps)
+                )
+            return is_set_up
+
+        bus = i2c_bus(self.owner)
+        if not await bus.transaction(put, address=self.address, idempotent=True):
+            raise DeviceLostError(
+                self.owner.name, "it has restarted: its set-up is gone"
+            )
+
+    async def is_set_up(self) -> bool:
+        """Tell whether the chip is awake, with the frequency that it was given."""
+
+        def look(link: RegisterLink) -> bool:
+            found = link.read_byte_data(self.address, PRE_SCALE)
+            return self._is_awake(link) and found == prescale(self.frequency)
+
+        return await i2c_bus(self.owner).transaction(
+            look, address=self.address, idempotent=True
         )
+
+    def _is_awake(self, link: RegisterLink) -> bool:
+        mode = link.read_byte_data(self.address, MODE1)
+        return bool(mode & AUTO_INCREMENT) and not mode & SLEEP
 
     def close(self) -> None:
         """Leave the channel to others."""
@@ -198,10 +228,8 @@ class Channel:
         It can change its frequency only while it sleeps, which stops all channels.
         """
         address, wanted = self.address, prescale(self.frequency)
-        mode = link.read_byte_data(address, MODE1)
         found = link.read_byte_data(address, PRE_SCALE)
-        awake = mode & AUTO_INCREMENT and not mode & SLEEP
-        if not awake or found != wanted:
+        if not self._is_awake(link) or found != wanted:
             link.write_byte_data(address, MODE1, AUTO_INCREMENT | SLEEP)
             link.write_byte_data(address, PRE_SCALE, wanted)
             link.write_byte_data(address, MODE2, OUTDRV)

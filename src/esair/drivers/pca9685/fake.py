@@ -42,6 +42,10 @@ class FakePca9685:
         for channel in range(16):
             self._registers[LED0_ON_L + 4 * channel + 3] = FULL
 
+    def power_cycle(self) -> None:
+        """Lose the power for a moment."""
+        self.power_up()
+
     @property
     def asleep(self) -> bool:
         """Whether the oscillator is off, and every channel with it."""

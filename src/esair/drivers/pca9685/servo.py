@@ -105,6 +105,10 @@ class PwmServo(Actuator[ServoPosition]):
         """Set the chip up unless it is, and send no pulses."""
         await self.channel.open()
 
+    async def is_set_up(self) -> bool:
+        """Tell whether the chip is awake, with its frequency: asleep it takes commands."""
+        return await self.channel.is_set_up()
+
     async def close(self) -> None:
         """Leave the channel to others, as it is."""
         self.channel.close()

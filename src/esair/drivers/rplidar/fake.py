@@ -41,6 +41,7 @@ class FakeRpLidar:
         health: How it says it is.
         scanning: Whether it scans now.
         requests: The requests that came, oldest first.
+        silent: Whether it has no power, and says nothing.
     """
 
     def __init__(
@@ -55,12 +56,15 @@ class FakeRpLidar:
         self.health = Health("good", 0)
         self.scanning = False
         self.requests: list[int] = []
+        self.silent = False
         self._rest = b""
         line.on_write = self.heard
         line.repeat(self.turn, period)
 
     def heard(self, data: bytes) -> bytes:
         """Obey requests; return the answers."""
+        if self.silent:
+            return b""
         data = self._rest + data
         answers = b""
         while (begin := data.find(START)) >= 0 and len(data) >= begin + 2:
@@ -69,9 +73,14 @@ class FakeRpLidar:
         self._rest = data[-1:] if data.endswith(bytes([START])) else b""
         return answers
 
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: it scans no more."""
+        self.scanning = False
+        self._rest = b""
+
     def turn(self) -> bytes:
         """Return the measurements of the next turn; none unless it scans."""
-        if not self.scanning:
+        if not self.scanning or self.silent:
             return b""
         angles = [-math.tau * beam / BEAMS for beam in range(BEAMS)]
         angles = [angle if angle > -math.pi else angle + math.tau for angle in angles]

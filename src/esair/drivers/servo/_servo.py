@@ -30,13 +30,14 @@ from typing import Any, Final
 import attrs
 
 from esair.drivers.servo._bus import ServoBus
-from esair.exceptions import (
-    ConfigError,
-)
+from esair.exceptions import ConfigError, DeviceLostError
 from esair.resources import Actuator, Sensor, setting
 from esair.watchdog import SafeFrames
 
 TORQUE_ENABLE = 64
+
+LED = 65
+"""Lit once the servo is set up; a restart puts it out, and so it is noticed."""
 
 PROFILE_VELOCITY = 112
 
@@ -160,12 +161,18 @@ class Servo(Actuator[Goal]):
         """Make sure that the servo answers; nothing moves by that."""
         self._torque = False
         await self.bus.ping(self.id)
+        await self.bus.write(self.id, LED, 1, 1)
 
     def safe_frames(self) -> SafeFrames | None:
         """No torque; None if it has to hold, for which its place must be asked first."""
         if self.safe.mode is not Mode.RELEASE:
             return None
         return SafeFrames([self.bus.packet(self.id, TORQUE_ENABLE, 0)])
+
+    async def is_set_up(self) -> bool:
+        """Tell whether it has not restarted: then it has no torque, and no light."""
+        both = await self.bus.read(self.id, TORQUE_ENABLE, 2)
+        return bool(both >> 8) and (bool(both & 0xFF) or not self._torque)
 
     async def apply(self, *, speed: float | None = None, **_: object) -> None:
         """Set how fast it moves."""
@@ -178,11 +185,15 @@ class Servo(Actuator[Goal]):
 
         Raises:
             DeviceFaultError: It does not answer, or has shut down.
+            DeviceLostError: It has restarted, its torque is off: the goal was not sent.
         """
         if command.mode is Mode.RELEASE:
             self._torque = False
             await self.bus.write(self.id, TORQUE_ENABLE, 1, 0)
             return
+        if not await self.is_set_up():
+            self._torque = False
+            raise DeviceLostError(self.name, "it has restarted: its torque is off")
         if command.mode is Mode.HOLD:
             steps = await self.bus.read(self.id, PRESENT_POSITION, 4)
         else:

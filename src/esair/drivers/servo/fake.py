@@ -58,6 +58,14 @@ class FakeServo:
         self.put(GOAL_POSITION, steps)
         self.put(PRESENT_POSITION, steps)
 
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: it stays where it is, without torque."""
+        steps = self.get(PRESENT_POSITION)
+        self.table = bytearray(TABLE_SIZE)
+        self.shut_down = 0
+        self.put(GOAL_POSITION, steps)
+        self.put(PRESENT_POSITION, steps)
+
     @property
     def torque(self) -> bool:
         """Whether it holds its goal."""
