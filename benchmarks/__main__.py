@@ -25,6 +25,7 @@ from benchmarks.cases import (
     minimal,
     reactions,
     starting,
+    wire_garbage,
 )
 from benchmarks.harness import Row
 
@@ -38,6 +39,7 @@ CASES = {
     "P13": garbage,
     "P15": minimal,
     "P18": journal,
+    "P21": wire_garbage,
 }
 
 

@@ -40,10 +40,10 @@ class Cobs(Delimited):
     def feed(self, data: bytes) -> list[bytes]:
         """Take the bytes that arrived; return the payloads that are complete now."""
         payloads: list[bytes] = []
-        for piece in self._cut(data):
-            if not piece:
-                self.discarded += 1
-                continue
+        cut = self._cut(data)
+        pieces = list(filter(None, cut))
+        self.discarded += len(cut) - len(pieces)
+        for piece in pieces:
             try:
                 payload: bytes = self._codec.decode(piece)
             except self._codec.DecodeError:

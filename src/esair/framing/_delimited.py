@@ -26,13 +26,14 @@ class Delimited(Framing):
         buffer += data
         pieces: list[bytes] = []
         if buffer.find(delimiter, searched) >= 0:
+            total = len(buffer)
             *pieces, rest = bytes(buffer).split(delimiter)
             buffer[:] = rest
             if self._skipping:
                 self._skipping = False
                 self.discarded += len(pieces[0]) + len(delimiter)
                 del pieces[0]
-            if pieces and max(map(len, pieces)) > self._max_frame:
+            if total > self._max_frame and pieces:
                 pieces = [piece for piece in pieces if self._fits(piece)]
         # A delimiter that is cut over chunks can begin in the last bytes.
         if self._skipping or len(buffer) > self._max_frame + tail:

@@ -17,6 +17,16 @@ _CRCS: dict[str, tuple[int, Callable[[bytes | bytearray], int]]] = {
 }
 
 
+RESERVE = 2048
+"""How many places are looked at one after the other before the search gets sparse."""
+
+SPARSE = 128
+"""How many bytes pay for the look at one place."""
+
+CRC_SHARE = 512
+"""How many bytes of a CRC cost as much as the look at a place."""
+
+
 class LengthCrc(Framing):
     """Sync bytes, the length of the payload, the payload, a CRC.
 
@@ -25,8 +35,10 @@ class LengthCrc(Framing):
     inside it is found: at the latest when one longest frame has arrived after it began.
     What begins inside a bad frame is not counted as bad once more.
 
-    Without sync bytes each byte can begin a frame. In the worst case each byte costs
-    one CRC over the longest frame: keep *max_length* small on a noisy line.
+    The work for garbage is bounded: a reserve of `RESERVE` places is looked at whatever
+    they cost, and then one in `SPARSE` bytes, until good frames have filled it again. So
+    after a short disturbance the next frame is found, and after long garbage one of
+    the next ones. Sync bytes make that rare.
 
     Args:
         sync: What each frame begins with; a string is in hexadecimal, ``"AA 55"``.
@@ -86,13 +98,18 @@ class LengthCrc(Framing):
         self.crc = crc
         self._crc_size, self._crc = _CRCS[crc]
         self._inside = 0  # how many of the next bytes are in a frame counted as bad
+        self._credit = float(RESERVE)
+        self._stride = 1
+        self._left_out = 0
+        self.looks = 0
+        """How many places were looked at that began no good frame."""
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take the bytes that arrived; return the payloads that are complete now."""
         buffer = self._buffer
         buffer += data
         payloads: list[bytes] = []
-        at = 0
+        at = self._pass(0, self._left_out)
         head = len(self.sync) + self.length_size
         while True:
             begin = buffer.find(self.sync, at) if self.sync else at
@@ -108,6 +125,7 @@ class LengthCrc(Framing):
             body = at + len(self.sync)
             length = int.from_bytes(buffer[body : at + head], self.byteorder)
             end = at + head + length
+            cost = 1.0
             if not 1 <= length <= self.max_length:
                 end = at + head
             elif len(buffer) < end + self._crc_size:
@@ -116,16 +134,17 @@ class LengthCrc(Framing):
                 told = buffer[end : end + self._crc_size]
                 end += self._crc_size
                 covered = buffer[body : end - self._crc_size]
+                cost += len(covered) / CRC_SHARE
                 if self._crc(covered) == int.from_bytes(told, self.byteorder):
                     payloads.append(bytes(covered[self.length_size :]))
                     self._inside = max(0, self._inside - (end - at))
+                    self._earn(end - at)
                     at = end
                     continue
             if not self._inside:
                 self.bad_frames += 1
                 self._inside = end - at
-            self._skip(1)
-            at += 1
+            at = self._pass(at, self._step(cost))
         del buffer[:at]
         return payloads
 
@@ -155,8 +174,31 @@ class LengthCrc(Framing):
     def reset(self) -> None:
         """Forget a partial frame: after an opening, or after a silence."""
         super().reset()
-        self._inside = 0
+        self._inside = self._left_out = 0
+        self._credit = float(RESERVE)
+
+    def _step(self, cost: float) -> int:
+        """Pay for a look; return how many bytes further the next one is."""
+        self.looks += 1
+        self._credit -= cost
+        if self._credit > 0.0:
+            return 1
+        # Not always the same: frames of one length would be missed for ever.
+        self._stride = self._stride * 5 % 257
+        return round(cost) * (1 + self._stride)
+
+    def _pass(self, at: int, step: int) -> int:
+        """Go further, as far as bytes have come; the rest is left out when it comes."""
+        now = min(step, len(self._buffer) - at)
+        self._left_out = step - now
+        self._skip(now)
+        return at + now
+
+    def _earn(self, count: int) -> None:
+        # By the place in the stream, so that it is the same however it was cut.
+        self._credit = min(RESERVE, self._credit + count / SPARSE)
 
     def _skip(self, count: int) -> None:
         self.discarded += count
+        self._earn(count)
         self._inside = max(0, self._inside - count)

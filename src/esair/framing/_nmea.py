@@ -89,6 +89,12 @@ class Sentences(Framing):
     def feed(self, data: bytes) -> list[bytes]:
         """Take the bytes that arrived; return the payloads that are complete now."""
         payloads: list[bytes] = []
+        if not self._buffer:  # nothing before the first $ is of interest
+            begin = data.find(b"$")
+            self.discarded += len(data) if begin < 0 else begin
+            if begin < 0:
+                return payloads
+            data = data[begin:]
         *ended, rest = bytes(data).split(b"\n")
         for piece in ended:
             self._extend(piece + b"\n")
