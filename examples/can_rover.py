@@ -63,6 +63,8 @@ def make_robot(bus: CanBus) -> esair.Robot:
     )
 
 
+robot = make_robot(CanBus(name="drive", channel="can0"))
+
 if __name__ == "__main__":
     channel = sys.argv[1] if len(sys.argv) > 1 else "can0"
     esair.run(make_robot(CanBus(name="drive", channel=channel)))

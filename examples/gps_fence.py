@@ -107,6 +107,11 @@ def fake_lines(*, haste: float = 1.0) -> tuple[SerialBus, SerialBus]:
     return gps, board
 
 
+robot = make_robot(
+    SerialBus(name="gps", port="/dev/ttyUSB0", baudrate=9600, framing="nmea"),
+    SerialBus(name="board", port="/dev/ttyACM0"),
+)
+
 if __name__ == "__main__":
     if len(sys.argv) == 3:
         position = SerialBus(

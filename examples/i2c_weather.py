@@ -58,6 +58,8 @@ def make_robot(bus: I2CBus) -> esair.Robot:
     )
 
 
+robot = make_robot(I2CBus(name="chips", bus=1))
+
 if __name__ == "__main__":
     place = sys.argv[1] if len(sys.argv) > 1 else "1"
     bus = I2CBus(name="chips", bus=int(place) if place.isdecimal() else place)

@@ -83,5 +83,7 @@ def make_robot() -> esair.Robot:
     )
 
 
+robot = make_robot()
+
 if __name__ == "__main__":
-    esair.run(make_robot())
+    esair.run(robot)

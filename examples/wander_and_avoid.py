@@ -69,8 +69,9 @@ class Wander(esair.Behavior):
             await self.wheels.write(Twist(0.3, 0.0))
 
 
+robot = esair.Robot(
+    resources=[Sonar(), Wheels()], behaviors=[KeepClear(), Avoid(), Wander()]
+)
+
 if __name__ == "__main__":
-    robot = esair.Robot(
-        resources=[Sonar(), Wheels()], behaviors=[KeepClear(), Avoid(), Wander()]
-    )
     esair.run(robot)

@@ -4,6 +4,7 @@ import asyncio
 
 import docking
 import pytest
+import yard as world
 
 import esair
 
@@ -11,7 +12,7 @@ import esair
 @pytest.mark.virtual_clock
 async def test_docks_at_the_second_attempt(capsys) -> None:
     """It gets stuck at the stone, remembers where, backs off, and drives in."""
-    yard = docking.Yard()
+    yard = world.Yard()
 
     async with docking.make_robot(yard) as robot:
         await asyncio.sleep(15.0)
@@ -23,15 +24,15 @@ async def test_docks_at_the_second_attempt(capsys) -> None:
 
     assert capsys.readouterr().out == "battery low: dock\ndocked, attempt 2\n"
     assert yard.distance < 0.02
-    assert yard.twist == docking.Wheels.safe
+    assert yard.twist == world.Wheels.safe
 
 
 @pytest.mark.virtual_clock
 async def test_gives_up_after_three_attempts(capsys) -> None:
     """A stone that stays costs three attempts, then the captain is told."""
 
-    class Blocked(docking.Yard):
-        def look(self) -> docking.Sight:
+    class Blocked(world.Yard):
+        def look(self) -> world.Sight:
             self.stone = True
             return super().look()
 
@@ -41,14 +42,14 @@ async def test_gives_up_after_three_attempts(capsys) -> None:
         await asyncio.sleep(40.0)
 
     assert capsys.readouterr().out == "battery low: dock\nno way in\n"
-    assert yard.twist == docking.Wheels.safe
+    assert yard.twist == world.Wheels.safe
 
 
 async def test_approach_is_slow_where_it_got_stuck(fake_sensor, fake_actuator) -> None:
     """What the memory gives decides from where on the rover is careful."""
-    beacon = fake_sensor("beacon", docking.Sight(bearing=0.0, distance=0.45))
+    beacon = fake_sensor("beacon", world.Sight(bearing=0.0, distance=0.45))
     battery = fake_sensor("battery", 12.0)
-    wheels = fake_actuator("wheels", safe=docking.Twist(0.0, 0.0))
+    wheels = fake_actuator("wheels", safe=world.Twist(0.0, 0.0))
     robot = esair.Robot(
         resources=[beacon, battery, wheels],
         behaviors=[docking.Memory(), docking.Docking()],
@@ -61,5 +62,5 @@ async def test_approach_is_slow_where_it_got_stuck(fake_sensor, fake_actuator) -
         )
         await wheels.until(lambda twist: twist.linear > 0.0, timeout=6.0)
 
-        assert wheels.commands[-1] == docking.Twist(0.2, 0.0)
+        assert wheels.commands[-1] == world.Twist(0.2, 0.0)
         asking.cancel()

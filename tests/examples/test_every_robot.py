@@ -1,0 +1,58 @@
+"""What holds for each example: it is short, is typed, and says how it is protected."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCRIPTS = sorted(EXAMPLES.glob("*.py"))
+ROBOTS = [path for path in SCRIPTS if path.stem not in {"pid", "yard"}]
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_it_can_be_read_at_once(path) -> None:
+    """It has less than 150 lines, and tells no type checker to look away."""
+    text = path.read_text(encoding="utf-8")
+
+    assert len(text.splitlines()) < 150
+    assert not re.search(r"type:\s*ignore|pyright:\s*ignore", text)
+
+
+@pytest.mark.promise("PRO-13")
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_esair_check_prints_its_table_of_protection(path) -> None:
+    """No errors; each actuator with who writes it, who guards it, and what is safe."""
+    pytest.importorskip("cyclopts")
+    done = subprocess.run(
+        [sys.executable, "-m", "esair", "check", f"{path.name}:robot"],
+        cwd=EXAMPLES,
+        env={**os.environ, "COLUMNS": "200", "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    for head in ("How each actuator is made safe", "guarded by", "safe command"):
+        assert head in done.stdout
+
+
+def test_pyright_finds_nothing() -> None:
+    """As mypy, which looks at them with the rest."""
+    pytest.importorskip("pyright")
+    done = subprocess.run(
+        [sys.executable, "-m", "pyright", "--pythonpath", sys.executable, EXAMPLES],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    if "errors," not in done.stdout:
+        pytest.skip(f"pyright cannot run here: {done.stderr[-200:]}")
+
+    assert "0 errors" in done.stdout, done.stdout
