@@ -327,7 +327,7 @@ class ActuatorPort(Generic[T]):
         if speaks_for_nobody():
             raise _run_ended(self.registration)
         outcome = self._channel.begin(self.registration, command, hold)
-        if isinstance(outcome, Answer):
+        if type(outcome) is Written or isinstance(outcome, Answer):
             return outcome
         return await outcome
 

@@ -305,6 +305,8 @@ class ActuatorChannel(ProtectedDevice):
         self._busy = self._safe_task is not None
         self.writes += 1
         self._told_error = ""
+        if sent is None and not journal.heard:  # most drivers say nothing
+            return Written(command, asked, by)
         return self._applied(registration, command, sent, asked, by)
 
     def _slewed(self, command: Any, seconds: float) -> Any:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from esair.connections._driver import Driver, Guard, Method
 from esair.connections._taped import begin_taped
 from esair.exceptions import DeviceFaultError, DriverStuckError, describe
-from esair.loop import WAITS, Deadlines, Door, LightTask, clock_of
+from esair.loop import WAITS, Deadlines, Door, FirstSteps, LightTask, clock_of
 
 UNWIND = 0.1
 """How long a call that was given up may take to end, before its device is closed, in s."""
@@ -139,12 +139,11 @@ class Calls:
     __slots__ = (
         "_deadlines",
         "_door",
+        "_first_steps",
         "_left",
         "_loop",
         "_on_late",
         "_on_stuck",
-        "_spare",
-        "_task_name",
         "_time",
         "abandoned",
         "alive",
@@ -184,8 +183,7 @@ class Calls:
         self._on_late = on_late
         self._on_stuck = on_stuck
         self._left = left
-        self._task_name = f"{self.resource} driver"
-        self._spare: LightTask | None = None
+        self._first_steps = FirstSteps(loop, f"{self.resource} driver")
 
     def begin(
         self,
@@ -242,20 +240,15 @@ class Calls:
                 self._forget(call)
                 raise
             return call
-        light = self._spare or LightTask(self._loop, self._task_name)
-        self._spare = None
         try:
-            value = light.begin(method.function(*args))
+            value = self._first_steps.begin(method.function(*args))
         except BaseException as error:
             raise self._contained(error) from error.__cause__
-        finally:
-            if not light.is_spent:
-                self._spare = light
-        if value is not WAITS:
+        if type(value) is not LightTask or value.get_coro() is None:
             return value
         call = self.track(kind, args, limit, apply)
-        call.engine = light
-        light.then(lambda value, error: self.over(call, End(value, error)))
+        call.engine = value
+        value.then(lambda value, error: self.over(call, End(value, error)))
         return call
 
     async def run(

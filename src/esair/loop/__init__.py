@@ -8,7 +8,7 @@ from esair.loop._ending import Ending
 from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._garbage import Gaps, collector
-from esair.loop._light_task import WAITS, LightTask
+from esair.loop._light_task import WAITS, FirstSteps, LightTask
 from esair.loop._now import now, works_for
 from esair.loop._ownership import (
     OwnedTasks,
@@ -44,6 +44,7 @@ __all__ = [
     "Every",
     "Executor",
     "First",
+    "FirstSteps",
     "Gaps",
     "Job",
     "LightTask",

@@ -10,6 +10,8 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import enum
+import sys
+from asyncio import tasks
 from asyncio.tasks import (
     _enter_task,  # noqa: PLC2701 - documented, for third-party tasks
     _leave_task,  # noqa: PLC2701 - documented, for third-party tasks
@@ -24,6 +26,26 @@ class _Mark(enum.Enum):
 
 WAITS: Final = _Mark.WAITS
 """What `LightTask.begin` returns for a coroutine that has not ended yet."""
+
+
+class _CurrentTasks(dict[asyncio.AbstractEventLoop, Any]):
+    """The current task of each loop, where Python keeps it in no dictionary."""
+
+    def get(self, loop: asyncio.AbstractEventLoop, _default: Any = None, /) -> Any:
+        return asyncio.current_task(loop)
+
+    def __setitem__(self, loop: asyncio.AbstractEventLoop, task: Any) -> None:
+        tasks._swap_current_task(loop, task)  # type: ignore[attr-defined] # noqa: SLF001 - documented for third-party tasks
+
+    def __delitem__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self[loop] = None
+
+
+_current_tasks: dict[asyncio.AbstractEventLoop, Any] = (
+    tasks._current_tasks  # type: ignore[attr-defined] # noqa: SLF001 - half of a call's cost by the functions
+    if sys.version_info < (3, 14)
+    else _CurrentTasks()
+)
 
 
 class LightTask(asyncio.Future[None]):
@@ -65,18 +87,18 @@ class LightTask(asyncio.Future[None]):
             BaseException: Whatever the coroutine raises in its first step.
         """
         loop = self._running_on
-        caller = asyncio.current_task(loop)
-        if caller is not None:
-            _leave_task(loop, caller)
-        _enter_task(loop, self)  # type: ignore[arg-type]
+        current = _current_tasks
+        caller = current.get(loop)
+        current[loop] = self
         try:
             waits_for = self._context.run(coroutine.send, None)
         except StopIteration as stop:
             return stop.value
         finally:
-            _leave_task(loop, self)  # type: ignore[arg-type]
-            if caller is not None:
-                _enter_task(loop, caller)
+            if caller is None:
+                del current[loop]
+            else:
+                current[loop] = caller
         self._coroutine = coroutine
         self._wait_for(waits_for)
         return WAITS
@@ -189,3 +211,41 @@ class LightTask(asyncio.Future[None]):
             self._step(error)
         else:
             self._step()
+
+
+class FirstSteps:
+    """Begins coroutines, most of which end at once: they share one light task.
+
+    Args:
+        loop: The event loop.
+        name: The name of the tasks.
+    """
+
+    __slots__ = ("_loop", "_name", "_spare")
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, name: str) -> None:
+        self._loop = loop
+        self._name = name
+        self._spare: LightTask | None = None
+
+    def begin(self, coroutine: Coroutine[Any, Any, Any]) -> Any:
+        """Run a coroutine to its end or its first wait, now.
+
+        Returns:
+            Its result; or the `LightTask` that it goes on in, whose `then` has to be
+            called at once.
+
+        Raises:
+            BaseException: Whatever the coroutine raises in its first step.
+        """
+        light = self._spare
+        if light is None:
+            light = LightTask(self._loop, self._name)
+        else:
+            self._spare = None  # the coroutine may begin another one
+        value = light.begin(coroutine)
+        if value is WAITS:
+            return light
+        if light._num_cancels_requested == 0:  # noqa: SLF001 - its own module's
+            self._spare = light
+        return value
