@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -137,13 +138,15 @@ class Calls:
     """
 
     __slots__ = (
+        "_context",
         "_deadlines",
         "_door",
-        "_first_steps",
+        "_first_step",
         "_left",
         "_loop",
         "_on_late",
         "_on_stuck",
+        "_task_name",
         "_time",
         "abandoned",
         "alive",
@@ -183,7 +186,9 @@ class Calls:
         self._on_late = on_late
         self._on_stuck = on_stuck
         self._left = left
-        self._first_steps = FirstSteps(loop, f"{self.resource} driver")
+        self._first_step = FirstSteps.of(loop).begin
+        self._task_name = f"{self.resource} driver"
+        self._context = contextvars.Context()
 
     def begin(
         self,
@@ -216,9 +221,20 @@ class Calls:
         if self.alive and len(self.alive) > ABANDONED_LIMIT:
             self._check_abandoned(kind)
         tape = self._door.tape
-        if tape is None:
+        if tape is not None:
+            return begin_taped(self, tape, kind, method, args, limit, apply, guard)
+        if method.executor is not None:
             return self.begin_untaped(kind, method, args, limit, apply, guard)
-        return begin_taped(self, tape, kind, method, args, limit, apply, guard)
+        # Most calls are these, and end here.
+        try:
+            value = self._first_step(
+                method.function(*args), self._task_name, self._context
+            )
+        except BaseException as error:
+            raise self._contained(error) from error.__cause__
+        if type(value) is not LightTask:
+            return value
+        return self._waits(value, kind, args, limit, apply)
 
     def begin_untaped(
         self,
@@ -241,14 +257,30 @@ class Calls:
                 raise
             return call
         try:
-            value = self._first_steps.begin(method.function(*args))
+            value = self._first_step(
+                method.function(*args), self._task_name, self._context
+            )
         except BaseException as error:
             raise self._contained(error) from error.__cause__
-        if type(value) is not LightTask or value.get_coro() is None:
+        if type(value) is not LightTask:
             return value
+        return self._waits(value, kind, args, limit, apply)
+
+    def _waits(
+        self,
+        light: LightTask,
+        kind: str,
+        args: tuple[Any, ...],
+        limit: float | None,
+        apply: Apply | None,
+    ) -> Any:
+        """Make the call of a driver that goes on in a light task."""
+        if light.get_coro() is None:
+            return light  # it has not: this is what the driver has returned
+        self._context = contextvars.Context()  # that one is the light task's now
         call = self.track(kind, args, limit, apply)
-        call.engine = value
-        value.then(lambda value, error: self.over(call, End(value, error)))
+        call.engine = light
+        light.then(lambda value, error: self.over(call, End(value, error)))
         return call
 
     async def run(

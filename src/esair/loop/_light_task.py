@@ -19,6 +19,8 @@ from asyncio.tasks import (
 from collections.abc import Callable, Coroutine
 from typing import Any, Final
 
+from esair.loop._of_loop import of_loop
+
 
 class _Mark(enum.Enum):
     WAITS = enum.auto()
@@ -99,9 +101,13 @@ class LightTask(asyncio.Future[None]):
                 del current[loop]
             else:
                 current[loop] = caller
+        self.goes_on(coroutine, waits_for)
+        return WAITS
+
+    def goes_on(self, coroutine: Coroutine[Any, Any, Any], waits_for: Any) -> None:
+        """Drive a coroutine whose first step has ended in a wait."""
         self._coroutine = coroutine
         self._wait_for(waits_for)
-        return WAITS
 
     def then(self, ended: Callable[[Any, BaseException | None], None]) -> None:
         """Say what gets the result or the error of the coroutine, in the loop."""
@@ -214,22 +220,35 @@ class LightTask(asyncio.Future[None]):
 
 
 class FirstSteps:
-    """Begins coroutines, most of which end at once: they share one light task.
+    """Begins coroutines, most of which end at once: all of a loop share a light task.
 
     Args:
         loop: The event loop.
-        name: The name of the tasks.
     """
 
-    __slots__ = ("_loop", "_name", "_spare")
+    __slots__ = ("_loop", "_spare")
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, name: str) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._name = name
-        self._spare: LightTask | None = None
+        self._spare: LightTask | None = LightTask(loop, "driver")
 
-    def begin(self, coroutine: Coroutine[Any, Any, Any]) -> Any:
+    @classmethod
+    def of(cls, loop: asyncio.AbstractEventLoop) -> FirstSteps:
+        """Return that of a loop."""
+        return of_loop(loop, cls)
+
+    def begin(
+        self,
+        coroutine: Coroutine[Any, Any, Any],
+        name: str,
+        context: contextvars.Context,
+    ) -> Any:
         """Run a coroutine to its end or its first wait, now.
+
+        Args:
+            coroutine: What to run.
+            name: The name of the task that it is in.
+            context: What it runs in, unless another one is in its first step.
 
         Returns:
             Its result; or the `LightTask` that it goes on in, whose `then` has to be
@@ -238,14 +257,30 @@ class FirstSteps:
         Raises:
             BaseException: Whatever the coroutine raises in its first step.
         """
+        # The same as `LightTask.begin`, in one call: each driver call is one of these.
         light = self._spare
-        if light is None:
-            light = LightTask(self._loop, self._name)
-        else:
-            self._spare = None  # the coroutine may begin another one
-        value = light.begin(coroutine)
-        if value is WAITS:
-            return light
-        if light._num_cancels_requested == 0:  # noqa: SLF001 - its own module's
-            self._spare = light
-        return value
+        if light is None:  # one begins another: each has a task and a context
+            light = LightTask(self._loop, name)
+            value = light.begin(coroutine)
+            return light if value is WAITS else value
+        self._spare = None
+        light._name = name  # noqa: SLF001
+        light._context = context  # noqa: SLF001
+        current, loop = _current_tasks, self._loop
+        caller = current.get(loop)
+        current[loop] = light
+        try:
+            waits_for = context.run(coroutine.send, None)
+        except StopIteration as stop:
+            if light._num_cancels_requested == 0:  # noqa: SLF001
+                self._spare = light
+            return stop.value
+        finally:
+            if caller is None:
+                del current[loop]
+            else:
+                current[loop] = caller
+            if self._spare is None:
+                self._spare = LightTask(loop, name)
+        light.goes_on(coroutine, waits_for)
+        return light
