@@ -10,8 +10,10 @@ from __future__ import annotations
 import bisect
 import enum
 from collections.abc import Awaitable, Callable
-from fractions import Fraction
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 Step = Callable[[float], Awaitable[object] | None]
 
@@ -217,6 +219,8 @@ def _rank(job: Job) -> Any:
 
 def whole_period(seconds: float) -> Fraction:
     """Return a period in nanoseconds: that of the simple rate in Hz which it means."""
+    from fractions import Fraction  # it loads a lot that a robot without rates lacks
+
     rate = 1.0 / seconds
     simple = Fraction(rate).limit_denominator(1_000_000)
     if simple > 0 and abs(float(simple) - rate) <= 1e-12 * rate:

@@ -19,8 +19,7 @@ import logging
 import math
 import zlib
 from collections.abc import Iterable, Iterator
-from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from esair.loop._of_loop import of_loop
 from esair.loop._ownership import spawn
@@ -38,6 +37,9 @@ from esair.loop._rate_group import (
 )
 from esair.loop._suspend import SuspendWatch
 from esair.loop._timer import Timer, clock_of, timer_for
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 _log = logging.getLogger("esair")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import pickle
 import threading
 import time
 from collections.abc import Callable
@@ -55,12 +54,16 @@ class Tape:
         Raises:
             PicklingError: A driver has given something that cannot be kept.
         """
+        import pickle  # only for the runs that are recorded
+
         return pickle.dumps((self.moments, self.arrived, self.firsts))
 
     @classmethod
     def load(cls, data: bytes) -> Tape:
         """Return the tape of some bytes, which must come from `dump`."""
         tape = cls()
+        import pickle
+
         tape.moments, tape.arrived, tape.firsts = pickle.loads(data)
         return tape
 

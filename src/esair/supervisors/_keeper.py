@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from esair.exceptions import describe
 from esair.loop import Job, Scheduler, spawn
 from esair.supervisors._resource_supervisor import ResourceSupervisor
-from esair.watchdog import Watchdog
+
+if TYPE_CHECKING:
+    from esair.watchdog import Watchdog
 
 BEATS = 5
 """How many beats the watchdog gets in its limit."""
@@ -46,7 +48,11 @@ class Keeper:
         self._halt = halt
         self._on_death = on_death
         self._limit = limit
-        self._watchdog = Watchdog(limit=limit, policy=policy, on_death=self._died)
+        from esair.watchdog import Watchdog  # only for the robots that have one
+
+        self._watchdog: Watchdog = Watchdog(
+            limit=limit, policy=policy, on_death=self._died
+        )
         self._deaths = 0
         self._job: Job | None = None
         self._again: asyncio.Task[None] | None = None

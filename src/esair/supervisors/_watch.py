@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import describe
 from esair.resources import Actuator
-from esair.watchdog import Watchdog
+
+if TYPE_CHECKING:
+    from esair.watchdog import Watchdog
 
 UNWATCHED = "UNWATCHED"
 """What is said of an actuator that the watchdog cannot make safe."""

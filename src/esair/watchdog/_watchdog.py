@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from esair.watchdog._frames import Outlet, SafeFrames
-
-LIMIT = 0.25
-"""How long the scheduler may stand still while something moves, in seconds."""
+from esair.watchdog._limit import LIMIT
 
 ANSWER_WITHIN = 1.0
 """How long the watchdog may take to answer, in seconds."""
