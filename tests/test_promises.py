@@ -26,7 +26,7 @@ PROMISES = {
 """What the library promises."""
 
 NOT_YET = {
-    *("RS-8", "SC-4", "AC-5", "BEH-6"),
+    *("RS-8", "SC-4", "AC-5"),
     *("CALL-1", "CALL-2", "CALL-3", "PRO-11"),
     *("RES-3", "RES-4", "BUS-3", "BUS-4", "GRD-1", "GRD-2", "GRD-3"),
     *(f"REC-{n}" for n in range(1, 7)),

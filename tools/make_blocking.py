@@ -21,13 +21,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from esair import minimal
 from esair.actions._behavior import Behavior, forever, in_loop, next_of, portal_of
 from esair.actions._ports import ActuatorPort, SensorPort
 from esair.actions._reaction import Reaction
 from esair.actions._request import Request
+from esair.actions._supervisor import BlockingBehaviors
 from esair.connections import Stopped
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
@@ -87,9 +88,14 @@ class ThreadBehavior(Behavior):
     def run(self) -> None:
         """Do the work, in the thread. Unless overridden it waits."""
         portal_of(self).call(forever)
+
+    @property
+    def supervisor(self) -> BlockingBehaviors:
+        """The behaviors of the robot: what they do, and, with a right, to manage them."""
+        return cast("BlockingBehaviors", super().supervisor)
 '''
 
-LEFT_OUT = {"blocking", "takes", "provides", "halt_robot"}
+LEFT_OUT = {"blocking", "revive", "supervisor", "takes", "provides", "halt_robot"}
 
 
 def methods(module: str, cls: str) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:

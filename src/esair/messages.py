@@ -306,6 +306,31 @@ class Restart:
 
 
 @attrs.frozen
+class BehaviorsPolicy:
+    """Which behaviors may manage others; made by `Policy.behaviors`.
+
+    Attributes:
+        allow: ``"manage"`` for each that may; ``"*"`` stands for all.
+    """
+
+    allow: Mapping[str, Literal["manage"]] = attrs.field(factory=dict)
+
+    def __attrs_post_init__(self) -> None:
+        if not isinstance(self.allow, Mapping):
+            told = f"expected a dict, not {self.allow!r:.80}"
+            raise ConfigError("policy of behaviors", "allow", told)
+        for behavior, right in self.allow.items():
+            if behavior != "*":
+                check_name("policy of behaviors: allow", behavior)
+            if right != "manage":
+                raise ConfigError(
+                    "policy of behaviors",
+                    f"allow.{behavior}",
+                    f'expected "manage", not {right!r:.80}',
+                )
+
+
+@attrs.frozen
 class Policy:
     """Who may do what with a resource, and at which level.
 
@@ -326,6 +351,15 @@ class Policy:
     allow: Mapping[str, Access] = attrs.field(factory=dict)
     exclusive: bool = attrs.field(default=False, kw_only=True)
     max_priority: Mapping[str, int] = attrs.field(factory=dict, kw_only=True)
+
+    @staticmethod
+    def behaviors(*, allow: Mapping[str, Literal["manage"]]) -> BehaviorsPolicy:
+        """Say which behaviors may add, remove, replace and restart others.
+
+        Example:
+            >>> Policy.behaviors(allow={"captain": "manage"})
+        """
+        return BehaviorsPolicy(allow)
 
     def __attrs_post_init__(self) -> None:
         for field, value in (

@@ -46,7 +46,7 @@ from esair.loop import (
     spawn,
     threads_that_keep_the_process,
 )
-from esair.messages import Policy, Recording, ResourceState
+from esair.messages import BehaviorsPolicy, Policy, Recording, ResourceState
 from esair.plan import Plan, errors_in, examine, refuse_while_looking
 from esair.resources import Resource, adapt_resource
 from esair.supervisors import BehaviorSupervisor, Halts, Keeper, ResourceSupervisor
@@ -120,7 +120,7 @@ class Robot:
         name: str = "robot",
         resources: Iterable[Resource | minimal.Sensor | minimal.Actuator] = (),
         behaviors: Iterable[Behavior | Reaction | minimal.Reaction] = (),
-        policies: Iterable[Policy] = (),
+        policies: Iterable[Policy | BehaviorsPolicy] = (),
         grace: float = 1.0,
         record: Recording | None = None,
         start_patience: float = 1.0,
@@ -138,7 +138,10 @@ class Robot:
         # What was written for a microcontroller runs here as well, in an adapter.
         self._list_of_resources: list[Any] = [adapt_resource(r) for r in resources]
         self._list_of_behaviors: list[Any] = [adapt_action(b) for b in behaviors]
-        self._list_of_policies: list[Any] = list(policies)
+        given: list[Any] = list(policies)
+        self._list_of_policies: list[Any] = [
+            each for each in given if not isinstance(each, BehaviorsPolicy)
+        ]
         self.sensors = SensorConnection()
         self.actuators = ActuatorConnection()
         self.journal = Journal()
@@ -170,6 +173,12 @@ class Robot:
             ),
             halt=self._halts.halt,
             stop=self.stop,
+        )
+        self.behaviors.managers = frozenset(
+            manager
+            for each in given
+            if isinstance(each, BehaviorsPolicy)
+            for manager in each.allow
         )
         self._keeper: Keeper | None = None
         if watchdog:

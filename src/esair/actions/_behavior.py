@@ -10,7 +10,7 @@ from collections.abc import (
     Coroutine,
     Mapping,
 )
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, cast
 
 from esair import minimal
 from esair.actions._from_minimal import adapt_action
@@ -18,11 +18,12 @@ from esair.actions._needs import ProfiledAction
 from esair.actions._ports import ActuatorPort, SensorPort
 from esair.actions._reaction import Reaction
 from esair.actions._request import Request
+from esair.actions._supervisor import Behaviors, BlockingBehaviors
 from esair.actions._takes import Answers, Takes, declared_requests
 from esair.connections import Halting, Stopped
 from esair.exceptions import ConfigError, NotRegisteredError
 from esair.loop import Budget, Portal, portal
-from esair.messages import Access, Restart
+from esair.messages import Access, BehaviorStatus, Restart
 from esair.values import check_duration
 
 A = TypeVar("A")
@@ -73,6 +74,8 @@ class Host(Protocol):
         max_age: float | None,
     ) -> SensorPort[Any] | ActuatorPort[Any]: ...
     def halt_robot(self, reason: str) -> Halting: ...
+    def query(self, name: str) -> BehaviorStatus: ...
+    async def manage(self, verb: str, *args: Any) -> Any: ...
     async def stop_robot(self, reason: str) -> Stopped: ...
 
 
@@ -331,6 +334,20 @@ class Behavior(ProfiledAction):
         if host is None:
             raise self._alone()
         return await host.register(resource, access, priority, hold, max_age)
+
+    @property
+    def supervisor(self) -> Behaviors:
+        """The behaviors of the robot: what they do, and, with a right, to manage them.
+
+        In the thread of a plain ``run`` its verbs wait.
+        """
+        host = self._host
+        if host is None:
+            raise self._alone()
+        behaviors = Behaviors(host)
+        if host.portal is None:
+            return behaviors
+        return cast("Behaviors", BlockingBehaviors(behaviors, host.portal))
 
     def halt_robot(self, reason: str) -> Halting:
         """Make every actuator safe and keep it so; see `Robot.halt`.

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from esair import minimal
 from esair.actions._behavior import Behavior, forever, in_loop, next_of, portal_of
 from esair.actions._ports import ActuatorPort, SensorPort
 from esair.actions._reaction import Reaction
 from esair.actions._request import Request
+from esair.actions._supervisor import BlockingBehaviors
 from esair.connections import Stopped
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
@@ -272,6 +273,11 @@ class ThreadBehavior(Behavior):
     def run(self) -> None:
         """Do the work, in the thread. Unless overridden it waits."""
         portal_of(self).call(forever)
+
+    @property
+    def supervisor(self) -> BlockingBehaviors:
+        """The behaviors of the robot: what they do, and, with a right, to manage them."""
+        return cast("BlockingBehaviors", super().supervisor)
 
     def put(self, receiver: str, data: Any, interval: float = 1.0) -> None:
         """Hand data to another behavior, through the behavior supervisor.

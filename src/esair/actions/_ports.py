@@ -67,6 +67,11 @@ class SensorPort(Generic[T]):
         """The greatest age of a reading unless a call says otherwise, in seconds."""
         return self._channel.max_age if self._max_age is None else self._max_age
 
+    def revive(self, channel: Any, registration: Registration) -> None:
+        """Live again, with a sensor that has come back under the same name."""
+        self._channel = channel
+        self.registration = registration
+
     @property
     def resource(self) -> str:
         """The name of the sensor."""
@@ -289,6 +294,11 @@ class ActuatorPort(Generic[T]):
         self.registration = registration
         self._control = control
         self._budget = Budget.of(asyncio.get_running_loop())
+
+    def revive(self, channel: Any, registration: Registration) -> None:
+        """Live again, with an actuator that has come back under the same name."""
+        self._channel = channel
+        self.registration = registration
 
     @property
     def resource(self) -> str:

@@ -19,6 +19,7 @@ from esair.plan._examine import (
 from esair.plan._finding import Finding, Severity, errors_in, refuse
 from esair.plan._looking import only_looking, refuse_while_looking
 from esair.plan._names import in_use
+from esair.plan._needs import unmet
 from esair.plan._plan import Plan
 from esair.plan._protection import Guard, Protection, Writer, protection
 from esair.plan._resources import wrong_bus
@@ -43,5 +44,6 @@ __all__ = [
     "protection",
     "refuse",
     "refuse_while_looking",
+    "unmet",
     "wrong_bus",
 ]

@@ -24,6 +24,7 @@ from esair.connections import (
     Stopped,
 )
 from esair.exceptions import (
+    AccessDeniedError,
     BehaviorFailedError,
     BehaviorRemovedError,
     ConfigError,
@@ -45,6 +46,7 @@ from esair.plan import (
     examine_step,
     in_use,
     refuse,
+    unmet,
 )
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._mediator import Mediator
@@ -111,6 +113,8 @@ class BehaviorSupervisor(abc.Supervisor):
         self.zombie_count = 0
         self._undead: set[asyncio.Task[Any]] = set()
         """Tasks of zombies: the loop itself keeps only weak references."""
+        self.managers: frozenset[str] = frozenset()
+        """Which behaviors may manage others, by the developer's policies."""
         self.began = 0.0
         """When the robot has started, on the loop's clock: the zero of ``now_ms``."""
         self.seed = 0
@@ -414,6 +418,28 @@ class BehaviorSupervisor(abc.Supervisor):
 
         await self._command_queue.run(work, name=f"restart {name}", undo=False)
 
+    async def managed_by(self, name: str, verb: str, *args: Any) -> Any:
+        """Do what a behavior has asked for, if a policy gives it the right.
+
+        Args:
+            name: The behavior.
+            verb: ``add``, ``remove``, ``replace`` or ``restart``.
+            *args: What the method of that name takes.
+
+        Raises:
+            AccessDeniedError: It has no right to manage others.
+        """
+        if not {name, "*"} & self.managers:
+            raise AccessDeniedError(
+                name,
+                "behaviors",
+                verb,
+                f'no policy allows it: Policy.behaviors(allow={{"{name}": "manage"}})',
+            )
+        about = args[0] if isinstance(args[0], str) else _name(args[0])
+        self.journal.publish(Kind.OPERATOR, about, name, None, verb)
+        return await getattr(self, verb)(*args)
+
     async def command(self, text: str) -> str:
         """Do what an operator types; it has the rights of the user.
 
@@ -564,6 +590,16 @@ class BehaviorSupervisor(abc.Supervisor):
         """Return this robot, with what is about to come and without what goes."""
         members = [each for each in self._members.values() if each is not without]
         return self.resources.plan([*(each.action for each in members), *new])
+
+    def misfit(self, action: Behavior | Reaction, resource: str) -> str:
+        """Say why a resource that is there now does not fit a port; empty if it does."""
+        plan = self._plan()
+        for attribute, need in action.needs.items():
+            if need.resource == resource and resource in plan.resource_names:
+                finding = unmet(plan, action, attribute, need)
+                if finding is not None:
+                    return finding.text
+        return ""
 
     @staticmethod
     def _refuse(found: list[Finding], action: Behavior | Reaction) -> None:

@@ -48,7 +48,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Owner, Portal, spawn
+from esair.loop import Owner, Portal, spawn, speaks_for_nobody
 from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._restart_budget import RestartBudget
@@ -82,6 +82,7 @@ class Member(Mailbox):
     __slots__ = (
         "_budget",
         "_portal",
+        "_ports",
         "_random",
         "_supervisor",
         "_timer",
@@ -121,6 +122,8 @@ class Member(Mailbox):
         self.undead: list[asyncio.Task[Any]] = []
         self._supervisor = supervisor
         self._random: Random | None = None
+        self._ports: dict[str, SensorPort[Any] | ActuatorPort[Any]] = {}
+        """The declared ports of a behavior, by their attributes."""
         self.owner.stream = self.stream
         self._budget: RestartBudget | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -135,6 +138,16 @@ class Member(Mailbox):
         return self._random
 
     # What the behavior asks (`Host`).
+
+    def query(self, name: str) -> BehaviorStatus:
+        """Tell what a behavior is doing."""
+        return self._supervisor.query(name)
+
+    async def manage(self, verb: str, *args: Any) -> Any:
+        """Add, remove, replace or restart a behavior, if a policy allows it."""
+        if speaks_for_nobody() or not self.alive:
+            raise BehaviorRemovedError(self.name)
+        return await self._supervisor.managed_by(self.name, verb, *args)
 
     async def register(
         self,
@@ -257,6 +270,7 @@ class Member(Mailbox):
         try:
             for attribute, need in self.action.needs.items():
                 port: Any = self._port(self._grant_need(need), _max_age(need))
+                self._ports[attribute] = port
                 if self._portal is not None:
                     port = blocking(port, self._portal)
                 self.action.__dict__[attribute] = port
@@ -674,22 +688,44 @@ class Member(Mailbox):
             runner.start(inputs, outputs)
 
     def resource_changed(self, resource: str) -> None:
-        """Bind a reaction anew when one of its resources was added or removed."""
+        """Bind an action anew when one of its resources was added or removed."""
         for perform in self.performs:
             for registration in perform.uses:
                 if registration.reason is not None:
                     perform.crash(registration.reason())
-        if not isinstance(self.action, Reaction) or not self.alive:
-            return
-        if self.state is BehaviorState.RESTARTING:
+        if not self.alive or self.state is BehaviorState.RESTARTING:
             return  # it will be bound anew in any case
         if all(need.resource != resource for need in self.action.needs.values()):
             return
+        misfit = self._supervisor.misfit(self.action, resource)
+        if not isinstance(self.action, Reaction):
+            if not misfit:
+                self._revive(resource)
+            return
         self.fence()
+        if misfit:
+            self._runs(False, misfit)
+            return
         try:
             self.start()
         except Exception as error:
             self._crashed(error)
+
+    def _revive(self, resource: str) -> None:
+        """Give the declared ports of a behavior their rights to a resource again."""
+        names = self._supervisor.resources.names()
+        for attribute, need in self.action.needs.items():
+            port = self._ports.get(attribute)
+            if port is None or need.resource != resource or resource not in names:
+                continue
+            if port.registration.reason is None:
+                continue  # it was never revoked
+            try:
+                registration = self._grant_need(need)
+            except EsairError as error:
+                _log.warning("%s: %s: %s", self.name, attribute, describe(error))
+            else:
+                port.revive(self._channel(resource), registration)
 
     def counts(self) -> dict[str, int]:
         """Return the counters, by name."""

@@ -14,6 +14,7 @@ _COMMANDS = {
     "list": ("", "name every behavior and what it is doing"),
     "query": ("NAME", "tell what a behavior is doing"),
     "remove": ("NAME", "take a behavior away"),
+    "restart": ("NAME", "end the run of a behavior, and begin another"),
     "why": ("ACTUATOR", "tell who holds an actuator, and why"),
     "help": ("", "list the commands"),
 }
@@ -51,6 +52,9 @@ async def command(supervisor: BehaviorSupervisor, text: str) -> str:
         return f"{name}: {status.state.value}{detail}, {status.restarts} restarts"
     if verb == "why":
         return str(supervisor.resources.why(name))
+    if verb == "restart":
+        await supervisor.restart(name)
+        return f"{name} was restarted"
     left = await supervisor.remove(name)
     return f"{name} was removed" + (
         f"; {len(left)} messages were not taken" if left else ""

@@ -1,0 +1,87 @@
+"""The behavior supervisor in a behavior's hand."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from esair.loop import Portal
+from esair.messages import BehaviorStatus
+
+if TYPE_CHECKING:
+    from esair.actions._behavior import Behavior
+    from esair.actions._reaction import Reaction
+
+
+class Managed(Protocol):
+    """What a running behavior asks of its supervisor about others."""
+
+    def query(self, name: str) -> BehaviorStatus: ...
+    async def manage(self, verb: str, *args: Any) -> Any: ...
+
+
+class Behaviors:
+    """The behaviors of the robot, for one of them.
+
+    It may always `query`. The rest takes a right from the developer:
+    ``Policy.behaviors(allow={"captain": "manage"})``; each raises `AccessDeniedError`
+    without it, and else does and raises what the `BehaviorSupervisor` does.
+    """
+
+    def __init__(self, host: Managed) -> None:
+        self._host = host
+
+    def query(self, name: str) -> BehaviorStatus:
+        """Tell what a behavior is doing. Answers at any time, without a wait.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+        """
+        return self._host.query(name)
+
+    async def add(self, behavior: Behavior | Reaction) -> None:
+        """Deploy a behavior or reaction; see `BehaviorSupervisor.add`."""
+        await self._host.manage("add", behavior)
+
+    async def remove(self, name: str) -> list[Any]:
+        """Take a behavior away; see `BehaviorSupervisor.remove`."""
+        return await self._host.manage("remove", name)  # type: ignore[no-any-return]
+
+    async def replace(self, name: str, behavior: Behavior | Reaction) -> list[Any]:
+        """Put another in the place of one; see `BehaviorSupervisor.replace`."""
+        return await self._host.manage("replace", name, behavior)  # type: ignore[no-any-return]
+
+    async def restart(self, name: str) -> None:
+        """End the run of a behavior and begin another; see `BehaviorSupervisor.restart`."""
+        await self._host.manage("restart", name)
+
+
+class BlockingBehaviors:
+    """`Behaviors` for a behavior with a plain ``run``: the thread waits."""
+
+    def __init__(self, behaviors: Behaviors, portal: Portal) -> None:
+        self._behaviors = behaviors
+        self._portal = portal
+
+    def query(self, name: str) -> BehaviorStatus:
+        """Tell what a behavior is doing; see `Behaviors.query`."""
+
+        async def query() -> BehaviorStatus:
+            return self._behaviors.query(name)
+
+        return self._portal.call(query)
+
+    def add(self, behavior: Behavior | Reaction) -> None:
+        """Deploy a behavior or reaction; see `BehaviorSupervisor.add`."""
+        self._portal.call(self._behaviors.add, behavior)
+
+    def remove(self, name: str) -> list[Any]:
+        """Take a behavior away; see `BehaviorSupervisor.remove`."""
+        return self._portal.call(self._behaviors.remove, name)
+
+    def replace(self, name: str, behavior: Behavior | Reaction) -> list[Any]:
+        """Put another in the place of one; see `BehaviorSupervisor.replace`."""
+        return self._portal.call(self._behaviors.replace, name, behavior)
+
+    def restart(self, name: str) -> None:
+        """End the run of a behavior and begin another; see `BehaviorSupervisor.restart`."""
+        self._portal.call(self._behaviors.restart, name)
