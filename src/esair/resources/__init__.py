@@ -16,7 +16,13 @@ from esair.resources._operation import (
 )
 from esair.resources._resource import Resource, bus_kind
 from esair.resources._sensor import Sensor
-from esair.resources._setting import Setting, check_settings, setting, settings_of
+from esair.resources._setting import (
+    Setting,
+    check_settings,
+    setting,
+    settings_of,
+    shown,
+)
 
 __all__ = [
     "HOLD",
@@ -36,5 +42,6 @@ __all__ = [
     "operations_of",
     "setting",
     "settings_of",
+    "shown",
     "wrong_operations",
 ]

@@ -98,6 +98,7 @@ class Resource(abc.Resource):
                     max=described.max,
                     choices=described.choices,
                     doc=described.doc,
+                    secret=described.secret,
                 )
                 typing.cast("Setting", narrowed).__set_name__(cls, name)
                 setattr(cls, name, narrowed)

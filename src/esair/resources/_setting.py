@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+HIDDEN = "(secret)"
+"""What is shown of the value of a secret setting."""
+
 
 @attrs.frozen
 class Setting:
@@ -31,6 +34,7 @@ class Setting:
         choices: The only values allowed.
         doc: What the setting does, in one line.
         name: The name, as the class gives it.
+        secret: Its values are never recorded and never shown.
     """
 
     default: Any
@@ -40,6 +44,7 @@ class Setting:
     choices: Collection[object] | None = None
     doc: str = ""
     name: str = ""
+    secret: bool = False
 
     def __set_name__(self, owner: type, name: str) -> None:
         object.__setattr__(self, "name", name)
@@ -60,6 +65,15 @@ class Setting:
             BadValueError: The type is wrong, or it is not finite, outside the
                 limits, or not one of the choices.
         """
+        if not self.secret:
+            return self._check(component, value)
+        try:
+            return self._check(component, value)
+        except BadValueError:
+            told = "its value is not allowed; it is secret and not shown"
+        raise BadValueError(component, self.name, told)
+
+    def _check(self, component: str, value: object) -> object:
         wanted = self.type
         if type(value) is not wanted and passes_as(value, wanted):
             with contextlib.suppress(OverflowError):  # refused below
@@ -106,6 +120,7 @@ def setting(
     max: float | None = None,  # noqa: A002 - the word that everybody expects
     choices: Collection[T] | None = None,
     doc: str = "",
+    secret: bool = False,
 ) -> T:
     """Declare a setting of a resource, as a class attribute.
 
@@ -120,6 +135,7 @@ def setting(
         max: The greatest value allowed.
         choices: The only values allowed.
         doc: What the setting does, in one line.
+        secret: Its values are never recorded and never shown: a password, say.
 
     Example:
         >>> class Sonar(esair.Sensor[float]):
@@ -127,7 +143,7 @@ def setting(
         ...     gain = esair.setting(3, min=0, max=7, doc="amplification step")
     """
     # The static type is that of the value, as with attrs.field and its kin.
-    return cast("T", Setting(default, unit, min, max, choices, doc))
+    return cast("T", Setting(default, unit, min, max, choices, doc, secret=secret))
 
 
 def settings_of(component: type[Resource]) -> dict[str, Setting]:
@@ -140,6 +156,15 @@ def settings_of(component: type[Resource]) -> dict[str, Setting]:
             if isinstance(value, Setting)
         )
     return found
+
+
+def shown(resource: Resource, values: Mapping[str, object]) -> dict[str, object]:
+    """Return values of settings as they may be recorded and shown."""
+    known = settings_of(type(resource))
+    return {
+        name: HIDDEN if name in known and known[name].secret else value
+        for name, value in values.items()
+    }
 
 
 def check_settings(

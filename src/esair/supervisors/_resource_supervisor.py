@@ -41,7 +41,14 @@ from esair.messages import (
     Why,
 )
 from esair.plan import Finding, Plan, examine_resource, in_use, refuse
-from esair.resources import Actuator, Resource, Sensor, adapt_resource, check_settings
+from esair.resources import (
+    Actuator,
+    Resource,
+    Sensor,
+    adapt_resource,
+    check_settings,
+    shown,
+)
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._operate import operate
 from esair.supervisors._resource_life import ResourceLife
@@ -127,7 +134,7 @@ class ResourceSupervisor(abc.Supervisor):
             tuple(
                 dict.fromkeys(r.behavior for r in self._registrations.of_resource(name))
             ),
-            dict(life.resource.settings),
+            shown(life.resource, life.resource.settings),
         )
 
     def abandoned(self) -> tuple[Call, ...]:
@@ -564,7 +571,10 @@ class ResourceSupervisor(abc.Supervisor):
             changes = check_settings(life.resource, settings)
             await life.configure(changes)
             self.journal.publish(
-                Kind.CONFIGURED, registration.resource, registration.behavior, changes
+                Kind.CONFIGURED,
+                registration.resource,
+                registration.behavior,
+                shown(life.resource, changes),
             )
 
     # What the robot does at its start and stop.
