@@ -74,7 +74,7 @@ from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
 random = ComponentRandom()
 """Random numbers from the stream of the component that asks; see `ComponentRandom`."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "HOLD",

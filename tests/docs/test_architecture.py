@@ -1,0 +1,45 @@
+"""The page of the architecture names rooms that are there, and all of them."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "esair"
+PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+
+
+def test_the_tree_is_the_tree() -> None:
+    """Each package and module of the first level, and nothing else."""
+    tree = PAGE.split("```text\nsrc/esair/\n")[1].split("```")[0]
+    named = set()
+    for line in tree.splitlines():
+        if re.match(r"  \S", line):
+            named |= set(re.findall(r"(\w+)(?:/|\.py)(?=\s)", line))
+    there = {
+        path.stem
+        for path in SOURCE.iterdir()
+        if (path.suffix == ".py" or (path / "__init__.py").exists())
+        and not path.name.startswith("__")
+    }
+
+    assert named == there
+
+
+def test_every_room_that_is_named_is_there() -> None:
+    """Files and folders of the tables and of the mechanisms."""
+    rooms = re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.py)?)`", PAGE)
+    missing = [
+        room
+        for room in rooms
+        if not any((base / room).exists() for base in (SOURCE, ROOT))
+    ]
+
+    assert len(rooms) > 30
+    assert missing == []
+
+
+def test_each_of_fifteen_changes_has_its_room() -> None:
+    """One line for each."""
+    table = PAGE.split("## Fifteen changes, one room each")[1].split("\n## ")[0]
+
+    assert len(re.findall(r"^\| [a-z].* \| .*`", table, re.M)) == 15
