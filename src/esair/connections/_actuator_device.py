@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import logging
 import math
 from collections.abc import Callable
@@ -385,7 +386,9 @@ class ActuatorDevice:
         self._told_error = "it has not answered yet"
         self._safe_number = calls.number + 1
         opening = calls.opening
-        applied = await calls.run("safe", self._write, command, limit=actuator.deadline)
+        # A copy: a driver that changes what it was given must not change what is safe.
+        given = command if command is HOLD else copy.deepcopy(command)
+        applied = await calls.run("safe", self._write, given, limit=actuator.deadline)
         if opening == calls.opening and calls is self.calls:
             self._told_error = ""
             if command is HOLD and applied is not None:
