@@ -10,11 +10,13 @@ import platform
 import sys
 import time
 from pathlib import Path
+from types import ModuleType
 
 import attrs
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks import harness
 from benchmarks.cases import (
     data_path,
     devices,
@@ -47,10 +49,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--only", default="", help="goals to measure, such as P1,P5")
     parser.add_argument("--loop", choices=["asyncio", "uvloop"], default="asyncio")
+    parser.add_argument(
+        "--smoke", action="store_true", help="see that all cases run; measure nothing"
+    )
     parser.add_argument("--json", type=Path, help="write the rows to a file")
     parser.add_argument("--markdown", type=Path, help="write the table to a file")
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
+    if arguments.smoke:
+        _shorten()
     wanted = {goal for goal in arguments.only.upper().split(",") if goal}
     factory = None
     if arguments.loop == "uvloop":
@@ -71,6 +78,24 @@ def main() -> None:
         arguments.json.write_text(text + "\n")
     if arguments.markdown:
         arguments.markdown.write_text(_markdown(rows, machine))
+
+
+SMOKE: dict[ModuleType, dict[str, object]] = {
+    harness: {"smoke": True},
+    data_path: {"COUNT": 50},
+    reactions: {"SLICE": 0.1, "COUNT": 40, "HOUR": 60.0},
+    devices: {"COUNT": 20},
+    lifecycle: {"PAIRS": 18},
+    garbage: {"SECONDS": 0.5},
+}
+"""How long, and how large, the cases are when nothing is measured."""
+
+
+def _shorten() -> None:
+    for module, constants in SMOKE.items():
+        for name, value in constants.items():
+            getattr(module, name)  # a constant that has gone is an error
+            setattr(module, name, value)
 
 
 def _cells(row: Row) -> list[str]:

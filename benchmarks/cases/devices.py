@@ -29,7 +29,7 @@ from benchmarks.cases.peers import (
     echo_terminal,
     flood,
 )
-from benchmarks.harness import Row, ms, neighbors, percentile, us
+from benchmarks.harness import Row, ms, neighbors, percentile, repeated, us
 from esair.buses import CanBus, I2CBus, SerialBus
 from esair.buses.i2c import ChipBus
 
@@ -440,7 +440,7 @@ async def _p9() -> list[Row]:
 
     mine: list[list[float]] = []
     limit: list[list[float]] = []
-    for _ in range(5):
+    for _ in repeated(5):
         mine.append(await reflex())
         limit.append(await bare())
     found = []

@@ -9,7 +9,7 @@ import tracemalloc
 
 import esair
 from benchmarks.cases.components import Idle, Meter, reacting_robot
-from benchmarks.harness import Row, ms, percentile, us
+from benchmarks.harness import Row, ms, percentile, repeated, us
 
 PAIRS = 300
 
@@ -66,8 +66,8 @@ async def _disturbance() -> Row:
                 await asyncio.sleep(0.01)
         return percentile(late, 0.99)
 
-    with_swaps = statistics.median([await p99(True) for _ in range(3)])
-    without = statistics.median([await p99(False) for _ in range(3)])
+    with_swaps = statistics.median([await p99(True) for _ in repeated(3)])
+    without = statistics.median([await p99(False) for _ in repeated(3)])
     growth = max(0.0, with_swaps - without)
     return Row(
         "P10 p99 lateness of others grows by", ms(growth), "1 ms", growth / 1e-3, 1.0

@@ -10,11 +10,21 @@ from collections.abc import Callable
 import esair
 from benchmarks.cases.components import reacting_robot
 from benchmarks.cases.limits import bare_wheel, sleeping_tasks
-from benchmarks.harness import Row, cpu_share, ms, neighbors, percent, percentile, us
+from benchmarks.harness import (
+    Row,
+    cpu_share,
+    ms,
+    neighbors,
+    percent,
+    percentile,
+    repeated,
+    us,
+)
 from esair.testing import VirtualLoop
 
 SLICE = 0.8
 COUNT = 1000
+HOUR = 3600.0
 
 
 async def rows() -> list[Row]:
@@ -53,9 +63,9 @@ async def _thousand() -> list[Row]:
         ("P5 p99 lateness, all write", 1),
     ):
         mine = statistics.median(
-            [await _lateness_of_robot(COUNT, acting, 0.99) for _ in range(3)]
+            [await _lateness_of_robot(COUNT, acting, 0.99) for _ in repeated(3)]
         )
-        limit = statistics.median([await _bare_late(COUNT, 0.99) for _ in range(3)])
+        limit = statistics.median([await _bare_late(COUNT, 0.99) for _ in repeated(3)])
         found.append(
             Row(
                 case,
@@ -116,9 +126,9 @@ async def _one() -> list[Row]:
             await asyncio.sleep(SLICE)
             return percentile(late, 0.5)
 
-    mine = statistics.median([await _lateness_of_robot(1, 0, 0.5) for _ in range(3)])
-    scheduler = statistics.median([await _bare_late(1, 0.5) for _ in range(3)])
-    sleep = statistics.median([await sleep_late() for _ in range(3)])
+    mine = statistics.median([await _lateness_of_robot(1, 0, 0.5) for _ in repeated(3)])
+    scheduler = statistics.median([await _bare_late(1, 0.5) for _ in repeated(3)])
+    sleep = statistics.median([await sleep_late() for _ in repeated(3)])
     return [
         Row(
             "P6 p50 lateness of one, to a bare timerfd",
@@ -149,14 +159,14 @@ async def _drift() -> Row:
                     return None
 
             async with esair.Robot(behaviors=[Count()]) as robot:
-                await asyncio.sleep(3600.0)
+                await asyncio.sleep(HOUR)
                 return robot.behaviors.query("count").steps
 
         with asyncio.Runner(loop_factory=VirtualLoop) as runner:
             return runner.run(main())
 
     steps = await asyncio.to_thread(hour)
-    drift = abs(steps - 360_000) * 0.01
+    drift = abs(steps - round(HOUR * 100)) * 0.01
     return Row(
         "P6 drift in an hour of virtual time",
         f"{drift:.2f} s",
@@ -175,7 +185,7 @@ async def _growth() -> list[Row]:
     idle = await share(0)
     few: list[float] = []
     many: list[float] = []
-    for _ in range(3):
+    for _ in repeated(3):
         few.append((await share(10) - idle) / 10)
         many.append((await share(1000) - idle) / 1000)
     small, large = statistics.median(few), statistics.median(many)

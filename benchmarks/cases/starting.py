@@ -10,7 +10,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.harness import Row, ms
+from benchmarks.harness import Row, ms, repeated
 from esair import minimal
 
 FORBIDDEN = ("serial", "serial_asyncio", "can", "smbus2", "cyclopts", "rich", "pytest")
@@ -34,7 +34,7 @@ def _rows() -> list[Row]:
             environment = {**os.environ, "PYTHONPYCACHEPREFIX": cache}
             environment.pop("PYTHONDONTWRITEBYTECODE", None)
             _run(mine, environment)
-            for _ in range(15):
+            for _ in repeated(15):
                 a, b = _run(mine, environment), _run(other, environment)
                 mines.append(a)
                 others.append(b)

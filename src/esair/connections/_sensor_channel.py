@@ -139,7 +139,7 @@ class SensorChannel:
         self._history: collections.deque[Reading[Any]] = collections.deque(
             maxlen=sensor.history_size
         )
-        self._check_value = ReadingCheck(sensor)
+        self._check_value = ReadingCheck(sensor).__call__
         self._max_repeat = sensor.max_repeat
         if sensor.can_be_asked:
             self._read = self.driver.method("read")
