@@ -87,3 +87,29 @@ async def test_everything_can_be_drawn_at_any_moment() -> None:
     console.print(screen._draw())
 
     assert "held by" in console.file.getvalue()  # type: ignore[attr-defined]
+
+
+@pytest.mark.virtual_clock
+async def test_on_80_by_24_all_is_seen_and_the_blind_moment_says_why() -> None:
+    """The map, the components, the newest events, and why the rover stands still."""
+    text = io.StringIO()
+    console = Console(file=text, width=80, height=24)
+    screen = Screen(console, live=False)
+    screen.live = True  # events are drawn, not printed
+    showing = asyncio.create_task(perform(Ending(), screen, seed=0, duration=16.0))
+    await asyncio.sleep(6.0)
+
+    console.print(screen._draw())
+    showing.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await showing
+
+    lines = text.getvalue().splitlines()
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 80
+    shown = "\n".join(lines)
+    assert "the rover stands still: avoid is blind: ranges lost" in shown
+    assert "the range finder is unplugged" in shown
+    assert "ranges" in shown
+    assert "lost" in shown
+    assert "▀" in shown

@@ -125,6 +125,14 @@ def test_one_line_of_the_log_tells_of_the_loss_and_one_of_the_return(
     assert (len(lost), len(back), len(parked)) == (1, 1, 1)
 
 
+def test_the_blind_moment_says_why_the_rover_stands(show: Show) -> None:
+    """In the picture, and in the line of text."""
+    assert show.ending.run is not None
+    (blind,) = [event for event in show.ending.run.events if event.kind == "unplug"]
+
+    assert blind.detail.endswith("the rover stands still because avoid is blind")
+
+
 def test_the_refusal_says_who_holds_the_wheels(show: Show) -> None:
     """And with which priority."""
     assert show.ending.run is not None

@@ -22,6 +22,8 @@ def demo(
         out: Where the picture of the run goes (PNG).
         record: Where every CAN frame goes, in the format of candump.
     """
+    # What draws takes its time to be imported.
+    print("esair demo: a simulated rover; Ctrl-C stops it", flush=True)  # noqa: T201 - this is the command line
     try:
         from esair.demo import demo as show
 

@@ -27,6 +27,9 @@ FRAMES_PER_SECOND = 4
 EVENTS_SHOWN = 6
 LOG_SHOWN = 5
 
+WIDE, TALL = 100, 44
+"""From how many columns and lines on the whole picture is drawn."""
+
 SIGNS = {
     "unplug": ("✕", "red"),
     "plug": ("✓", "green"),
@@ -116,6 +119,8 @@ class Screen(logging.Handler):
     # Drawing.
 
     def _draw(self) -> RenderableType:
+        if self.console.width < WIDE or self.console.height < TALL:
+            return self._draw_small()
         layout = Layout()
         layout.split_column(
             Layout(self._head(), size=3),
@@ -129,7 +134,46 @@ class Screen(logging.Handler):
         height = 3 + 26 + EVENTS_SHOWN + LOG_SHOWN + 4
         return _Fixed(layout, min(height, max(20, self.console.height - 1)))
 
+    def _draw_small(self) -> RenderableType:
+        """Draw what fits on 80 x 24: each line of the map is a coarser one."""
+        layout = Layout()
+        layout.split_column(
+            Layout(self._bar(), size=1),
+            Layout(self._wheels(), size=1),
+            Layout(name="middle", size=11),
+            Layout(self._events_alone(), ratio=1),
+        )
+        layout["middle"].split_row(
+            Layout(self._map(factor=4), size=34),
+            Layout(self._components()),
+        )
+        return _Fixed(layout, max(16, self.console.height - 1))
+
+    def _wheels(self) -> RenderableType:
+        """Say in one line who moves the wheels, or why they stand."""
+        if self.robot is None:
+            return Text("starting", "dim")
+        why = self.robot.resources.why("wheels")
+        if why.holder is None:
+            return Text(f"wheels: free, told {why.last}", "bold", no_wrap=True)
+        if " is blind" in why.rule:
+            return Text(f"the rover stands still: {why.rule}", "bold red", no_wrap=True)
+        return Text(f"wheels: held by {why.holder}, {why.rule}", "bold", no_wrap=True)
+
+    def _events_alone(self) -> RenderableType:
+        rows = max(1, self.console.height - 14)
+        lines: list[Text] = []
+        for event in reversed(self._events):
+            wrapped = _line(event).wrap(self.console, self.console.width)
+            if len(lines) + len(wrapped) > rows:
+                break
+            lines = [*wrapped, *lines]
+        return Group(*lines)
+
     def _head(self) -> RenderableType:
+        return Panel(self._bar())
+
+    def _bar(self) -> RenderableType:
         time = self.samples[-1].time if self.samples else 0.0
         bar = ProgressBar(total=self.duration, completed=min(time, self.duration))
         table = Table.grid(expand=True, padding=(0, 2))
@@ -141,15 +185,15 @@ class Screen(logging.Handler):
             bar,
             Text(f"{time:5.1f} s   Ctrl-C stops the wheels", "dim"),
         )
-        return Panel(table)
+        return table
 
-    def _map(self) -> RenderableType:
+    def _map(self, factor: int = 2) -> RenderableType:
         belief = self.witness.belief if self.witness is not None else None
         if belief is None:
             return Text("nothing yet", "dim")
         pose = belief.position
         track = [sample.place for sample in tuple(self.samples)[::4]]
-        return draw_map(belief.floor, track, (pose.x, pose.y, pose.heading))
+        return draw_map(belief.floor, track, (pose.x, pose.y, pose.heading), factor)
 
     def _components(self) -> RenderableType:
         table = Table(box=None, expand=True, padding=(0, 1))
@@ -204,6 +248,7 @@ def draw_map(
     floor: FloorMap,
     track: list[tuple[float, float]],
     pose: tuple[float, float, float],
+    factor: int = 2,
 ) -> Text:
     """Draw a map with half blocks: two rows of it in each line of text.
 
@@ -211,8 +256,8 @@ def draw_map(
         floor: The map.
         track: Where the rover has been, in metres.
         pose: Where it is: x, y in metres, heading in rad.
+        factor: How many cells of the map, across and along, are one point.
     """
-    factor = 2
     height, width = (length // factor * factor for length in floor.odds.shape)
     cut = floor.odds[:height, :width]
     blocks = cut.reshape(height // factor, factor, width // factor, factor)
@@ -221,11 +266,13 @@ def draw_map(
     colors = np.full(most.shape, 0)
     colors[mean < -0.2] = 1
     colors[most > 0.6] = 2
-    for x, y in track:
-        row, column = floor.cell_of(x, y)
-        colors[min(row // factor, height // factor - 1), column // factor] = 3
-    row, column = floor.cell_of(pose[0], pose[1])
-    colors[min(row // factor, height // factor - 1), column // factor] = 4
+    rows, columns = colors.shape
+    for color, places in ((3, track), (4, [pose[:2]])):
+        for x, y in places:
+            row, column = floor.cell_of(x, y)
+            colors[min(row // factor, rows - 1), min(column // factor, columns - 1)] = (
+                color
+            )
     if len(colors) % 2:
         colors = np.vstack([colors, np.zeros((1, colors.shape[1]), colors.dtype)])
     names = ("#1c1f26", "#c9cdd4", "#3b6ea5", "#e08a3c", "#d62828")

@@ -152,6 +152,7 @@ class Story:
         await self._happens(
             "avoid is parked", lambda: self._is("avoid", BehaviorState.PARKED)
         )
+        reason, _, _ = robot.resources.why("wheels").rule.partition(":")
         stopped = self._stopped_since(unplugged)
         safe = safe if stopped is None else stopped - unplugged
         self._tell(
@@ -159,8 +160,8 @@ class Story:
                 at - self._begin,
                 "unplug",
                 "the range finder is unplugged",
-                f"noticed after {_ms(lost)}, both wheels stopped after {_ms(safe)}, "
-                "avoid is parked",
+                f"noticed after {_ms(lost)}, both wheels stopped after {_ms(safe)}; "
+                f"the rover stands still because {reason}",
                 place,
             )
         )
