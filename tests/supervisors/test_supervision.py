@@ -1069,7 +1069,7 @@ async def test_a_reaction_is_left_alone_by_changes_of_other_resources() -> None:
         assert set(robot.resources._registrations.live) == before
 
 
-async def test_a_reaction_whose_sensor_becomes_an_actuator_fails() -> None:
+async def test_a_reaction_whose_sensor_becomes_an_actuator_waits() -> None:
     """It cannot be bound to what took the place of its sensor; that is visible."""
     device, sonar = wheels(), FakeSensor("sonar", 1.0)
     async with esair.Robot(resources=[device, sonar], behaviors=[Follow()]) as robot:
@@ -1077,8 +1077,8 @@ async def test_a_reaction_whose_sensor_becomes_an_actuator_fails() -> None:
         await robot.resources.replace("sonar", FakeActuator("sonar", safe=0.0))
         await asyncio.sleep(5.0)
         status = robot.behaviors.query("follow")
-        assert status.state is State.FAILED
-        assert isinstance(status.error, esair.AccessDeniedError)
+        assert status.state is State.PARKED
+        assert status.detail == "it reads 'sonar', which is an actuator"
         assert device.commands[-1] == 0.0
 
 
@@ -1497,3 +1497,29 @@ async def test_what_has_failed_for_good_says_so_to_its_own_code() -> None:
                 await work
         with pytest.raises(esair.BehaviorFailedError, match="RuntimeError: no"):
             behavior.offer(1)
+
+
+@pytest.mark.promise("SEC-1")
+async def test_a_command_that_is_not_known_is_quoted_in_the_error() -> None:
+    """No escape of a terminal gets through, and no text without end."""
+    async with esair.Robot() as robot:
+        with pytest.raises(esair.ConfigError) as raised:
+            await robot.behaviors.command("\x1b[31m" + "x" * 10_000)
+
+    assert "\x1b" not in str(raised.value)
+    assert len(str(raised.value)) < 300
+
+
+@pytest.mark.promise("SC-1")
+@pytest.mark.parametrize("seconds", [-1.0, 0.0, float("nan"), "x"])
+async def test_a_bad_time_limit_of_a_read_is_refused_always(seconds: Any) -> None:
+    """Also where the newest reading is good enough and nobody would wait."""
+
+    class Reads(esair.Behavior):
+        sonar = esair.reads(float)
+
+    behavior = Reads()
+    async with esair.Robot(resources=[FakeSensor("sonar", 1.0)], behaviors=[behavior]):
+        assert await behavior.sonar.read() == 1.0
+        with pytest.raises(esair.BadValueError, match="timeout"):
+            await behavior.sonar.read(timeout=seconds)

@@ -104,7 +104,7 @@ class SensorPort(Generic[T]):
         budget.left -= 1
         if budget.left < 0:
             await budget.give_way()
-        if not fresh and max_age is None:
+        if not fresh and max_age is None and timeout is None:
             # Most reads end here: the newest reading is good enough.
             channel = self._channel
             newest = channel.newest
@@ -135,12 +135,12 @@ class SensorPort(Generic[T]):
             if max_age is None
             else check_duration(self.resource, "max_age", max_age)
         )
+        if timeout is not None:
+            check_duration(self.resource, "timeout", timeout)
         if not fresh:
             reading = channel.cached(self.registration, min(limit, channel.good_for))
             if reading is not None:
                 return reading
-        if timeout is not None:
-            check_duration(self.resource, "timeout", timeout)
         return await channel.ask(
             self.registration,
             fresh=fresh,

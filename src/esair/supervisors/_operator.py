@@ -31,7 +31,7 @@ async def command(supervisor: BehaviorSupervisor, text: str) -> str:
     if not words or words[0] not in _COMMANDS:
         verb = words[0] if words else ""
         hint = did_you_mean(verb, _COMMANDS) or f"; there are {', '.join(_COMMANDS)}"
-        raise ConfigError("command", verb, f"it is not known{hint}")
+        raise ConfigError("command", f"{verb!r:.80}", f"it is not known{hint}")
     verb, *arguments = words
     usage = _COMMANDS[verb][0]
     if len(arguments) != len(usage.split()):
