@@ -135,7 +135,7 @@ def test_nothing_in_it_is_an_error(rover: Path) -> None:
         ("left = 0.0, ", "", "safe", 'The signal "left" is required'),
         ("safe = { left = 0.0, right = 0.0 }", "", "", "the key 'safe' is missing"),
         ('message = "W', 'signal = "left"\nmessage = "W', "safe", "expected a number"),
-        ('bus = "drive"', 'bus = "front"', "bus", "of the class CanBus"),
+        ('bus = "drive"', 'bus = "front"', "bus", "expected a CanBus, but"),
         ('bus = "drive"', "", "", "the key 'bus' is missing"),
         ('bus = "drive"', 'bus = "drive"\ncylce = 1', "cylce", "did you mean 'cycle'?"),
     ],

@@ -112,7 +112,7 @@ def _of(plan: Plan, name: str, actuator: Actuator[object]) -> Protection:
     after = f"{timeout:g} s after the last command, and " if good else ""
     return Protection(
         name=name,
-        driver=f"{type(actuator).__module__}:{type(actuator).__qualname__}",
+        driver=f"{_public(type(actuator).__module__)}:{type(actuator).__qualname__}",
         safe=repr(actuator.safe) if hasattr(actuator, "safe") else None,
         command_timeout=float(timeout) if good else None,
         writers=tuple(
@@ -278,3 +278,8 @@ def _half_guarded(plan: Plan, rows: dict[str, Protection]) -> Iterator[Finding]:
 def _and(names: list[str]) -> str:
     shown = [repr(name) for name in names]
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
+
+
+def _public(module: str) -> str:
+    """Return the module that people import: that of ``esair.drivers.dbc._actuator``."""
+    return module.partition("._")[0]

@@ -80,7 +80,11 @@ def wrong_bus(cls: type[Resource], bus: object) -> str | None:
     except TypeError:  # a type that nothing can be compared with at run time
         return None
     name = getattr(kind, "__name__", kind)
-    return f"expected a bus of the class {name}, not {bus!r:.80}"
+    wanted = f"expected {'an' if str(name)[0] in 'AEIO' else 'a'} {name}"
+    called = getattr(bus, "name", None)
+    if called is None:
+        return f"{wanted}, not {bus!r:.80}"
+    return f"{wanted}, but {called!r} is a {type(bus).__name__}"
 
 
 def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
