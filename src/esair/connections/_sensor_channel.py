@@ -358,7 +358,7 @@ class SensorChannel:
         self._polled_in = turn
         self._begin()
         if self._asking:
-            self.awaited_in = turn
+            self.awaited_in = self._scheduler.polled_in = turn
             self._begun = now
         return None
 

@@ -60,6 +60,8 @@ class Scheduler:
         """Looked at each time the scheduler begins to turn after a sleep."""
         self.turns = 0
         """How many turns have begun: the number of this one."""
+        self.polled_in = 0
+        """The last turn in which a sensor was asked that did not answer at once."""
         self._numbers = itertools.count()
         self._heap: list[tuple[int, int, Any, RateGroup | OneShot]] = []
         self._cancelled = 0
