@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import tempfile
 
 import hypothesis
 import pytest
@@ -21,6 +23,8 @@ def pytest_configure(config: pytest.Config) -> None:
     if not config.getoption("--esair-soak"):
         hypothesis.settings.load_profile("same")
     _let_children_hear_signals()
+    # The control sockets of the robots in the tests, of children too.
+    os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="esair-sockets-")
 
 
 def _let_children_hear_signals() -> None:

@@ -385,6 +385,42 @@ class Policy:
         return ConfigError(f"policy of {self.resource!r}", field, message)
 
 
+OPERATOR = "operator"
+"""In whose name an operator acts; no component has this name."""
+
+
+@attrs.frozen(kw_only=True)
+class Operator:
+    """What an operator may do from outside: at the socket, the terminal, the page.
+
+    Looking, and stopping the robot, is for everybody who may connect.
+
+    Attributes:
+        priority: With which priority an operator writes: above every blind hold, never
+            above a guard.
+        allow: The acts that are allowed, such as ``"set"``, ``"drive"``, ``"resume"``;
+            ``"*"`` stands for all.
+    """
+
+    priority: int = 1000
+    allow: tuple[str, ...] = ("*",)
+
+    def __attrs_post_init__(self) -> None:
+        if type(self.priority) is not int:
+            told = f"expected a whole number, not {self.priority!r:.80}"
+            raise ConfigError(OPERATOR, "priority", told)
+        if not isinstance(self.allow, tuple) or not all(
+            isinstance(each, str) for each in self.allow
+        ):
+            told = f"expected names of acts, not {self.allow!r:.80}"
+            raise ConfigError(OPERATOR, "allow", told)
+
+    def may(self, act: str) -> bool:
+        """Tell whether an act is allowed; who may drive may take a lease for it."""
+        wanted = "drive" if act in {"lease", "release"} else act
+        return "*" in self.allow or wanted in self.allow
+
+
 @attrs.frozen
 class Recording:
     """What a robot records, and within which bounds.

@@ -46,7 +46,13 @@ from esair.loop import (
     spawn,
     threads_that_keep_the_process,
 )
-from esair.messages import BehaviorsPolicy, Policy, Recording, ResourceState
+from esair.messages import (
+    BehaviorsPolicy,
+    Operator,
+    Policy,
+    Recording,
+    ResourceState,
+)
 from esair.plan import Plan, errors_in, examine, refuse_while_looking
 from esair.resources import Resource, adapt_resource
 from esair.supervisors import BehaviorSupervisor, Halts, Keeper, ResourceSupervisor
@@ -58,6 +64,7 @@ if TYPE_CHECKING:
 
     from esair.buses import Bus
     from esair.recording import Recorder
+    from esair.seat import Seat
 
 BUS_TIMEOUT = 2.0
 """How long a bus may take to open or to close, in seconds."""
@@ -101,6 +108,9 @@ class Robot:
             log while it does, in seconds; None for never. Not on a virtual clock.
         seed: What `esair.random` begins with. Unless given it is 0 on a virtual clock,
             and another one at each start elsewhere; the recording has it.
+        socket: Whether it has a control socket, for ``esair top``, ``esair stop`` and
+            the like; ``esair run`` and ``sim`` give it one.
+        operator: What an operator may do from outside; everything unless given.
 
     Attributes:
         resources: The resource supervisor (RS).
@@ -130,8 +140,16 @@ class Robot:
         watchdog_death: Literal["stop", "alarm"] = "stop",
         stall_warning: float | None = STALL_WARNING,
         seed: int | None = None,
+        socket: bool = False,
+        operator: Operator | None = None,
     ) -> None:
         self.name = check_name("robot", name)
+        self.operator = Operator() if operator is None else operator
+        """What an operator may do from outside."""
+        self.source: tuple[Path, bool] | None = None
+        """The file it was made from, and whether simulated; None if from none."""
+        self._has_socket = socket
+        self._seat: Seat | None = None
         self._recording = record
         self._recorder: Recorder | None = None
         self._grace = check_seconds(f"robot {name!r}", "grace", grace)
@@ -173,6 +191,7 @@ class Robot:
             ),
             halt=self._halts.halt,
             stop=self.stop,
+            command=self._typed,
         )
         self.behaviors.managers = frozenset(
             manager
@@ -262,6 +281,7 @@ class Robot:
         refuse_while_looking(self.name)
         if mistakes := errors_in(examine(self.plan)):
             raise ExceptionGroup(f"robot {self.name!r} cannot start", mistakes)
+        seat = self._take_seat() if self._has_socket else None
         self._entered = True
         self.behaviors.seed = self._take_seed()
         self.resources.wake()
@@ -287,6 +307,9 @@ class Robot:
                 self._stalls[0].start(self._stall_warning)
             self._glances = Scheduler.of(loop).every(GLANCE, lambda _now: None)
         try:
+            if seat is not None:
+                self._seat = seat
+                await seat.start(self)
             self.behaviors.accept(self._list_of_behaviors)
             if self._keeper is not None:
                 await self._keeper.start()
@@ -364,7 +387,7 @@ class Robot:
             await asyncio.wait({self._stop_once()})
         return self.stopped
 
-    def halt(self, reason: str) -> Halting:
+    def halt(self, reason: str, *, by: str = "the user") -> Halting:
         """Make every actuator safe, and keep it so until `resume`.
 
         A plain call, from any thread, in every state, as often as you like. When it
@@ -374,12 +397,13 @@ class Robot:
 
         Args:
             reason: Why, for the log and for whoever writes meanwhile.
+            by: Who halts, for the log.
 
         Returns:
             What each actuator is told and answers: await it, or, in a thread, call
             its ``result``.
         """
-        return self._halts.halt(reason)
+        return self._halts.halt(reason, by)
 
     def resume(self) -> None:
         """End all halts: who writes next moves. For the user alone.
@@ -404,6 +428,19 @@ class Robot:
             virtual = getattr(asyncio.get_running_loop(), "virtual", False)
             self.seed = 0 if virtual else secrets.randbits(64)
         return self.seed
+
+    def _take_seat(self) -> Seat:
+        from esair.seat import Seat
+
+        return Seat(self.name, socket=self._has_socket)
+
+    async def _typed(self, text: str) -> str:
+        if self._seat is None:
+            if not self._is_up:
+                raise StoppingError(f"robot {self.name!r}", "it does not run")
+            self._seat = self._take_seat()
+            await self._seat.start(self)
+        return await self._seat.typed(text)
 
     def _start_recorder(
         self, recording: Recording, loop: asyncio.AbstractEventLoop
@@ -479,6 +516,8 @@ class Robot:
         self._latched = True
         if self._watch.last is not None:
             self._watch.last.because(time.monotonic())
+        if self._seat is not None:
+            self._seat.leave()
         try:
             await self.behaviors.stop()
             self.stopped = Stopped(await self.resources.make_safe(), reason)
@@ -506,6 +545,8 @@ class Robot:
             if self._log_lines is not None:
                 self._log_lines.stop()
             self.journal.close()
+            if self._seat is not None:
+                await self._seat.close()
             if self._recorder is not None:
                 await asyncio.to_thread(self._recorder.close)
 

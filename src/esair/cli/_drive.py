@@ -6,8 +6,9 @@ import asyncio
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import attrs
 from rich.console import Console
 from rich.text import Text
 
@@ -27,6 +28,7 @@ def drive(
     simulated: bool,
     seconds: float | None,
     verbose: bool,
+    record: list[Path] | None = None,
     loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None,
 ) -> int:
     """Run the robot of a file until it ends, or until a signal.
@@ -36,6 +38,8 @@ def drive(
         simulated: Whether the ``sim`` tables count.
         seconds: Stop after this many seconds; None to go on until the end.
         verbose: Whether every line of the log is shown.
+        record: Where to record to: a file or a folder; empty for this folder; None if
+            only the file of the robot says so.
         loop_factory: Makes the event loop; asyncio's own if None.
 
     Returns:
@@ -52,7 +56,10 @@ def drive(
     console = Console(stderr=True, highlight=False)
     sys.path.insert(0, str(file.resolve().parent))  # modules imported while it runs
     described = config.load(file, simulated=simulated)
-    robot = config.build(described, esair.Robot)
+    try:
+        robot = config.build(described, _with(described, record))
+    except EsairError as error:
+        return _not_started([error])
     console.print(_headline(described))
     try:
         with shown_log(verbose=verbose):
@@ -69,6 +76,18 @@ def drive(
         return _not_started(errors.exceptions)
     # What each actuator was told at the end is in the log.
     return 0 if all(told.answered for told in robot.stopped) else ENDED_WITH_AN_ERROR
+
+
+def _with(
+    described: config.Description, record: list[Path] | None
+) -> Callable[..., esair.Robot]:
+    """Return what makes the robot: with a control socket, and recorded if wanted."""
+    extra: dict[str, Any] = {}
+    if record is not None:
+        (path,) = record or [Path()]
+        known = described.robot.get("record") or esair.Recording(path)
+        extra["record"] = attrs.evolve(known, path=path)
+    return lambda **given: esair.Robot(**{"socket": True, **given, **extra})
 
 
 def _headline(described: config.Description) -> Text:

@@ -98,6 +98,7 @@ def make_app() -> App:
     from esair.cli._plot import plot
     from esair.cli._run import run
     from esair.cli._sim import sim
+    from esair.cli._steer import VERBS, set_
 
     app = App(
         name="esair",
@@ -106,5 +107,8 @@ def make_app() -> App:
     )
     for verb in (demo, new, check, devices, sim, run, log, plot, recover):
         app.command(verb)
+    for steer in VERBS:
+        app.command(steer)
+    app.command(set_, name="set")
     app.command(minimal)
     return app

@@ -17,6 +17,7 @@ def run(
     *,
     seconds: Annotated[float | None, Parameter(name="--for")] = None,
     loop: Literal["asyncio", "uvloop"] = "asyncio",
+    record: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
     verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative=())] = False,
 ) -> int:
     """Run the robot of a robot.toml on its real hardware.
@@ -27,6 +28,8 @@ def run(
         file: The configuration of the robot.
         seconds: Stop after this many seconds.
         loop: The event loop: Python's own, or uvloop if it is installed.
+        record: Record what happens, to this file or folder; to this folder if none
+            is named.
         verbose: Show every line of the log.
     """
     factory = None
@@ -38,5 +41,10 @@ def run(
             return CANNOT_USE
         factory = uvloop.new_event_loop
     return drive(
-        file, simulated=False, seconds=seconds, verbose=verbose, loop_factory=factory
+        file,
+        simulated=False,
+        seconds=seconds,
+        verbose=verbose,
+        record=record,
+        loop_factory=factory,
     )

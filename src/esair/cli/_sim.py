@@ -15,6 +15,7 @@ def sim(
     /,
     *,
     seconds: Annotated[float | None, Parameter(name="--for")] = None,
+    record: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
     verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative=())] = False,
 ) -> int:
     """Run the robot of a robot.toml in simulation: the sim tables count.
@@ -24,6 +25,8 @@ def sim(
     Args:
         file: The configuration of the robot.
         seconds: Stop after this many seconds.
+        record: Record what happens, to this file or folder; to this folder if none
+            is named.
         verbose: Show every line of the log.
     """
-    return drive(file, simulated=True, seconds=seconds, verbose=verbose)
+    return drive(file, simulated=True, seconds=seconds, verbose=verbose, record=record)

@@ -27,14 +27,19 @@ from esair.config._construct import keywords_of
 from esair.config._description import Description
 from esair.config._load import build, load, load_robot
 from esair.config._mistakes import ConfigFileError
+from esair.config._records import fields_of
+from esair.config._values import INVALID, convert
 
 __all__ = [
+    "INVALID",
     "ConfigFileError",
     "Description",
     "FoundInFile",
     "Report",
     "build",
     "check",
+    "convert",
+    "fields_of",
     "keywords_of",
     "load",
     "load_robot",

@@ -100,6 +100,7 @@ def build(
         **description.robot,
     )
     description.is_built = True
+    robot.source = (description.path, description.simulated)
     return robot
 
 

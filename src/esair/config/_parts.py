@@ -18,7 +18,10 @@ from esair.exceptions import ConfigError, EsairError
 from esair.resources import Actuator, Sensor
 from esair.values import check_name
 
-TABLES: Final = ("robot", "bus", "sensor", "actuator", "behavior", "access")
+OF_ROBOT: Final = ("operator", "record")
+"""The tables that are keywords of the robot with fields of their own."""
+
+TABLES: Final = ("robot", "bus", "sensor", "actuator", "behavior", "access", *OF_ROBOT)
 """The tables of a file."""
 
 
@@ -46,7 +49,7 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
 
 def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:
     table = source.data.get("robot", {})
-    parts = {"resources", "behaviors", "policies", "buses"}
+    parts = {"resources", "behaviors", "policies", "buses", *OF_ROBOT}
     keywords = keywords_of(robot_class).fields
     known = {name: field for name, field in keywords.items() if name not in parts}
     settings: dict[str, Any] = {"name": "robot"}
@@ -60,6 +63,17 @@ def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:
         )
         if result is not INVALID:
             settings[name] = result
+    for name in OF_ROBOT:
+        if name in source.data and name in keywords:
+            result = convert(
+                source.data[name],
+                keywords[name].kind,
+                name,
+                source.mistakes.add,
+                source.folder,
+            )
+            if result is not INVALID:
+                settings[name] = result
     try:
         check_name("robot", settings["name"])
     except ConfigError as error:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from esair.abc import Component
 from esair.actions import Behavior, Reaction
 from esair.exceptions import ConfigError, EsairError, NameTakenError
+from esair.messages import OPERATOR
 from esair.plan._finding import Finding, because, mistake
 from esair.plan._plan import name_of
 from esair.resources import Actuator, Resource, Sensor
@@ -22,7 +23,9 @@ def wrong_kind(component: object, *, resource: bool) -> Finding | None:
         )
     assert isinstance(component, Component)
     try:
-        _ = component.name
+        if component.name == OPERATOR:
+            told = "this is the name in which people act: choose another name="
+            raise ConfigError(component.name, "name", told)
     except EsairError as error:
         return because("name", component, error)
     return None

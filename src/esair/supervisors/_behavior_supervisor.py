@@ -28,6 +28,7 @@ from esair.exceptions import (
     BehaviorFailedError,
     BehaviorRemovedError,
     ConfigError,
+    StoppingError,
     UnknownNameError,
     describe,
 )
@@ -100,6 +101,7 @@ class BehaviorSupervisor(abc.Supervisor):
         start_patience: float = 1.0,
         halt: Callable[[str, str], Halting] | None = None,
         stop: Callable[[str], Awaitable[Stopped]] | None = None,
+        command: Callable[[str], Awaitable[str]] | None = None,
     ) -> None:
         self._start_patience = start_patience
         self.may_begin = asyncio.Event()
@@ -123,6 +125,7 @@ class BehaviorSupervisor(abc.Supervisor):
         """The context variables of the script; those of its behaviors begin so."""
         self._halt = halt
         self._stop = stop
+        self._command = command
         self._command_queue = CommandQueue("behaviors", asleep=True)
         self._members: dict[str, Member] = {}
         self._coming: list[Member] = []
@@ -153,6 +156,22 @@ class BehaviorSupervisor(abc.Supervisor):
     def names(self) -> list[str]:
         """Return the names of the behaviors and reactions."""
         return list(self._members)
+
+    def action(self, name: str) -> Behavior | Reaction:
+        """Return a behavior or reaction by its name.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+        """
+        return self._member(name).action
+
+    def takes(self, name: str) -> tuple[type[Request[Any]], ...]:
+        """Return the types of requests that a behavior takes.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+        """
+        return tuple(self._member(name).queues)
 
     def query(self, name: str) -> BehaviorStatus:
         """Tell what a behavior is doing. Answers at any time, without a wait.
@@ -452,9 +471,9 @@ class BehaviorSupervisor(abc.Supervisor):
             ConfigError: The command is not understood.
             EsairError: What the command itself raises.
         """
-        from esair.supervisors import _operator  # only when somebody types
-
-        return await _operator.command(self, text)
+        if self._command is None:
+            raise StoppingError("behaviors", "only a robot that runs takes commands")
+        return await self._command(text)
 
     # What the robot does at its start and stop.
 

@@ -473,6 +473,24 @@ class ResourceSupervisor(abc.Supervisor):
             behavior, resource, access, priority=priority, hold=hold
         )
 
+    def admit(
+        self, principal: str, resource: str, access: Access, *, priority: int = 0
+    ) -> Registration:
+        """Register somebody who is no component: people rank above the rules.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+            ResourceRemovedError: It is about to go.
+            StoppingError: The robot is stopping.
+        """
+        if self._command_queue.phase is SupervisorPhase.STOPPED:
+            raise StoppingError("resources", self._command_queue.phase.value)
+        if resource not in self._lives:
+            raise UnknownNameError("resource", resource, self._lives)
+        if resource in self._leaving:
+            raise ResourceRemovedError(resource)
+        return self._registrations.issue(principal, resource, access, priority=priority)
+
     def revoke(
         self, registration: Registration, reason: Callable[[], EsairError] | None = None
     ) -> None:

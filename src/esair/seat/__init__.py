@@ -1,0 +1,33 @@
+"""The operator's seat: a running robot is watched and steered from outside.
+
+One table of acts serves the control socket, ``robot.behaviors.command`` and the page.
+The operator is a principal with rights of its own; what it does is in the journal.
+"""
+
+from esair.seat._acts import ACTS, Act
+from esair.seat._client import Client, NoRobotError, RefusedActError, connect
+from esair.seat._operator import Console, Session
+from esair.seat._place import robots
+from esair.seat._seat import Seat
+from esair.seat._socket import CLIENTS, Socket
+from esair.seat._wire import LIMIT, VERSION
+from esair.seat._words import act_of, value_of
+
+__all__ = [
+    "ACTS",
+    "CLIENTS",
+    "LIMIT",
+    "VERSION",
+    "Act",
+    "Client",
+    "Console",
+    "NoRobotError",
+    "RefusedActError",
+    "Seat",
+    "Session",
+    "Socket",
+    "act_of",
+    "connect",
+    "robots",
+    "value_of",
+]

@@ -1,0 +1,281 @@
+"""Driving by hand: a lease that only fresh input renews."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import attrs
+
+from esair.connections import ActuatorConnection, Registration
+from esair.exceptions import BadValueError, DeviceLostError, EsairError
+from esair.loop import Job, Scheduler, clock_of, spawn
+from esair.messages import Access, Answer, Refused, Written
+from esair.supervisors import ResourceSupervisor
+from esair.values import check_duration
+
+SECONDS = 0.5
+"""How long a lease lasts without fresh input, unless its taker says otherwise, in s."""
+
+LONGEST = 2.0
+"""How long a lease may last without fresh input, in seconds."""
+
+BEAT = 0.1
+"""How often a client that drives is told the beat that its input answers, in s."""
+
+BEATS = 64
+"""How many beats are remembered; input that answers an older one is old."""
+
+
+class Beats:
+    """Numbers that grow with time: what answers one cannot be older than it."""
+
+    def __init__(self, time: Callable[[], float]) -> None:
+        self._time = time
+        self._numbers = itertools.count(1)
+        self._sent: dict[int, float] = {}
+
+    def next(self) -> int:
+        """Return a new beat."""
+        number = next(self._numbers)
+        self._sent[number] = self._time()
+        while len(self._sent) > BEATS:
+            del self._sent[next(iter(self._sent))]
+        return number
+
+    def time_of(self, number: object) -> float | None:
+        """Return when a beat was sent; None if nobody knows any more."""
+        return self._sent.get(number) if type(number) is int else None
+
+
+@attrs.define(eq=False)
+class Lease:
+    """The right of one session to drive one actuator, as long as it has fresh input.
+
+    Attributes:
+        number: Grows: what has lapsed never comes back.
+        registration: The right by which it writes.
+        seconds: How long it lasts after the beat that the last input answers.
+        owner: The session.
+        lapsed: Is told when it has lapsed.
+        until: When it lapses unless input renews it; on the loop's clock.
+        command: What it was told last; None before that.
+    """
+
+    number: int
+    registration: Registration
+    seconds: float
+    owner: object
+    lapsed: Callable[[Lease], object]
+    until: float
+    command: Any = None
+    timer: asyncio.TimerHandle | None = None
+    repeats: Job | None = None
+    writing: bool = False
+    newest: tuple[Any, asyncio.Future[Any]] | None = None
+
+    @property
+    def actuator(self) -> str:
+        """The name of the actuator."""
+        return self.registration.resource
+
+
+class Leases:
+    """All leases of a robot; one for each actuator at a time.
+
+    Args:
+        resources: Who gives the rights and takes them.
+        actuators: The way to the actuators.
+        name: In whose name is driven.
+        priority: With which priority.
+    """
+
+    def __init__(
+        self,
+        resources: ResourceSupervisor,
+        actuators: ActuatorConnection,
+        name: str,
+        priority: int,
+    ) -> None:
+        self._resources = resources
+        self._actuators = actuators
+        self._name = name
+        self._priority = priority
+        self._numbers = itertools.count(1)
+        self._live: dict[int, Lease] = {}
+        self._loop = asyncio.get_running_loop()
+        self._time = clock_of(self._loop)
+        self.beats = Beats(self._time)
+        self.lapses = 0
+        """How many leases have lapsed for want of fresh input."""
+        self.stale = 0
+        """How many inputs came too late and were not done."""
+
+    def __iter__(self) -> Iterator[Lease]:
+        return iter(tuple(self._live.values()))
+
+    def take(
+        self,
+        actuator: str,
+        seconds: float,
+        owner: object,
+        lapsed: Callable[[Lease], object],
+    ) -> Lease:
+        """Give a session the lease of an actuator; whoever has it loses it.
+
+        Raises:
+            UnknownNameError: No actuator has the name.
+            BadValueError: It may not last that long.
+        """
+        self._actuators.channel(actuator)
+        check_duration("drive", "seconds", seconds)
+        if seconds > LONGEST:
+            raise BadValueError("drive", "seconds", f"expected at most {LONGEST:g}")
+        for other in self:
+            if other.actuator == actuator:
+                self.end(other)
+        registration = self._resources.admit(
+            self._name, actuator, Access.WRITE, priority=self._priority
+        )
+        lease = Lease(
+            next(self._numbers),
+            registration,
+            seconds,
+            owner,
+            lapsed,
+            self._time() + seconds,
+        )
+        self._live[lease.number] = lease
+        self._watch(lease)
+        return lease
+
+    async def drive(
+        self, number: int, owner: object, beat: int, command: Callable[[Any], Any]
+    ) -> Written[Any] | Refused:
+        """Write what fresh input says, and renew the lease.
+
+        Args:
+            number: Of the lease.
+            owner: The session that has it.
+            beat: The newest beat that the input has seen.
+            command: Makes the command for the actuator.
+
+        Raises:
+            BadValueError: The lease has lapsed, or the input is too old.
+            EsairError: As a write.
+        """
+        lease, now = self._live.get(number), self._time()
+        if lease is not None and now >= lease.until:
+            self._lapse(lease)
+            lease = None
+        if lease is None or lease.owner is not owner:
+            self.stale += 1
+            told = f"lease {number} has lapsed: nothing was moved, take it again"
+            raise BadValueError("drive", "lease", told)
+        sent = self.beats.time_of(beat)
+        if sent is None or now >= sent + lease.seconds:
+            self.stale += 1
+            told = f"beat {beat} is older than {lease.seconds:g} s: nothing was moved"
+            raise BadValueError("drive", "beat", told)
+        resource = self._resources.get(lease.actuator)
+        lease.command = command(resource)
+        lease.until = max(lease.until, sent + lease.seconds)
+        if lease.repeats is None:
+            pause = self._actuators.channel(lease.actuator).command_timeout / 3
+            lease.repeats = Scheduler.of(self._loop).every(
+                pause, lambda _now: self._repeat(lease)
+            )
+        return await self._write(lease)  # type: ignore[no-any-return]
+
+    def end(self, lease: Lease) -> None:
+        """Give the actuator back; it is made safe if it does what the lease told it."""
+        if self._live.pop(lease.number, None) is None:
+            return
+        if lease.timer is not None:
+            lease.timer.cancel()
+        if lease.repeats is not None:
+            lease.repeats.stop()
+        self._resources.revoke(
+            lease.registration,
+            lambda: DeviceLostError(lease.actuator, f"lease {lease.number} is over"),
+        )
+        if lease.newest is not None:
+            _settle(lease.newest[1], _superseded(lease, self._time()))
+            lease.newest = None
+        lease.lapsed(lease)
+
+    def end_all(self, owner: object = None) -> None:
+        """End the leases of a session that is gone; all of them unless given."""
+        for lease in self:
+            if owner is None or lease.owner is owner:
+                self.end(lease)
+
+    # Inside.
+
+    def _watch(self, lease: Lease) -> None:
+        if self._time() >= lease.until:
+            self._lapse(lease)
+            return
+        lease.timer = self._loop.call_at(lease.until, self._watch, lease)
+
+    def _lapse(self, lease: Lease) -> None:
+        self.lapses += 1
+        self.end(lease)
+
+    def _repeat(self, lease: Lease) -> None:
+        """Keep what was told alive within the lease: an actuator forgets sooner."""
+        if self._time() >= lease.until:
+            self._lapse(lease)
+        elif not lease.writing:
+            self._write(lease)
+
+    def _write(self, lease: Lease) -> asyncio.Future[Any]:
+        """Send the newest command; one at a time, and one waits: never more."""
+        waiting: asyncio.Future[Any] = self._loop.create_future()
+        waiting.add_done_callback(lambda done: done.cancelled() or done.exception())
+        if lease.newest is not None:
+            _settle(lease.newest[1], _superseded(lease, self._time()))
+        lease.newest = (lease.command, waiting)
+        if not lease.writing:
+            lease.writing = True
+            spawn(self._loop, self._writes(lease), name=f"drive {lease.actuator}")
+        return waiting
+
+    async def _writes(self, lease: Lease) -> None:
+        try:
+            while lease.newest is not None:
+                (command, waiting), lease.newest = lease.newest, None
+                try:
+                    _settle(waiting, await self._send(lease, command))
+                except EsairError as error:
+                    if not waiting.done():
+                        waiting.set_exception(error)
+        finally:
+            lease.writing = False
+
+    async def _send(self, lease: Lease, command: Any) -> Written[Any] | Refused:
+        hold = max(lease.until - self._time(), 0.001)
+        return await self._actuators.write(lease.registration, command, hold=hold)
+
+
+def _settle(waiting: asyncio.Future[Any], answer: Any) -> None:
+    if not waiting.done():
+        waiting.set_result(answer)
+
+
+def _superseded(lease: Lease, now: float) -> Refused:
+    told = "newer input came before the device was ready for this one"
+    me = lease.registration
+    return Refused(me.behavior, me.priority, told, now, now)
+
+
+def answer_of(answer: Answer) -> dict[str, Any]:
+    """Return what a write was answered with, as JSON has it."""
+    from esair.recording import plain
+
+    if isinstance(answer, Refused):
+        return {"written": False, "holder": answer.holder, "rule": answer.rule}
+    assert isinstance(answer, Written)
+    return {"written": True, "command": plain(answer.command), "by": answer.by}

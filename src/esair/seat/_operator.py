@@ -1,0 +1,302 @@
+"""The operator: a principal with rights of its own, and what it has done."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import contextlib
+import contextvars
+import inspect
+import itertools
+import logging
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import attrs
+
+from esair import config
+from esair.connections import Registration
+from esair.exceptions import (
+    AccessDeniedError,
+    BehaviorUnavailableError,
+    BusyError,
+    ConfigError,
+    UnknownNameError,
+    did_you_mean,
+)
+from esair.journal import Kind
+from esair.loop import Door, clock_of, current_owner, spawn
+from esair.messages import OPERATOR, Access
+from esair.resources import Resource
+from esair.seat._acts import ACTS, Act
+from esair.seat._leases import Leases
+from esair.seat._status import Status
+from esair.seat._wire import Message
+from esair.values import printable
+
+if TYPE_CHECKING:
+    from esair.standard import Robot
+    from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
+
+OUTCOMES = 1024
+"""How many outcomes are kept, so that the same id is done once."""
+
+AT_A_TIME = 16
+"""How many acts of one session may be under way."""
+
+_PEOPLE = frozenset({"resume", "mute", "reset", "lease", "drive"})
+"""What no component may do by typing it."""
+
+_log = logging.getLogger("esair")
+
+
+@attrs.define(eq=False)
+class Session:
+    """Whoever gives acts: one client, or one who types.
+
+    Attributes:
+        who: The user, and how it comes in, in words.
+        lapsed: Is told when a lease of it has lapsed; None if it cannot drive.
+        busy: How many of its acts are under way.
+    """
+
+    who: str
+    lapsed: Callable[[Any], object] | None = None
+    busy: int = 0
+
+
+class Console:
+    """Does the acts of the operator, whichever way they come in.
+
+    Args:
+        robot: What is operated.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.name = OPERATOR
+        self.rights = robot.operator
+        self._loop = asyncio.get_running_loop()
+        self._time = clock_of(self._loop)
+        self._door = Door.of(self._loop)
+        self._context = contextvars.copy_context()
+        self.status = Status(robot, self._loop)
+        self.leases = Leases(
+            robot.resources, robot.actuators, self.name, self.rights.priority
+        )
+        self._outcomes: collections.OrderedDict[
+            tuple[str, str], asyncio.Future[Any]
+        ] = collections.OrderedDict()
+        self._typed = itertools.count(1)
+        self.done = 0
+        """How many acts were done."""
+        self.refused = 0
+        """How many were not."""
+        self.again = 0
+        """How many came again with the same id, and were not done again."""
+        robot.journal.count("operator", lambda: [(self.name, self.counts())])
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        return {
+            "acts": self.done,
+            "refused": self.refused,
+            "again": self.again,
+            "lapses": self.leases.lapses,
+            "stale": self.leases.stale,
+        }
+
+    def take(self, message: Message, session: Session) -> asyncio.Future[Any]:
+        """Take an act in; it takes effect in the next turn, by the one door.
+
+        Returns:
+            Its outcome. The same id of the same user has the same one.
+        """
+        key = (session.who, message.id)
+        known = self._outcomes.get(key)
+        if known is not None:
+            self.again += 1
+            return known
+        outcome: asyncio.Future[Any] = self._loop.create_future()
+        outcome.add_done_callback(lambda done: done.cancelled() or done.exception())
+        try:
+            act = self._act(message)
+            fields = act.checked(message.fields)
+            self._check_right(act)
+            if session.busy >= AT_A_TIME and not act.open:
+                raise BusyError("operator", "number of acts at a time", AT_A_TIME)
+        except Exception as error:
+            self.refused += 1
+            outcome.set_exception(error)
+            return outcome
+        if not act.looks:
+            self._outcomes[key] = outcome
+            while len(self._outcomes) > OUTCOMES:
+                self._outcomes.popitem(last=False)
+        session.busy += 1
+        tag = ("operator", act.name)
+        # Whoever woke the loop lends its context; an act has that of nobody.
+        run, begin = self._context.run, self._begin
+        self._door.tell(tag, run, begin, act, fields, message, session, outcome)
+        return outcome
+
+    async def do(self, act: str, fields: dict[str, Any], session: Session) -> Any:
+        """Do an act of somebody who waits for it.
+
+        Raises:
+            EsairError: As the act.
+        """
+        if current_owner() is not None and act in _PEOPLE:
+            told = "only people may, no component"
+            raise AccessDeniedError("a behavior", self.robot.name, act, told)
+        message = Message(f"typed {next(self._typed)}", act, fields)
+        return await asyncio.shield(self.take(message, session))
+
+    def close(self) -> None:
+        """The robot stops: give back what is driven, and end what waits."""
+        self.leases.end_all()
+
+    # What the acts use.
+
+    @contextlib.contextmanager
+    def right_to_configure(self, resource: str) -> Iterator[Registration]:
+        """Give the operator the right to change the settings of a resource."""
+        registration = self.robot.resources.admit(self.name, resource, Access.CONFIGURE)
+        try:
+            yield registration
+        finally:
+            self.robot.resources.revoke(registration)
+
+    def supervisor_of(self, name: str) -> BehaviorSupervisor | ResourceSupervisor:
+        """Return whose component this is.
+
+        Raises:
+            UnknownNameError: Nobody has the name.
+        """
+        robot = self.robot
+        if name in robot.behaviors.names():
+            return robot.behaviors
+        if name in robot.resources.names():
+            return robot.resources
+        known = [*robot.behaviors.names(), *robot.resources.names()]
+        raise UnknownNameError("component", name, known)
+
+    def owner_of(self, part: Any) -> BehaviorSupervisor | ResourceSupervisor:
+        """Return who deploys a part that is not deployed yet."""
+        robot = self.robot
+        return robot.resources if isinstance(part, Resource) else robot.behaviors
+
+    async def part(self, name: str) -> Any:
+        """Make the part of a name that the robot's own file has now.
+
+        No message names a class: what can come is what the file has.
+
+        Raises:
+            ConfigError: The robot was not made from a file, or has no such part there.
+        """
+        source = self.robot.source
+        if source is None:
+            told = "the robot was not made from a file: add it in its program"
+            raise ConfigError(name, "", told)
+        path, simulated = source
+        kind = type(self.robot)
+        try:
+            described = await asyncio.to_thread(
+                config.load, path, simulated=simulated, robot_class=kind
+            )
+        except ExceptionGroup as group:
+            told = "; ".join(str(each) for each in group.exceptions)
+            raise ConfigError(name, "", told) from None
+        parts = {**described.resources, **described.behaviors}
+        if name not in parts:
+            hint = did_you_mean(name, parts) or f"; it has {', '.join(sorted(parts))}"
+            raise ConfigError(name, "", f"{path} has no such part{hint}")
+        part = parts[name]
+        if isinstance(part, Resource) and part.bus is not None:
+            same = (b for b in self.robot.resources.buses if b.name == part.bus.name)
+            part.bus = next(same, part.bus)  # one owner for each bus
+        return part
+
+    # Inside.
+
+    def _act(self, message: Message) -> Act:
+        act = ACTS.get(message.act)
+        if act is None:
+            hint = did_you_mean(message.act, ACTS) or f"; there are {', '.join(ACTS)}"
+            raise ConfigError("operator", "act", f"{message.act!r:.40} is none{hint}")
+        return act
+
+    def _check_right(self, act: Act) -> None:
+        if act.looks or act.open or self.rights.may(act.name):
+            return
+        allowed = ", ".join(self.rights.allow) or "nothing"
+        raise AccessDeniedError(
+            self.name, self.robot.name, act.name, f"[operator] allows {allowed}"
+        )
+
+    def _begin(
+        self,
+        act: Act,
+        fields: dict[str, Any],
+        message: Message,
+        session: Session,
+        outcome: asyncio.Future[Any],
+    ) -> None:
+        """Do an act, in the turn that is its own."""
+        if message.until is not None and self._time() > message.until:
+            late = self._time() - message.until
+            error = BehaviorUnavailableError("operator", act.name, late, "too late")
+            self._end(act, session, outcome, None, error)
+            return
+        if not act.looks:
+            component = str(fields.get(act.about) or self.robot.name)
+            told = {"act": act.name, "by": session.who, **fields}
+            self.robot.journal.publish(
+                Kind.OPERATOR, component.partition(".")[0], self.name, told
+            )
+            if act.name not in {"drive", "lease", "release"}:
+                _log.info("%s: %s %s", session.who, act.name, printable(str(fields)))
+        try:
+            result = act.run(self, fields, session)
+        except Exception as error:
+            self._end(act, session, outcome, None, error)
+            return
+        if not inspect.isawaitable(result):
+            self._end(act, session, outcome, result, None)
+            return
+        work = self._finish(act, result, session, outcome)
+        spawn(self._loop, work, name=f"operator {act.name}")
+
+    async def _finish(
+        self, act: Act, work: Any, session: Session, outcome: asyncio.Future[Any]
+    ) -> None:
+        try:
+            result = await work
+        except asyncio.CancelledError as error:  # the robot has stopped
+            self._end(act, session, outcome, None, error)
+            raise
+        except Exception as error:
+            self._end(act, session, outcome, None, error)
+        else:
+            self._end(act, session, outcome, result, None)
+
+    def _end(
+        self,
+        act: Act,
+        session: Session,
+        outcome: asyncio.Future[Any],
+        result: Any,
+        error: BaseException | None,
+    ) -> None:
+        session.busy -= 1
+        if outcome.done():
+            return
+        if error is None:
+            self.done += 1
+            outcome.set_result(result)
+        elif isinstance(error, asyncio.CancelledError):
+            self.refused += 1
+            outcome.cancel()
+        else:
+            self.refused += 1
+            outcome.set_exception(error)

@@ -1,0 +1,79 @@
+"""The seat of one robot: what of it is there, from its start to its end."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+from esair.exceptions import ConfigError, StoppingError, describe
+from esair.seat._operator import Console, Session
+from esair.seat._place import Place
+from esair.seat._socket import Socket
+from esair.seat._words import act_of
+
+if TYPE_CHECKING:
+    from esair.standard import Robot
+
+_log = logging.getLogger("esair")
+
+
+class Seat:
+    """Where people operate a robot: typed lines, and the socket if it has one.
+
+    Args:
+        name: The name of the robot.
+        socket: Whether it has a control socket.
+
+    Raises:
+        ConfigError: A robot of this name runs already, or the folder for sockets
+            belongs to somebody else.
+    """
+
+    def __init__(self, name: str, *, socket: bool) -> None:
+        self._place = _place(name) if socket else None
+        self._console: Console | None = None
+        self._socket: Socket | None = None
+        self._typing = Session("somebody who types")
+
+    async def start(self, robot: Robot) -> None:
+        """Take acts from now on."""
+        self._console = Console(robot)
+        if self._place is not None:
+            place, self._place = self._place, None
+            self._socket = Socket(self._console, place)
+            await self._socket.start()
+
+    def leave(self) -> None:
+        """The robot begins to stop: nobody drives it any more."""
+        if self._console is not None:
+            self._console.close()
+
+    async def close(self) -> None:
+        """Take no more acts; clients are told that the robot has ended."""
+        if self._place is not None:
+            self._place.close()
+        if self._socket is not None:
+            await self._socket.close()
+        self._console = None
+
+    async def typed(self, text: str) -> str:
+        """Do what an operator types, and return the answer for people.
+
+        Raises:
+            ConfigError: The line is not understood.
+            EsairError: As the act.
+        """
+        act, fields = act_of(text)
+        if self._console is None:
+            raise StoppingError("operator", "the robot has stopped")
+        return act.tells(await self._console.do(act.name, fields, self._typing))
+
+
+def _place(name: str) -> Place | None:
+    try:
+        return Place(name)
+    except ConfigError:
+        raise
+    except OSError as error:  # no folder for it: the robot runs without
+        _log.warning("there is no control socket: %s", describe(error))
+        return None

@@ -1,0 +1,186 @@
+"""What a robot is doing, in one picture: what ``top`` and the page show."""
+
+from __future__ import annotations
+
+import collections
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from esair.actions import Reaction
+from esair.exceptions import EsairError, describe
+from esair.loop import clock_of
+from esair.messages import ResourceState
+from esair.recording import plain
+from esair.resources import Resource, settings_of
+
+if TYPE_CHECKING:
+    import asyncio
+
+    from esair.standard import Robot
+
+WINDOW = 2.0
+"""Over how many seconds a rate is the mean."""
+
+AGAIN = 0.1
+"""How soon after one picture the next is another one, in seconds."""
+
+TEXT = 120
+"""How long the text of a value may be; what is longer is cut."""
+
+
+class Status:
+    """Takes pictures of a robot; costs nothing while nobody looks."""
+
+    def __init__(self, robot: Robot, loop: asyncio.AbstractEventLoop) -> None:
+        self._robot = robot
+        self._time = clock_of(loop)
+        self._begun = self._time()
+        self._counted: collections.deque[tuple[float, dict[str, int]]] = (
+            collections.deque(maxlen=64)
+        )
+        self._newest: dict[str, Any] | None = None
+        self._taken = 0.0
+
+    def picture(self) -> dict[str, Any]:
+        """Return what the robot is doing; many who look at a time share a picture."""
+        now = self._time()
+        if self._newest is not None and now < self._taken + AGAIN:
+            return self._newest
+        robot = self._robot
+        counts = robot.journal.counts()
+        done = {
+            f"r {name}": counts.get(name, {}).get("readings", 0)
+            + counts.get(name, {}).get("writes", 0)
+            for name in robot.resources.names()
+        }
+        done |= {
+            f"b {name}": counts.get(name, {}).get("steps", 0)
+            for name in robot.behaviors.names()
+        }
+        rates = self._rates(done, now)
+        self._taken = now
+        self._newest = {
+            "robot": robot.name,
+            "time": now,
+            "up": now - self._begun,
+            "halted": robot.halted,
+            "resources": self._resources(counts, rates, now),
+            "behaviors": self._behaviors(counts, rates),
+        }
+        return self._newest
+
+    def _resources(
+        self,
+        counts: Mapping[str, Mapping[str, int]],
+        rates: Mapping[str, float],
+        now: float,
+    ) -> list[dict[str, Any]]:
+        robot, found = self._robot, []
+        for name in sorted(robot.resources.names()):
+            status, counted = robot.resources.query(name), counts.get(name, {})
+            row: dict[str, Any] = {
+                "name": name,
+                "kind": "sensor",
+                "state": status.state.value,
+                "error": "" if status.error is None else str(status.error)[:400],
+                "rate": rates.get(f"r {name}"),
+                "age": None,
+                "late": counted.get("late", 0) + counted.get("missed", 0),
+                "losses": status.losses,
+                "faults": status.faults,
+                "refusals": counted.get("refusals", 0) + counted.get("bad", 0),
+                "settings": settings(robot.resources.get(name)),
+            }
+            sensor = robot.sensors.channels.get(name)
+            if sensor is not None and sensor.newest is not None:
+                row["age"] = max(now - sensor.newest.time, 0.0)
+                row["value"] = shown(sensor.newest.value)
+            if name in robot.actuators.channels:
+                why = robot.resources.why(name)
+                row |= {
+                    "kind": "actuator",
+                    "holder": why.holder,
+                    "priority": why.priority,
+                    "rule": why.rule,
+                    "frees": why.frees,
+                    "age": None if why.since is None else max(now - why.since, 0.0),
+                    "value": shown(why.last),
+                    "writers": list(why.writers),
+                    "guards": list(why.guards),
+                }
+                if status.state is not ResourceState.READY:
+                    row["holder"] = None
+            found.append(row)
+        return found
+
+    def _behaviors(
+        self, counts: Mapping[str, Mapping[str, int]], rates: Mapping[str, float]
+    ) -> list[dict[str, Any]]:
+        behaviors, found = self._robot.behaviors, []
+        for name in sorted(behaviors.names()):
+            status = behaviors.query(name)
+            reacts = isinstance(behaviors.action(name), Reaction)
+            kind = "reaction" if reacts else "behavior"
+            error = "" if status.error is None else describe(status.error)
+            found.append(
+                {
+                    "name": name,
+                    "kind": kind,
+                    "state": status.state.value,
+                    "detail": status.detail,
+                    "error": error[:400],
+                    "rate": rates.get(f"b {name}") if reacts else None,
+                    "late": status.late + status.overruns,
+                    "restarts": status.restarts,
+                    "waiting": status.waiting,
+                    "refusals": counts.get(name, {}).get("refused", 0),
+                }
+            )
+        return found
+
+    def _rates(self, counted: dict[str, int], now: float) -> dict[str, float]:
+        """Return how many of each there were in a second, over the last few."""
+        past = self._counted
+        while past and past[0][0] < now - WINDOW:
+            past.popleft()
+        past.append((now, counted))
+        then, before = past[0]
+        if now - then < AGAIN:
+            return {}
+        return {
+            name: max(number - before[name], 0) / (now - then)
+            for name, number in counted.items()
+            if name in before
+        }
+
+
+def settings(resource: Resource) -> list[dict[str, Any]]:
+    """Return the settings of a resource with unit and limits."""
+    return [
+        {
+            "name": name,
+            "value": plain(getattr(resource, name)),
+            "unit": each.unit,
+            "min": each.min,
+            "max": each.max,
+            "choices": None if each.choices is None else plain(list(each.choices)),
+            "type": each.type.__name__,
+            "doc": each.doc,
+        }
+        for name, each in settings_of(type(resource)).items()
+    ]
+
+
+def shown(value: Any) -> str:
+    """Return a value as a short text; what lies in it is somebody else's."""
+    if value is None:
+        return ""
+    try:
+        if isinstance(value, float):
+            return f"{value:.4g}"
+        text = repr(value)
+    except EsairError as error:
+        text = str(error)
+    except Exception as error:  # somebody's __repr__
+        text = f"<{type(value).__name__}: {type(error).__name__}>"
+    return text if len(text) <= TEXT else text[: TEXT - 1] + "…"

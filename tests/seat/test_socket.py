@@ -1,0 +1,513 @@
+"""The control socket: what comes in, who comes in, and what the wheels are told."""
+
+import asyncio
+import json
+import os
+import socket
+import stat
+import subprocess
+import sys
+
+import attrs
+import pytest
+from tests.seat.conftest import STILL, Twist, Wander, eventually
+
+import esair
+from esair.seat import CLIENTS, LIMIT
+
+pytestmark = pytest.mark.real_clock
+
+MOVES = Twist(0.3, 0.0)
+
+
+class Lamp(esair.Actuator[float]):
+    safe = 0.0
+    power = esair.setting(0.5, unit="W", min=0.0, max=2.0)
+
+    def __init__(self, **options) -> None:
+        super().__init__(**options)
+        self.applied: list[float] = []
+
+    async def apply(self, power: float) -> None:
+        self.applied.append(power)
+
+    async def write(self, command: float) -> None:
+        pass
+
+
+@pytest.mark.promise("OPS-1")
+async def test_the_socket_is_for_this_user_alone(rover, sockets):
+    """0600 in a folder of 0700; gone when the robot has stopped."""
+    async with rover():
+        path = sockets / "rover.sock"
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert stat.S_IMODE(sockets.stat().st_mode) == 0o700
+    assert not path.exists()
+
+
+@pytest.mark.promise("OPS-1", "OPS-3")
+async def test_a_stop_from_outside_stops_the_wheels(rover, raw):
+    """The halt latch: the wheels are told safe, nothing follows, each has answered."""
+    async with rover(Wander()) as robot, raw() as client:
+        await robot.wheels.until(MOVES)
+
+        answer = await client.do("1", "stop", reason="a cat")
+
+        assert robot.wheels.commands[-1] == STILL
+        (told,) = answer["result"]["told"]
+        assert (told["resource"], told["safe"], told["answered"]) == (
+            "wheels",
+            True,
+            True,
+        )
+        count = len(robot.wheels.commands)
+        await asyncio.sleep(0.2)
+        assert len(robot.wheels.commands) == count
+        assert robot.halted == "a cat"
+
+        assert (await client.do("2", "resume"))["ok"]
+        await robot.wheels.until(MOVES)
+
+
+@pytest.mark.promise("OPS-3")
+async def test_a_device_that_does_not_answer_is_not_acknowledged(rover, raw):
+    """The stop is told of each device whether it answered."""
+    async with rover(Wander()) as robot, raw() as client:
+        await robot.wheels.until(MOVES)
+        robot.wheels.stall()
+
+        answer = await client.do("1", "stop")
+
+        (told,) = answer["result"]["told"]
+        assert not told["answered"]
+        assert told["error"]
+        robot.wheels.resume()
+
+
+@pytest.mark.promise("OPS-1")
+@pytest.mark.fault("H11", "H18")
+async def test_the_same_id_is_done_once(rover, raw):
+    """Asked again, by another connection too, an id has the outcome that it had."""
+    lamp = Lamp()
+    async with rover(resources=[lamp]):
+        async with raw() as client:
+            first = await client.do("once", "set", setting="lamp.power", value=1.0)
+            again = await client.do("once", "set", setting="lamp.power", value=2.0)
+            assert first == again
+        async with raw() as client:
+            assert (
+                await client.do("once", "set", setting="lamp.power", value=1.5) == first
+            )
+            client.send(
+                {"id": "gone", "act": "set", "setting": "lamp.power", "value": 0.1}
+            )
+            await asyncio.sleep(0.05)
+        async with raw() as client:
+            found = await client.do("gone", "set", setting="lamp.power", value=0.9)
+            assert found["result"]["value"] == 0.1
+    assert lamp.applied == [1.0, 0.1]
+
+
+@pytest.mark.promise("OPS-2")
+@pytest.mark.fault("H04")
+async def test_a_setting_is_told_with_unit_and_limits(rover, raw):
+    """The answer has the value that was applied; a wrong one names what is allowed."""
+    lamp = Lamp()
+    async with rover(resources=[lamp]) as robot, raw() as client:
+        found = (await client.do("1", "set", setting="lamp.power", value=2))["result"]
+        assert (found["value"], found["unit"], found["max"]) == (2.0, "W", 2.0)
+        for number, (value, expected) in enumerate(
+            ((3.0, "at most 2"), (True, "float"), ("x", "float"))
+        ):
+            wrong = await client.do(
+                f"w{number}", "set", setting="lamp.power", value=value
+            )
+            assert expected in wrong["error"]["text"]
+        wrong = await client.do("2", "set", setting="lamp.powr", value=1.0)
+        assert "power" in wrong["error"]["text"]
+        assert robot.resources.query("lamp").settings["power"] == 2.0
+        assert not [r for r in robot.resources.query("lamp").users if r == "operator"]
+
+
+GARBAGE = [
+    (b"\xff\xfe\n", "UTF-8; byte 0"),
+    (b"{\n", "character"),
+    (b"[1]\n", "an object"),
+    (b'{"v":1,"id":"x","act":"put","data":"\\ud800","receiver":"a"}\n', "surrogate"),
+    (b"[" * 60_000 + b"\n", "levels"),
+    (b'{"v":1,"id":"x","act":"status","a":' + b"[" * 20 + b"]" * 20 + b"}\n", "levels"),
+    (b'{"v":' + b"9" * 5000 + b"}\n", "64 bit"),
+    (b'{"v":NaN}\n', "finite"),
+    (b'{"v":1e999}\n', "finite"),
+    (b'{"v":-Infinity}\n', "finite"),
+    (b'{"v":1,"v":1}\n', "twice"),
+    (b'{"v":2,"id":"x","act":"status"}\n', "expected 1"),
+    (b'{"v":1,"id":7,"act":"status"}\n', "64 printable"),
+    (b'{"v":1,"id":"\\u001b","act":"status"}\n', "64 printable"),
+    (b'{"v":1,"id":"x","act":"explode"}\n', "explode"),
+    (b'{"v":1,"id":"x","act":"status","more":1}\n', "no such field"),
+    (b'{"v":1,"id":"x","act":"remove","name":"../../etc"}\n', "letter"),
+    (b'{"v":1,"id":"x","act":"remove","name":"a\\u0000b"}\n', "letter"),
+    (b"x" * (1 << 20) + b"\n", f"{LIMIT} bytes"),
+]
+
+
+@pytest.mark.promise("OPS-1")
+@pytest.mark.fault("H01", "H02", "H03", "H04", "H05", "H16")
+async def test_garbage_has_an_answer_and_nothing_else_suffers(rover, raw):
+    """What is wrong is told; the same connection and the others work on."""
+    async with rover(Wander()) as robot, raw() as client, raw() as other:
+        for line, expected in GARBAGE:
+            client.send(line)
+            answer = await client.hear()
+            assert not answer["ok"]
+            assert expected in answer["error"]["text"], line[:60]
+        assert (await client.do("ok", "status"))["ok"]
+        assert (await other.do("ok", "status"))["result"]["robot"] == "rover"
+        await robot.wheels.until(MOVES)
+
+
+@pytest.mark.fault("H02")
+async def test_a_line_without_an_end_costs_no_memory(rover, raw):
+    """100 MB without a line end: one answer, and nothing is kept of it."""
+    import tracemalloc
+
+    async with rover(), raw() as client:
+        piece = b"y" * (1 << 20)
+        tracemalloc.start()
+        for _ in range(100):
+            client.send(piece)
+            await client.writer.drain()
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        client.send(b"\n")
+        assert "bytes" in (await client.hear())["error"]["text"]
+        assert (await client.do("ok", "status"))["ok"]
+        assert peak < 16 << 20
+
+
+@pytest.mark.fault("H07")
+async def test_a_half_line_is_not_waited_for(rover, raw, monkeypatch):
+    """Who does not end its line in time is cut off, with a word."""
+    monkeypatch.setattr("esair.seat._socket.HALF_LINE", 0.2)
+    async with rover(), raw() as client:
+        client.send(b'{"v":1,')
+        assert "whole line" in (await client.hear())["error"]["text"]
+        assert await client.is_closed()
+
+
+@pytest.mark.promise("SEC-1")
+@pytest.mark.fault("H08")
+async def test_one_lane_is_kept_for_stop(rover, raw):
+    """At most 16 clients; one more can still stop the robot, and do nothing else."""
+    async with rover(Wander()) as robot:
+        await robot.wheels.until(MOVES)
+        clients = [raw() for _ in range(CLIENTS)]
+        for each in clients:
+            await each.__aenter__()
+            assert (await each.do("s", "status"))["ok"]
+
+        async with raw() as late:
+            refused = await late.do("1", "status")
+            assert refused["error"]["type"] == "BusyError"
+            assert robot.halted is None
+            assert (await late.do("2", "stop"))["ok"]
+            assert robot.wheels.commands[-1] == STILL
+        for each in clients:
+            await each.__aexit__()
+
+
+@pytest.mark.promise("SEC-1")
+@pytest.mark.fault("H06")
+async def test_a_client_that_never_reads_is_cut_off(rover, raw):
+    """It costs a bounded buffer, then its connection; the others go on."""
+    async with rover(Wander()) as robot, raw() as good:
+        lazy = socket.socket(socket.AF_UNIX)
+        lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        lazy.connect(str(raw().path))
+        lazy.setblocking(False)
+        line = b'{"v":1,"id":"x","act":"help"}\n'
+        ended = False
+        for _ in range(20_000):
+            try:
+                lazy.send(line)
+            except BlockingIOError:
+                await asyncio.sleep(0.01)
+            except OSError:
+                ended = True
+                break
+            if _ % 100 == 0:
+                await asyncio.sleep(0.01)
+        lazy.close()
+        assert ended
+        assert robot.journal.counts()["socket"]["cut_off"] == 1
+        assert (await good.do("1", "stop"))["ok"]
+        assert robot.wheels.commands[-1] == STILL
+
+
+@pytest.mark.promise("SEC-1")
+async def test_a_slow_client_gets_the_newest_only(rover, raw):
+    """Pictures that nobody has read yet are not followed by more."""
+    lamps = [Lamp(name=f"lamp_{number}") for number in range(40)]
+    async with rover(resources=lamps) as robot:
+        lazy = socket.socket(socket.AF_UNIX)
+        lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        lazy.connect(str(raw().path))
+        lazy.send(b'{"v":1,"id":"w","act":"watch","every":0.1}\n')
+        await asyncio.sleep(0.05)
+        client_limit = robot._seat._socket
+        for client in client_limit.clients:
+            link = client.transport.get_extra_info("socket")
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
+        await eventually(lambda: client_limit.dropped)
+        (client,) = client_limit.clients
+        assert client.transport.get_write_buffer_size() < 64 * 1024
+        lazy.close()
+
+
+@pytest.mark.promise("OPS-3")
+async def test_a_flood_of_settings_does_not_delay_a_stop(rover, raw):
+    """1,000 settings a second beside it: the wheels are safe within 20 ms, p99."""
+    lamp = Lamp()
+    late: list[float] = []
+    loop = asyncio.get_running_loop()
+    async with (
+        rover(Wander(), resources=[lamp]) as robot,
+        raw() as flood,
+        raw() as hand,
+    ):
+        ended = asyncio.Event()
+
+        async def pour() -> None:
+            number = 0
+            while not ended.is_set():
+                for _ in range(10):
+                    number += 1
+                    flood.send(
+                        {
+                            "id": f"f{number}",
+                            "act": "set",
+                            "setting": "lamp.power",
+                            "value": number % 20 / 10,
+                        }
+                    )
+                await asyncio.sleep(0.01)
+
+        async def drain() -> None:
+            while await flood.reader.readline():
+                pass
+
+        work = [asyncio.create_task(pour()), asyncio.create_task(drain())]
+        for number in range(50):
+            await robot.wheels.until(MOVES)
+            begun = loop.time()
+            hand.send({"id": f"s{number}", "act": "stop"})
+            await robot.wheels.until(STILL)
+            late.append(loop.time() - begun)
+            await hand.answer(f"s{number}")
+            await hand.do(f"r{number}", "resume")
+        ended.set()
+        flood.writer.close()
+        await asyncio.gather(*work, return_exceptions=True)
+    assert len(lamp.applied) > 100
+    late.sort()
+    assert late[-2] < 0.020, late[-5:]
+
+
+@pytest.mark.fault("H12")
+async def test_what_came_too_late_is_not_done(rover, raw):
+    """An act whose time has passed is refused, not done."""
+    lamp = Lamp()
+    now = asyncio.get_running_loop().time()
+    async with rover(resources=[lamp]), raw() as client:
+        late = await client.do(
+            "1", "set", setting="lamp.power", value=1.0, until=now - 1.0
+        )
+        assert late["error"]["type"] == "BehaviorUnavailableError"
+    assert lamp.applied == []
+
+
+@pytest.mark.promise("SEC-1")
+@pytest.mark.fault("H09")
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+async def test_another_user_is_turned_away(rover, sockets, tmp_path, caplog):
+    """Even where the folder lets it in: the peer's credentials decide."""
+    async with rover(Wander()) as robot:
+        for path in (*tmp_path.parents, tmp_path, sockets):
+            if (
+                path != path.parent
+                and os.stat(path).st_uid == 0
+                and "pytest" in str(path)
+            ):
+                os.chmod(path, 0o755)
+        os.chmod(sockets / "rover.sock", 0o666)
+        code = (
+            "import os, socket, sys\n"
+            "os.setuid(65534)\n"
+            "s = socket.socket(socket.AF_UNIX); s.connect(sys.argv[1])\n"
+            'try: s.send(b\'{"v":1,"id":"1","act":"stop"}\\n\')\n'
+            "except BrokenPipeError: pass\n"
+            "print(s.makefile().read())\n"
+        )
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-c", code, str(sockets / "rover.sock"),
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        out, err = await process.communicate()
+        answer = json.loads(out.decode() or "{}")
+        assert answer.get("error", {}).get("type") == "AccessDeniedError", err
+        assert robot.halted is None
+    assert "user 65534 was turned away" in caplog.text
+
+
+@pytest.mark.promise("OPS-1")
+@pytest.mark.fault("O18", "H17")
+async def test_a_second_robot_of_the_name_is_refused(rover, raw):
+    """A live socket is never taken over; the first robot does not notice."""
+    async with rover(Wander()) as robot:
+        with pytest.raises(esair.ConfigError, match="runs already"):
+            async with rover():
+                pass
+        async with raw() as client:
+            assert (await client.do("1", "stop"))["ok"]
+        assert robot.wheels.commands[-1] == STILL
+    async with rover():
+        pass
+
+
+@pytest.mark.fault("H17")
+async def test_a_stale_socket_is_replaced_and_a_link_is_not_followed(
+    rover, raw, sockets
+):
+    """What a dead robot left goes; a folder that is a link is refused."""
+    sockets.mkdir(mode=0o755)
+    dead = socket.socket(socket.AF_UNIX)
+    dead.bind(str(sockets / "rover.sock"))
+    dead.close()
+    async with rover(), raw() as client:
+        assert (await client.do("1", "status"))["ok"]
+        assert stat.S_IMODE(sockets.stat().st_mode) == 0o700
+    elsewhere = sockets.parent / "elsewhere"
+    sockets.rename(elsewhere)
+    sockets.symlink_to(elsewhere)
+    with pytest.raises(esair.ConfigError, match="link"):
+        async with rover():
+            pass
+
+
+@pytest.mark.promise("OPS-2")
+@pytest.mark.fault("H10")
+async def test_the_operator_has_rights_of_its_own(rover, raw):
+    """What [operator] does not allow is refused; looking and stopping always go."""
+    rights = esair.Operator(allow=("set",))
+    async with rover(Wander(), operator=rights) as robot, raw() as client:
+        assert (await client.do("1", "status"))["ok"]
+        assert (await client.do("2", "stop"))["ok"]
+        refused = await client.do("3", "resume")
+        assert refused["error"]["type"] == "AccessDeniedError"
+        assert "set" in refused["error"]["text"]
+        assert robot.halted is not None
+
+
+@pytest.mark.promise("OPS-2")
+async def test_what_an_operator_does_is_in_the_journal(rover, raw):
+    """Each act is an event in the name of the operator; looking is none."""
+    seen: list[esair.journal.Event] = []
+    async with rover(Wander()) as robot, raw() as client:
+        robot.journal.listen(seen.append, kinds=[esair.journal.Kind.OPERATOR])
+        await client.do("1", "status")
+        await client.do("2", "remove", name="wander")
+    (event,) = seen
+    assert (event.component, event.peer) == ("wander", "operator")
+    assert event.value["act"] == "remove"
+
+
+@attrs.frozen
+class Docked:
+    bay: int
+
+
+@attrs.frozen
+class Dock(esair.Request[Docked]):
+    bay: int
+
+
+class Docking(esair.Behavior):
+    orders = esair.takes(Dock)
+
+    async def run(self) -> None:
+        async for request in self.orders:
+            async with request:
+                request.answer(Docked(request.data.bay + 1))
+
+
+class Listens(esair.Behavior):
+    def __init__(self, **options) -> None:
+        super().__init__(**options)
+        self.heard: list[object] = []
+
+    async def run(self) -> None:
+        while True:
+            self.heard.append(await self.receive_from())
+
+
+@pytest.mark.promise("OPS-2")
+async def test_put_and_ask_reach_behaviors(rover, raw):
+    """Typed by the request's class; wrong ones are told what it takes."""
+    listens = Listens()
+    async with rover(Docking(), listens), raw() as client:
+        asked = {"receiver": "docking", "request": "Dock"}
+        assert (await client.do("1", "ask", **asked, fields={"bay": 2}))["result"] == {
+            "bay": 3
+        }
+        wrong = await client.do("2", "ask", **asked, fields={"bay": "x"})
+        assert "bay" in wrong["error"]["text"]
+        wrong = await client.do("3", "ask", receiver="docking", request="Dok")
+        assert "Dock" in wrong["error"]["text"]
+        await client.do("4", "put", receiver="listens", data={"a": [1]})
+    assert listens.heard == [("operator", {"a": [1]})]
+
+
+@pytest.mark.promise("OPS-2")
+async def test_the_log_is_followed_live(rover, raw):
+    """Events as they come, of the kinds that are wanted."""
+    async with rover() as robot, raw() as client:
+        await client.do("1", "log", kinds=["added"])
+        await robot.behaviors.add(Wander())
+        found = await client.hear()
+        assert found["event"]["component"] == "wander"
+        assert found["event"]["kind"] == "added"
+
+
+@pytest.mark.fault("H15")
+def test_no_decoder_for_code_exists():
+    """Nothing in the seat can turn a message into code."""
+    from pathlib import Path
+
+    import esair.seat
+
+    for path in Path(esair.seat.__file__).parent.rglob("*.py"):
+        text = path.read_text()
+        for word in ("pickle", "marshal", "eval(", "exec(", "import_module", "yaml"):
+            assert word not in text, f"{path.name}: {word}"
+
+
+async def test_the_end_of_the_robot_is_told(rover, raw):
+    """A client hears that the robot has ended, and the connection closes."""
+    async with raw_after(rover, raw) as client:
+        assert await client.is_closed()
+        assert client.lines[-1]["ended"]
+
+
+class raw_after:  # noqa: N801 - reads as a sentence
+    def __init__(self, rover, raw) -> None:
+        self.rover, self.client = rover, raw()
+
+    async def __aenter__(self):
+        async with self.rover():
+            await self.client.__aenter__()
+            await self.client.do("1", "status")
+        return self.client
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.client.__aexit__()
