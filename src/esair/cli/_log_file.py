@@ -4,34 +4,50 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from esair.cli._errors import CANNOT_USE, missing_extra, tell
-from esair.exceptions import RecordingBrokenError, RecordingError, describe
+from esair.exceptions import (
+    EsairError,
+    RecordingBrokenError,
+    RecordingError,
+    describe,
+)
+from esair.seat import NoRobotError, connect
 from esair.values import printable
 
 
 def log(
-    file: Path,
+    file: Path | None = None,
     /,
     *,
+    follow: Annotated[bool, Parameter(name=["--follow", "-f"], negative=())] = False,
+    robot: Annotated[str | None, Parameter(name=["--robot", "-r"])] = None,
     component: Annotated[
         list[str] | None, Parameter(name=["--component", "-c"])
     ] = None,
     kind: Annotated[list[str] | None, Parameter(name=["--kind", "-k"])] = None,
     machine: Annotated[bool, Parameter(name="--json", negative=())] = False,
 ) -> int:
-    """Print what is in a recording, a line for each event.
+    """Print what is in a recording, or what a robot does now, a line for each event.
 
     Args:
         file: A recording; also one that was cut.
+        follow: What a robot on this computer does, from now on, instead of a file.
+        robot: The name of the robot, if several run.
         component: Only events of these components.
         kind: Only events of these kinds, such as refused or crashed.
         machine: Lines of JSON, for other programs.
     """
+    if follow or file is None:
+        if not follow or file is not None:
+            tell("log: expected a recording, or -f for a robot that runs")
+            return CANNOT_USE
+        return _follow(robot, component or [], kind or [], machine=machine)
     try:
         from esair.recording import events_of, facts_of
 
@@ -44,21 +60,47 @@ def log(
             if machine:
                 print(json.dumps(event._asdict()))  # noqa: T201 - this is the output
                 continue
-            when = event.time + offset
-            clock = time.strftime("%H:%M:%S", time.localtime(when))
-            who = f"{event.peer} > " if event.peer else ""
-            value = "" if event.value is None else json.dumps(event.value)
-            line = " ".join(part for part in (value, event.text) if part)
-            print(  # noqa: T201 - this is the output
-                f"{clock}.{int(when % 1 * 1000):03} {event.kind:<10} "
-                f"{printable(who + event.component)} {printable(line)}".rstrip()
-            )
+            _print(event.time + offset, event._asdict())
     except ModuleNotFoundError as error:
         return _missing(error)
     except (RecordingBrokenError, OSError) as error:
         tell(describe(error))
         return CANNOT_USE
     return 0
+
+
+def _follow(
+    robot: str | None, components: list[str], kinds: list[str], *, machine: bool
+) -> int:
+    offset = time.time() - time.monotonic()
+    try:
+        with connect(robot) as client:
+            client.do("log", {"components": components, "kinds": kinds})
+            for found in client.lines():
+                if "event" not in found:
+                    continue
+                if machine:
+                    print(json.dumps(found["event"]), flush=True)  # noqa: T201 - the output
+                else:
+                    _print(found["event"]["time"] + offset, found["event"])
+    except KeyboardInterrupt:
+        return 0
+    except EsairError as error:
+        tell(printable(str(error)))
+        return CANNOT_USE if isinstance(error, NoRobotError) else 1
+    return 0
+
+
+def _print(when: float, event: Mapping[str, Any]) -> None:
+    clock = time.strftime("%H:%M:%S", time.localtime(when))
+    who = f"{event['peer']} > " if event["peer"] else ""
+    value = "" if event["value"] is None else json.dumps(event["value"])
+    line = " ".join(part for part in (value, event["text"]) if part)
+    print(  # noqa: T201 - this is the output
+        f"{clock}.{int(when % 1 * 1000):03} {event['kind']:<10} "
+        f"{printable(who + event['component'])} {printable(line)}".rstrip(),
+        flush=True,
+    )
 
 
 def recover(

@@ -92,6 +92,7 @@ def make_app() -> App:
     from esair.cli._check import check
     from esair.cli._demo import demo
     from esair.cli._devices import devices
+    from esair.cli._hand import drive
     from esair.cli._log_file import log, recover
     from esair.cli._min import minimal
     from esair.cli._new import new
@@ -99,6 +100,7 @@ def make_app() -> App:
     from esair.cli._run import run
     from esair.cli._sim import sim
     from esair.cli._steer import VERBS, set_
+    from esair.cli._top import top
 
     app = App(
         name="esair",
@@ -107,6 +109,8 @@ def make_app() -> App:
     )
     for verb in (demo, new, check, devices, sim, run, log, plot, recover):
         app.command(verb)
+    app.command(top)
+    app.command(drive)
     for steer in VERBS:
         app.command(steer)
     app.command(set_, name="set")

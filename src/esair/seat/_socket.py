@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import collections
-import json
 import logging
 import os
 import socket
@@ -12,22 +10,10 @@ import struct
 from typing import Any
 
 from esair.exceptions import BadValueError, BusyError
-from esair.journal import Event, Kind, Listener
-from esair.recording import plain
-from esair.seat._leases import BEAT, Lease
-from esair.seat._operator import Console, Session
+from esair.seat._operator import Console
 from esair.seat._place import Place
-from esair.seat._wire import (
-    LIMIT,
-    VERSION,
-    Message,
-    decode,
-    encode,
-    failure,
-    id_of,
-    message_of,
-    outcome,
-)
+from esair.seat._visitor import Visitor
+from esair.seat._wire import LIMIT, VERSION, encode, failure
 
 CLIENTS = 16
 """How many clients may be there at a time."""
@@ -53,9 +39,6 @@ LINES = 2000
 LONGEST = 1 << 20
 """How long an answer may be, in bytes."""
 
-BACKLOG = 1000
-"""How many lines of the journal wait for a slow client; the newest stay."""
-
 _CREDENTIALS = struct.Struct("3i")
 
 _log = logging.getLogger("esair")
@@ -75,10 +58,7 @@ class Socket:
         self.clients: set[_Client] = set()
         self.turned_away = 0
         """How many came who may not, or were too many."""
-        self.garbage = 0
-        """How many lines were no messages."""
-        self.dropped = 0
-        """How many pushed lines slow clients have missed."""
+        self._past = [0, 0]
         self.cut_off = 0
         """How many clients were cut off because they did not read."""
         self._server: asyncio.Server | None = None
@@ -89,8 +69,8 @@ class Socket:
         return {
             "clients": len(self.clients),
             "turned_away": self.turned_away,
-            "garbage": self.garbage,
-            "dropped": self.dropped,
+            "garbage": self._past[0] + sum(each.garbage for each in self.clients),
+            "dropped": self._past[1] + sum(each.dropped for each in self.clients),
             "cut_off": self.cut_off,
         }
 
@@ -113,6 +93,13 @@ class Socket:
         await asyncio.sleep(0)  # what they are told leaves
         self.place.close()
 
+    def forget(self, client: _Client) -> None:
+        """A client has gone; what it has counted stays."""
+        if client in self.clients:
+            self.clients.discard(client)
+            self._past[0] += client.garbage
+            self._past[1] += client.dropped
+
     def admits(self, client: _Client) -> bool:
         """Decide whether a client may come in; one too many can still stop."""
         link: socket.socket = client.transport.get_extra_info("socket")
@@ -125,7 +112,7 @@ class Socket:
             return False
         client.session.who = f"user {user}"
         client.process = process
-        client.narrow = len(self.clients) >= CLIENTS
+        client.narrow = CLIENTS if len(self.clients) >= CLIENTS else 0
         if len(self.clients) >= CLIENTS + STOP_LANES:
             self.turned_away += 1
             client.send(failure(None, BusyError("control socket", "clients", CLIENTS)))
@@ -140,17 +127,15 @@ def _not_you(user: int) -> dict[str, Any]:
     return {"v": VERSION, "id": None, "ok": False, "error": error}
 
 
-class _Client(asyncio.Protocol):
+class _Client(Visitor, asyncio.Protocol):
     """One connection: its lines, its answers, what it watches."""
 
     transport: asyncio.Transport
 
     def __init__(self, server: Socket) -> None:
+        super().__init__(server.console)
         self.server = server
-        self.console = server.console
-        self.session = Session("", self._lapsed)
         self.process = 0
-        self.narrow = False
         self._is_out = False
         self._loop = asyncio.get_running_loop()
         self._line = bytearray()
@@ -158,9 +143,6 @@ class _Client(asyncio.Protocol):
         self._budget = float(LINES)
         self._filled = self._loop.time()
         self._patience: asyncio.TimerHandle | None = None
-        self._feeds: dict[str, _Feed] = {}
-        self._beats: asyncio.TimerHandle | None = None
-        self._waiting: collections.deque[Message] = collections.deque()
 
     # The connection.
 
@@ -178,14 +160,18 @@ class _Client(asyncio.Protocol):
             self._patience = self._loop.call_later(STOP_LANE, self._too_slow)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self.server.clients.discard(self)
-        for feed in self._feeds.values():
-            feed.stop()
+        self.server.forget(self)
         if self._patience is not None:
             self._patience.cancel()
-        if self._beats is not None:
-            self._beats.cancel()
-        self.console.leases.end_all(self.session)
+        self.leave()
+
+    @property
+    def gone(self) -> bool:
+        return self.transport.is_closing()
+
+    @property
+    def unread(self) -> int:
+        return self.transport.get_write_buffer_size()
 
     def end(self) -> None:
         """Say that the robot has ended, and close."""
@@ -207,14 +193,6 @@ class _Client(asyncio.Protocol):
             self.server.cut_off += 1
             _log.warning("control socket: a client does not read and is cut off")
             self.transport.abort()
-
-    def push(self, found: dict[str, Any]) -> bool:
-        """Send what is only worth something while it is new, if there is room."""
-        if self.transport.is_closing() or self.transport.get_write_buffer_size():
-            self.server.dropped += 1
-            return False
-        self.send(found)
-        return True
 
     # Lines.
 
@@ -242,7 +220,7 @@ class _Client(asyncio.Protocol):
             if len(self._line) >= LIMIT:
                 self._line.clear()
                 self._skips = True
-                self._refuse_line(
+                self.refuse(
                     None,
                     BadValueError("message", "", f"expected at most {LIMIT} bytes"),
                 )
@@ -252,46 +230,7 @@ class _Client(asyncio.Protocol):
         if self._skips:
             self._skips = False
         elif line.strip():
-            self._do(line)
-
-    def _do(self, line: bytes) -> None:
-        name = None
-        try:
-            found = decode(line)
-            name = id_of(found)
-            message = message_of(found)
-        except Exception as error:
-            self._refuse_line(name, error)
-            return
-        if self.narrow and message.act != "stop":
-            told = BusyError(
-                "control socket", "clients; this one can only stop", CLIENTS
-            )
-            self.send(failure(name, told))
-        elif message.act in _FEEDS:
-            self._follow(message)
-        else:
-            self.console.take(message, self.session).add_done_callback(
-                lambda done: self._answer(message.id, done)
-            )
-
-    def _answer(self, name: str, done: asyncio.Future[Any]) -> None:
-        if self.transport.is_closing():
-            return
-        if done.cancelled():
-            stopped = BusyError("robot", "acts: it has stopped", 0)
-            self.send(failure(name, stopped))
-        elif (error := done.exception()) is not None:
-            self.send(failure(name, error))
-        else:
-            result = done.result()
-            self.send(outcome(name, result))
-            if isinstance(result, dict) and "lease" in result and self._beats is None:
-                self._beat()
-
-    def _refuse_line(self, name: str | None, error: Exception) -> None:
-        self.server.garbage += 1
-        self.send(failure(name, error))
+            self.do(line)
 
     def _too_slow(self) -> None:
         told = f"expected a whole line within {HALF_LINE:g} s"
@@ -310,151 +249,3 @@ class _Client(asyncio.Protocol):
     def _go_on(self) -> None:
         if not self.transport.is_closing():
             self.transport.resume_reading()
-
-    # What is pushed.
-
-    def _follow(self, message: Message) -> None:
-        try:
-            feed = _FEEDS[message.act](self, message)
-        except Exception as error:
-            self.send(failure(message.id, error))
-            return
-        known = self._feeds.pop(message.act, None)
-        if known is not None:
-            known.stop()
-        self._feeds[message.act] = feed
-        self.send(outcome(message.id, "begins"))
-        feed.start()
-
-    def _beat(self) -> None:
-        if not any(each.owner is self.session for each in self.console.leases):
-            self._beats = None
-            return
-        self.push({"v": VERSION, "beat": self.console.leases.beats.next()})
-        self._beats = self._loop.call_later(BEAT, self._beat)
-
-    def _lapsed(self, lease: Lease) -> None:
-        if not self.transport.is_closing():
-            self.send({"v": VERSION, "lapsed": lease.number})
-
-
-class _Feed:
-    """What is pushed to a client until it goes or wants another one."""
-
-    fields: frozenset[str] = frozenset()
-
-    def __init__(self, client: _Client, message: Message) -> None:
-        self.client = client
-        self.name = message.id
-        unknown = message.fields.keys() - self.fields
-        if unknown:
-            told = f"there is no such field; there are {', '.join(sorted(self.fields))}"
-            raise BadValueError(message.act, min(unknown), told)
-
-    def start(self) -> None:
-        """Begin to push."""
-        raise NotImplementedError
-
-    def stop(self) -> None:
-        """Push no more."""
-        raise NotImplementedError
-
-
-class _Watch(_Feed):
-    """Pictures of the robot, one after the other."""
-
-    fields = frozenset({"every"})
-
-    def __init__(self, client: _Client, message: Message) -> None:
-        super().__init__(client, message)
-        every = message.fields.get("every", 0.25)
-        if type(every) not in {int, float} or not 0.1 <= every <= 60.0:
-            raise BadValueError("watch", "every", "expected 0.1 to 60 seconds")
-        self._every = float(every)
-        self._next: asyncio.TimerHandle | None = None
-
-    def start(self) -> None:
-        picture = self.client.console.status.picture()
-        self.client.push({"v": VERSION, "id": self.name, "status": picture})
-        loop = asyncio.get_running_loop()
-        self._next = loop.call_later(self._every, self.start)
-
-    def stop(self) -> None:
-        if self._next is not None:
-            self._next.cancel()
-
-
-class _Log(_Feed):
-    """Events of the journal, as they come."""
-
-    fields = frozenset({"components", "kinds"})
-
-    def __init__(self, client: _Client, message: Message) -> None:
-        super().__init__(client, message)
-        self._components = _names(message, "components")
-        kinds = _names(message, "kinds")
-        known = {each.value for each in Kind}
-        if kinds - known:
-            told = f"expected some of {', '.join(sorted(known))}"
-            raise BadValueError("log", "kinds", told)
-        self._kinds = [Kind(each) for each in kinds] or None
-        self._listener: Listener | None = None
-        self._missed = 0
-        self._events: collections.deque[Event] = collections.deque(maxlen=BACKLOG)
-
-    def start(self) -> None:
-        journal = self.client.console.robot.journal
-        self._listener = journal.listen(self._hear, kinds=self._kinds)
-
-    def stop(self) -> None:
-        if self._listener is not None:
-            self._listener.stop()
-
-    def _hear(self, event: Event) -> None:
-        wanted = self._components
-        if wanted and not wanted & {event.component, event.peer}:
-            return
-        if len(self._events) == BACKLOG:
-            self._missed += 1
-            self.client.server.dropped += 1
-        self._events.append(event)
-        if len(self._events) == 1:
-            self._flush()
-
-    def _flush(self) -> None:
-        """Send what there is room for; the newest of the rest waits."""
-        client = self.client
-        while self._events and not client.transport.is_closing():
-            if client.transport.get_write_buffer_size() > WAITING // 4:
-                asyncio.get_running_loop().call_later(0.1, self._flush)
-                return
-            event = self._events.popleft()
-            found = {
-                "number": event.number,
-                "time": event.time,
-                "kind": event.kind.value,
-                "component": event.component,
-                "peer": event.peer,
-                "value": _small(event.value),
-                "text": event.text[:4096],
-                "missed": self._missed,
-            }
-            client.send({"v": VERSION, "id": self.name, "event": found})
-
-
-def _small(value: Any) -> Any:
-    """Return a value for a line of the log; one that is long is shown shortly."""
-    found = plain(value)
-    if isinstance(found, dict | list | str) and len(json.dumps(found)) > 2048:
-        return f"{str(found)[:200]}..."
-    return found
-
-
-def _names(message: Message, field: str) -> frozenset[str]:
-    found = message.fields.get(field, [])
-    if not isinstance(found, list) or not all(isinstance(each, str) for each in found):
-        raise BadValueError(message.act, field, f"expected names, not {found!r:.80}")
-    return frozenset(found)
-
-
-_FEEDS: dict[str, type[_Feed]] = {"watch": _Watch, "log": _Log}

@@ -1,0 +1,193 @@
+"""``esair drive``: an actuator driven by keys, while somebody holds them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+import termios
+import time
+import tty
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final
+
+from cyclopts import Parameter
+
+from esair.cli._errors import CANNOT_USE, tell
+from esair.exceptions import EsairError
+from esair.seat import Client, NoRobotError, connect
+from esair.values import printable
+
+GAP: Final = 0.3
+"""After how long without a look at the keys those typed meanwhile are dropped, in s."""
+
+KEYS: Final[Mapping[bytes, tuple[int, int]]] = {
+    b"\x1b[A": (1, 0),
+    b"\x1b[B": (-1, 0),
+    b"\x1b[D": (0, 1),
+    b"\x1b[C": (0, -1),
+    b"w": (1, 0),
+    b"s": (-1, 0),
+    b"a": (0, 1),
+    b"d": (0, -1),
+    b" ": (0, 0),
+}
+"""What a key means: how much forward, how much to the left."""
+
+END: Final = frozenset({b"q", b"\x03", b"\x04"})
+
+
+def drive(
+    actuator: str,
+    /,
+    *,
+    speed: float = 0.3,
+    lease: float = 0.5,
+    robot: Annotated[str | None, Parameter(name=["--robot", "-r"])] = None,
+) -> int:
+    """Drive an actuator with the arrow keys, or w a s d; a space stops, q leaves.
+
+    It moves while a key is held. Nothing is queued: when the keys, this program or the
+    terminal are gone, the actuator is released when the lease is over.
+
+    Args:
+        actuator: What to drive.
+        speed: Which part of its limits a key means; without limits the number itself.
+        lease: How long it goes on without a fresh key, in seconds.
+        robot: The name of the robot, if several run.
+    """
+    if not sys.stdin.isatty():
+        tell("drive: expected a terminal with keys")
+        return CANNOT_USE
+    try:
+        with connect(robot) as client, _keys_one_by_one():
+            _Wheel(client, actuator, speed, lease).turn()
+    except NoRobotError as error:
+        tell(printable(str(error)))
+        return CANNOT_USE
+    except (EsairError, TimeoutError) as error:
+        tell(printable(str(error)))
+        return 1
+    return 0
+
+
+def command_of(forward: int, left: int, axes: Mapping[str, Any], speed: float) -> Any:
+    """Return the command that a key means, for an actuator with these axes.
+
+    One axis follows forward and back; ``left`` and ``right`` are the sides of a pair of
+    wheels; else the first axis is forward, the second turns to the left.
+    """
+
+    def part(direction: int, limits: Any) -> float:
+        low, high = limits or (-1.0, 1.0)
+        return float(speed * direction * abs(high if direction >= 0 else low))
+
+    names = list(axes)
+    if names == [""]:
+        return part(forward, axes[""])
+    command = dict.fromkeys(names, 0.0)
+    if {"left", "right"} <= axes.keys():
+        command["left"] = part(_sign(forward - left), axes["left"])
+        command["right"] = part(_sign(forward + left), axes["right"])
+        return command
+    for name, direction in zip(names, (forward, left), strict=False):
+        command[name] = part(direction, axes[name])
+    return command
+
+
+def _sign(number: int) -> int:
+    return (number > 0) - (number < 0)
+
+
+@contextlib.contextmanager
+def _keys_one_by_one() -> Iterator[None]:
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+    settings = termios.tcgetattr(sys.stdin)
+    settings[3] &= ~termios.ISIG  # Ctrl-C is a key here: it gives back first
+    termios.tcsetattr(sys.stdin, termios.TCSANOW, settings)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+class _Wheel:
+    """Turns keys into input for a lease."""
+
+    def __init__(
+        self, client: Client, actuator: str, speed: float, seconds: float
+    ) -> None:
+        self._client = client
+        self._actuator = actuator
+        self._speed = speed
+        self._seconds = seconds
+        self._lease: dict[str, Any] | None = None
+        self._beat = 0
+        self._sent: str | None = None
+        self._shown = ""
+
+    def turn(self) -> None:
+        """Go on until somebody leaves."""
+        self._take()
+        self._show("hold a key to drive; space stops, q leaves")
+        last = time.monotonic()
+        while True:
+            ready, _, _ = select.select([sys.stdin, self._client], [], [], 0.05)
+            now = time.monotonic()
+            if now - last > GAP:  # the program stood still: what was typed is old
+                termios.tcflush(sys.stdin, termios.TCIFLUSH)
+                ready = [each for each in ready if each is not sys.stdin]
+                self._show("there was a gap: the keys typed in it were dropped")
+            last = now
+            if self._client in ready:
+                self._hear()
+            if sys.stdin in ready:
+                keys = os.read(sys.stdin.fileno(), 256)
+                if not keys or any(keys.endswith(end) for end in END):
+                    break
+                self._press(keys)
+        if self._lease is not None:
+            self._client.send("release", {"lease": self._lease["lease"]})
+
+    def _take(self) -> None:
+        fields = {"actuator": self._actuator, "seconds": self._seconds}
+        self._lease = self._client.do("lease", fields)
+        self._beat = self._lease["beat"]
+
+    def _press(self, keys: bytes) -> None:
+        """Send what the newest key means; those before it are never done."""
+        key = max(KEYS, key=lambda each: (keys.rfind(each), keys.endswith(each)))
+        if key not in keys:
+            return
+        if self._lease is None:
+            self._take()
+        assert self._lease is not None
+        forward, left = KEYS[key]
+        command = command_of(forward, left, self._lease["axes"], self._speed)
+        self._sent = self._client.send(
+            "drive",
+            {"lease": self._lease["lease"], "beat": self._beat, "command": command},
+        )
+        self._show(f"{self._actuator}: {command}")
+
+    def _hear(self) -> None:
+        for found in self._client.lines(0.0):
+            if "beat" in found:
+                self._beat = found["beat"]
+            elif self._lease and found.get("lapsed") == self._lease["lease"]:
+                self._lease = None
+                self._show(f"{self._actuator} is released")
+            elif found.get("id") == self._sent and "ok" in found:
+                if not found["ok"]:
+                    self._show(str(found["error"]["text"]))
+                elif not found["result"]["written"]:
+                    answer = found["result"]
+                    self._show(f"refused by {answer['holder']}: {answer['rule']}")
+
+    def _show(self, text: str) -> None:
+        if text != self._shown:
+            self._shown = text
+            sys.stdout.write(f"\r\x1b[K{printable(text)[:200]}")
+            sys.stdout.flush()

@@ -1,0 +1,217 @@
+"""``esair top``, ``stop``, ``set`` and the others, as a user calls them."""
+
+import json
+import re
+import select
+import time
+
+import pytest
+
+pytestmark = pytest.mark.real_clock
+
+MODULE = """
+import json
+import esair
+import attrs
+
+class Sonar(esair.Sensor[float]):
+    rate = 20.0
+    async def read(self) -> float:
+        return 1.25
+
+class Label(esair.Sensor[str]):
+    rate = 20.0
+    async def read(self) -> str:
+        return "a\\x1b[2Jb\\ncd\\u202ee"
+
+class Motor(esair.Actuator[float]):
+    safe = 0.0
+    top_speed = esair.setting(1.0, unit="m/s", min=0.1, max=2.0)
+    async def write(self, command: float) -> None:
+        with open("log.jsonl", "a") as file:
+            file.write(json.dumps(command) + "\\n")
+
+class Always(esair.Behavior):
+    motor = esair.writes(float)
+    async def run(self) -> None:
+        async for _ in esair.every(0.02):
+            await self.motor.write(1.0)
+
+class Reads(esair.Behavior):
+    sonar = esair.reads(float)
+    label = esair.reads(str)
+    async def run(self) -> None:
+        async for _ in self.sonar:
+            await self.label.read()
+"""
+
+FILE = """
+[robot]
+name = "{name}"
+[sensor.sonar]
+driver = "parts:Sonar"
+[sensor.label]
+driver = "parts:Label"
+[actuator.motor]
+driver = "parts:Motor"
+[behavior.always]
+driver = "parts:Always"
+[behavior.reads]
+driver = "parts:Reads"
+"""
+
+
+@pytest.fixture
+def esair(esair_command, capsys):
+    """Run a verb; return what it prints, or its error if it ends with a code."""
+
+    def run(*words, code=0):
+        capsys.readouterr()
+        ended = esair_command(*words)
+        out, err = capsys.readouterr()
+        assert ended == code, out + err
+        return out if code == 0 else err
+
+    return run
+
+
+@pytest.fixture
+def robot(tmp_path, monkeypatch, start):
+    """Start a robot by its name; return its folder."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "sockets"))
+
+    def run(name="rover", *words):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "parts.py").write_text(MODULE)
+        (folder / "robot.toml").write_text(FILE.format(name=name))
+        folder_process = start("run", "robot.toml", *words, cwd=folder)
+        for _ in range(200):
+            if told(folder)[-1:] == [1.0]:
+                return folder
+            assert folder_process.poll() is None, folder_process.communicate()
+            time.sleep(0.05)
+        raise TimeoutError
+
+    return run
+
+
+def told(folder):
+    path = folder / "log.jsonl"
+    if not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+@pytest.mark.promise("OPS-2", "OPS-3")
+def test_a_robot_is_watched_and_steered(esair, robot):
+    """Each verb does what it says, by what the motor was told."""
+    folder = robot()
+
+    shown = esair("top")
+    assert re.search(r"motor +ready +always \(0\)", shown), shown
+    assert re.search(r"sonar +ready +1.25 +(19|20|21)", shown), shown
+    status = json.loads(esair("top", "--json"))
+    assert status["robot"] == "rover"
+    assert "held by always" in esair("why", "motor")
+    assert "top_speed is 0.2 m/s (at least 0.1 m/s, at most 2 m/s)" in esair(
+        "set", "motor.top_speed", "0.2"
+    )
+    assert "at most 2.0" in esair("set", "motor.top_speed", "3", code=1)
+
+    out = esair("stop", "a cat")
+    assert "halted: a cat" in out
+    assert "motor: safe 0.0: answered" in out
+    count = len(told(folder))
+    assert told(folder)[-1] == 0.0
+    time.sleep(0.2)
+    assert len(told(folder)) == count
+    assert "HALTED: a cat" in esair("top")
+    esair("resume")
+    time.sleep(0.2)
+    assert told(folder)[-1] == 1.0
+
+    esair("remove", "always")
+    time.sleep(0.1)
+    assert told(folder)[-1] == 0.0
+    esair("add", "always")
+    time.sleep(0.2)
+    assert told(folder)[-1] == 1.0
+    esair("restart", "always")
+    esair("replace", "always")
+    assert "no such part" in esair("add", "nobody", code=1)
+    assert "did you mean" in esair("why", "moter", code=1)
+
+
+@pytest.mark.promise("SEC-1")
+def test_what_a_device_says_cannot_reach_the_terminal_raw(esair, robot):
+    """No escape, line end or bidi character: they are shown as their numbers."""
+    robot()
+
+    for words in (("top",), ("top", "--json"), ("stop", "x\x1b[2J\u202ey")):
+        shown = esair(*words)
+        assert "\x1b" not in shown
+        assert "\u202e" not in shown
+
+
+@pytest.mark.promise("OPS-2")
+def test_several_robots_are_told_apart_by_name(esair, robot):
+    """Without a name it says which there are; --all stops every one."""
+    one, two = robot("one"), robot("two")
+
+    error = esair("resume", code=2)
+    assert "one, two" in error
+    esair("stop", "--robot", "one")
+    assert told(one)[-1] == 0.0
+    assert told(two)[-1] == 1.0
+    esair("stop", "--all")
+    assert told(two)[-1] == 0.0
+    assert "did you mean 'one'" in esair("resume", "--robot", "onne", code=2)
+
+
+@pytest.mark.promise("OPS-2")
+def test_the_log_of_a_robot_is_followed(esair, robot, start, tmp_path):
+    """``log -f`` shows what happens from then on."""
+    robot()
+    follower = start("log", "-f", "-k", "halted", cwd=tmp_path)
+    for _ in range(60):
+        esair("stop", "a cat")
+        if select.select([follower.stdout], [], [], 0.5)[0]:
+            break
+    assert "a cat" in follower.stdout.readline()
+
+
+@pytest.mark.promise("OPS-1")
+@pytest.mark.fault("O18")
+def test_a_second_start_is_refused(esair, robot, start):
+    """The same file again: it says that it runs; the first goes on."""
+    folder = robot()
+    count = len(told(folder))
+
+    second = start("run", "robot.toml", cwd=folder)
+    _, error = second.communicate(timeout=60)
+    assert second.returncode == 1
+    assert "runs already" in error
+    assert len(told(folder)) > count
+    assert told(folder)[-1] == 1.0
+    assert "halted" in esair("stop")
+
+
+@pytest.mark.promise("REC-1")
+def test_a_run_is_recorded_with_what_the_operator_did(esair, robot):
+    """``--record`` without a path records to this folder; the stop is in the file."""
+    folder = robot("rover", "--record")
+    esair("stop", "a cat")
+    esair("resume")
+    time.sleep(0.6)
+    (file,) = folder.glob("*.mcap")
+    lines = esair("log", str(file), "-k", "operator", "--json").splitlines()
+    acts = [json.loads(line)["value"]["act"] for line in lines]
+    assert acts == ["stop", "resume"]
+
+
+def test_without_a_robot_it_says_so(esair, tmp_path, monkeypatch):
+    """Exit code 2, one line."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    for words in (["top"], ["stop"], ["why", "x"], ["stop", "--all"]):
+        assert "no robot runs here" in esair(*words, code=2)
