@@ -421,6 +421,49 @@ class Operator:
         return "*" in self.allow or wanted in self.allow
 
 
+@attrs.frozen(kw_only=True)
+class Page:
+    """Where the page of a robot is served, and for whom; needs ``esair[page]``.
+
+    Another address than one of this computer needs a token (made anew, and kept in a
+    file of this user, unless given) and TLS, or an explicit ``insecure``.
+
+    Attributes:
+        host: The address.
+        port: The port; 0 for any that is free.
+        token: What a browser must show, of at least 22 characters (128 bit).
+        certificate: The file with the certificate, for TLS.
+        key: The file with its key.
+        insecure: Whether another address may be without TLS.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8740
+    token: str | None = attrs.field(default=None, repr=False)
+    certificate: Path | None = None
+    key: Path | None = None
+    insecure: bool = False
+
+    def __attrs_post_init__(self) -> None:
+        if type(self.port) is not int or not 0 <= self.port < 65536:
+            raise ConfigError("page", "port", f"expected 0 to 65535, not {self.port!r}")
+        if self.token is not None and len(self.token) < 22:
+            raise ConfigError("page", "token", "expected at least 22 characters")
+        if (self.certificate is None) != (self.key is None):
+            raise ConfigError("page", "key", "expected a certificate and its key")
+        if not (self.is_local or self.certificate or self.insecure):
+            told = (
+                f"{self.host} is not of this computer alone: expected certificate and "
+                "key for TLS, or insecure = true"
+            )
+            raise ConfigError("page", "host", told)
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this computer can reach it."""
+        return self.host in {"127.0.0.1", "::1", "localhost"}
+
+
 @attrs.frozen
 class Recording:
     """What a robot records, and within which bounds.

@@ -49,6 +49,7 @@ from esair.loop import (
 from esair.messages import (
     BehaviorsPolicy,
     Operator,
+    Page,
     Policy,
     Recording,
     ResourceState,
@@ -111,6 +112,7 @@ class Robot:
         socket: Whether it has a control socket, for ``esair top``, ``esair stop`` and
             the like; ``esair run`` and ``sim`` give it one.
         operator: What an operator may do from outside; everything unless given.
+        page: Where the same is served to a browser; nowhere unless given.
 
     Attributes:
         resources: The resource supervisor (RS).
@@ -142,6 +144,7 @@ class Robot:
         seed: int | None = None,
         socket: bool = False,
         operator: Operator | None = None,
+        page: Page | None = None,
     ) -> None:
         self.name = check_name("robot", name)
         self.operator = Operator() if operator is None else operator
@@ -149,6 +152,7 @@ class Robot:
         self.source: tuple[Path, bool] | None = None
         """The file it was made from, and whether simulated; None if from none."""
         self._has_socket = socket
+        self._page = page
         self._seat: Seat | None = None
         self._recording = record
         self._recorder: Recorder | None = None
@@ -281,7 +285,7 @@ class Robot:
         refuse_while_looking(self.name)
         if mistakes := errors_in(examine(self.plan)):
             raise ExceptionGroup(f"robot {self.name!r} cannot start", mistakes)
-        seat = self._take_seat() if self._has_socket else None
+        seat = self._take_seat() if self._has_socket or self._page else None
         self._entered = True
         self.behaviors.seed = self._take_seed()
         self.resources.wake()
@@ -432,7 +436,7 @@ class Robot:
     def _take_seat(self) -> Seat:
         from esair.seat import Seat
 
-        return Seat(self.name, socket=self._has_socket)
+        return Seat(self.name, socket=self._has_socket, page=self._page)
 
     async def _typed(self, text: str) -> str:
         if self._seat is None:

@@ -34,6 +34,10 @@ class Lamp(esair.Actuator[float]):
     async def write(self, command: float) -> None:
         pass
 
+    @esair.operation
+    async def blink(self, times: int) -> int:
+        return times + 1
+
 
 @pytest.mark.promise("OPS-1")
 async def test_the_socket_is_for_this_user_alone(rover, sockets):
@@ -420,6 +424,39 @@ async def test_what_an_operator_does_is_in_the_journal(rover, raw):
     (event,) = seen
     assert (event.component, event.peer) == ("wander", "operator")
     assert event.value["act"] == "remove"
+
+
+@pytest.mark.promise("SEC-1")
+async def test_a_secret_setting_is_never_shown(rover, raw, caplog):
+    """Neither in a picture, nor in the answer, the journal or the log."""
+    caplog.set_level("DEBUG")
+    seen: list[esair.journal.Event] = []
+
+    class Radio(Lamp):
+        key = esair.setting("none", secret=True)
+
+        async def apply(self, **_: object) -> None:  # type: ignore[override]
+            pass
+
+    radio = Radio(name="radio")
+    async with rover(resources=[radio]) as robot, raw() as client:
+        robot.journal.listen(seen.append)
+        done = await client.do("1", "set", setting="radio.key", value="hunter2")
+        assert done["ok"]
+        picture = await client.do("2", "status")
+    assert radio.key == "hunter2"
+    assert "hunter2" not in f"{done} {picture} {seen} {caplog.text}"
+
+
+@pytest.mark.promise("OPS-2")
+async def test_an_operation_of_a_device_is_called(rover, raw):
+    """Typed, with its result; a wrong one is told."""
+    async with rover(resources=[Lamp()]), raw() as client:
+        blink = {"resource": "lamp", "operation": "blink"}
+        done = await client.do("1", "operate", **blink, fields={"times": 2})
+        assert done["result"] == 3
+        wrong = await client.do("2", "operate", **blink, fields={"times": "x"})
+        assert "times" in wrong["error"]["text"]
 
 
 @attrs.frozen

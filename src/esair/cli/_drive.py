@@ -29,6 +29,8 @@ def drive(
     seconds: float | None,
     verbose: bool,
     record: list[Path] | None = None,
+    page: list[str] | None = None,
+    insecure: bool = False,
     loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None,
 ) -> int:
     """Run the robot of a file until it ends, or until a signal.
@@ -40,6 +42,9 @@ def drive(
         verbose: Whether every line of the log is shown.
         record: Where to record to: a file or a folder; empty for this folder; None if
             only the file of the robot says so.
+        page: Where the page is served, HOST:PORT; empty for this computer; None if only
+            the file of the robot says so.
+        insecure: Whether another address may be without TLS.
         loop_factory: Makes the event loop; asyncio's own if None.
 
     Returns:
@@ -57,7 +62,7 @@ def drive(
     sys.path.insert(0, str(file.resolve().parent))  # modules imported while it runs
     described = config.load(file, simulated=simulated)
     try:
-        robot = config.build(described, _with(described, record))
+        robot = config.build(described, _with(described, record, page, insecure))
     except EsairError as error:
         return _not_started([error])
     console.print(_headline(described))
@@ -79,7 +84,10 @@ def drive(
 
 
 def _with(
-    described: config.Description, record: list[Path] | None
+    described: config.Description,
+    record: list[Path] | None,
+    page: list[str] | None,
+    insecure: bool,
 ) -> Callable[..., esair.Robot]:
     """Return what makes the robot: with a control socket, and recorded if wanted."""
     extra: dict[str, Any] = {}
@@ -87,7 +95,21 @@ def _with(
         (path,) = record or [Path()]
         known = described.robot.get("record") or esair.Recording(path)
         extra["record"] = attrs.evolve(known, path=path)
+    if page is not None:
+        extra["page"] = _page(described.robot.get("page"), page, insecure)
     return lambda **given: esair.Robot(**{"socket": True, **given, **extra})
+
+
+def _page(known: Any, words: list[str], insecure: Any) -> esair.Page:
+    host, _, port = (words or [""])[0].rpartition(":")
+    if port and not port.isdecimal():
+        raise esair.ConfigError("--page", "", f"expected HOST:PORT, not {words[0]!r}")
+    changes: dict[str, Any] = {"insecure": True} if insecure else {}
+    if host:
+        changes["host"] = host.removeprefix("[").removesuffix("]")
+    if port:
+        changes["port"] = int(port)
+    return attrs.evolve(known or esair.Page(), **changes)
 
 
 def _headline(described: config.Description) -> Text:

@@ -18,6 +18,8 @@ def run(
     seconds: Annotated[float | None, Parameter(name="--for")] = None,
     loop: Literal["asyncio", "uvloop"] = "asyncio",
     record: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
+    page: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    insecure: Annotated[bool, Parameter(negative=())] = False,
     verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative=())] = False,
 ) -> int:
     """Run the robot of a robot.toml on its real hardware.
@@ -30,6 +32,9 @@ def run(
         loop: The event loop: Python's own, or uvloop if it is installed.
         record: Record what happens, to this file or folder; to this folder if none
             is named.
+        page: Serve the operator's seat to a browser, at HOST:PORT; at port 8740 of
+            this computer alone if nothing is named.
+        insecure: Another address than this computer's may be without TLS.
         verbose: Show every line of the log.
     """
     factory = None
@@ -46,5 +51,7 @@ def run(
         seconds=seconds,
         verbose=verbose,
         record=record,
+        page=page,
+        insecure=insecure,
         loop_factory=factory,
     )

@@ -16,6 +16,8 @@ def sim(
     *,
     seconds: Annotated[float | None, Parameter(name="--for")] = None,
     record: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
+    page: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    insecure: Annotated[bool, Parameter(negative=())] = False,
     verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative=())] = False,
 ) -> int:
     """Run the robot of a robot.toml in simulation: the sim tables count.
@@ -27,6 +29,17 @@ def sim(
         seconds: Stop after this many seconds.
         record: Record what happens, to this file or folder; to this folder if none
             is named.
+        page: Serve the operator's seat to a browser, at HOST:PORT; at port 8740 of
+            this computer alone if nothing is named.
+        insecure: Another address than this computer's may be without TLS.
         verbose: Show every line of the log.
     """
-    return drive(file, simulated=True, seconds=seconds, verbose=verbose, record=record)
+    return drive(
+        file,
+        simulated=True,
+        seconds=seconds,
+        verbose=verbose,
+        record=record,
+        page=page,
+        insecure=insecure,
+    )

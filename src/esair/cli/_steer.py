@@ -106,13 +106,9 @@ def ask(
         robot: The name of the robot, if several run.
         machine: JSON, for other programs.
     """
-    given: dict[str, Any] = {}
-    for word in fields:
-        name, sign, value = word.partition("=")
-        if not sign:
-            tell(f"expected name=value, not {printable(word)}")
-            return CANNOT_USE
-        given[name] = value_of(value)
+    given = _table(fields)
+    if given is None:
+        return CANNOT_USE
     return act(
         robot,
         "ask",
@@ -123,6 +119,48 @@ def ask(
         fields=given,
         timeout=timeout,
     )
+
+
+def operate(
+    resource: str,
+    operation: str,
+    /,
+    *fields: str,
+    robot: Which = None,
+    machine: AsJson = False,
+) -> int:
+    """Have a device do what its driver can, such as home, and print the result.
+
+    Args:
+        resource: The device.
+        operation: What it does.
+        fields: What it takes: name=value.
+        robot: The name of the robot, if several run.
+        machine: JSON, for other programs.
+    """
+    given = _table(fields)
+    if given is None:
+        return CANNOT_USE
+    return act(
+        robot,
+        "operate",
+        machine=machine,
+        wait=600.0,
+        resource=resource,
+        operation=operation,
+        fields=given,
+    )
+
+
+def _table(words: tuple[str, ...]) -> dict[str, Any] | None:
+    found: dict[str, Any] = {}
+    for word in words:
+        name, sign, value = word.partition("=")
+        if not sign:
+            tell(f"expected name=value, not {printable(word)}")
+            return None
+        found[name] = value_of(value)
+    return found
 
 
 def add(name: str, /, *, robot: Which = None) -> int:
@@ -241,5 +279,18 @@ def act(
     return 0
 
 
-VERBS = (why, stop, resume, put, ask, add, remove, replace, restart, mute, reset)
+VERBS = (
+    why,
+    stop,
+    resume,
+    put,
+    ask,
+    operate,
+    add,
+    remove,
+    replace,
+    restart,
+    mute,
+    reset,
+)
 """The verbs whose names are those of their functions."""

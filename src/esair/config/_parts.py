@@ -18,7 +18,7 @@ from esair.exceptions import ConfigError, EsairError
 from esair.resources import Actuator, Sensor
 from esair.values import check_name
 
-OF_ROBOT: Final = ("operator", "record")
+OF_ROBOT: Final = ("operator", "record", "page")
 """The tables that are keywords of the robot with fields of their own."""
 
 TABLES: Final = ("robot", "bus", "sensor", "actuator", "behavior", "access", *OF_ROBOT)

@@ -17,6 +17,7 @@ from esair.resources._operation import (
 from esair.resources._resource import Resource, bus_kind
 from esair.resources._sensor import Sensor
 from esair.resources._setting import (
+    HIDDEN,
     Setting,
     check_settings,
     setting,
@@ -25,6 +26,7 @@ from esair.resources._setting import (
 )
 
 __all__ = [
+    "HIDDEN",
     "HOLD",
     "Actuator",
     "MinimalActuator",

@@ -234,6 +234,13 @@ async def _set(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     return found
 
 
+async def _operate(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    resources, name = console.robot.resources, fields["resource"]
+    with console.right_to_configure(name) as registration:
+        work = resources.operate(registration, fields["operation"], **fields["fields"])
+        return plain(await work)
+
+
 def _mute(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     console.robot.behaviors.mute(fields["name"], fields["seconds"], fields["reason"])
     return f"{fields['name']} is mute for {fields['seconds']:g} s"
@@ -373,6 +380,13 @@ ACTS: dict[str, Act] = {
             {"setting": NAME, "value": ANY},
             "setting",
             tells=_told_set,
+        ),
+        Act(
+            "operate",
+            "have a device do what its driver can: home, tare, clear a fault",
+            _operate,
+            {"resource": NAME, "operation": NAME, "fields": Field((dict,), {})},
+            "resource",
         ),
         Act(
             "mute",

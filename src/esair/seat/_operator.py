@@ -27,7 +27,7 @@ from esair.exceptions import (
 from esair.journal import Kind
 from esair.loop import Door, clock_of, current_owner, spawn
 from esair.messages import OPERATOR, Access
-from esair.resources import Resource
+from esair.resources import HIDDEN, Resource, settings_of
 from esair.seat._acts import ACTS, Act
 from esair.seat._leases import Leases
 from esair.seat._status import Status
@@ -250,12 +250,13 @@ class Console:
             return
         if not act.looks:
             component = str(fields.get(act.about) or self.robot.name)
-            told = {"act": act.name, "by": session.who, **fields}
+            shown = self._shown(act, fields)
+            told = {"act": act.name, "by": session.who, **shown}
             self.robot.journal.publish(
                 Kind.OPERATOR, component.partition(".")[0], self.name, told
             )
             if act.name not in {"drive", "lease", "release"}:
-                _log.info("%s: %s %s", session.who, act.name, printable(str(fields)))
+                _log.info("%s: %s %s", session.who, act.name, printable(str(shown)))
         try:
             result = act.run(self, fields, session)
         except Exception as error:
@@ -266,6 +267,17 @@ class Console:
             return
         work = self._finish(act, result, session, outcome)
         spawn(self._loop, work, name=f"operator {act.name}")
+
+    def _shown(self, act: Act, fields: dict[str, Any]) -> dict[str, Any]:
+        """Return what an act is about as it may be recorded and shown."""
+        if act.name != "set":
+            return fields
+        name, _, setting = fields["setting"].partition(".")
+        if name in self.robot.resources.names():
+            known = settings_of(type(self.robot.resources.get(name))).get(setting)
+            if known is None or not known.secret:
+                return fields
+        return {**fields, "value": HIDDEN}
 
     async def _finish(
         self, act: Act, work: Any, session: Session, outcome: asyncio.Future[Any]

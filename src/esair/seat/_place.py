@@ -116,6 +116,22 @@ class Place:
         os.close(self._folder)
 
 
+def secret_file(name: str, secret: str) -> Path:
+    """Write a secret of a robot where only its user can read it."""
+    place = folder()
+    opened = _own_folder(place)
+    try:
+        file = f"{name}.token"
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(file, dir_fd=opened)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        with os.fdopen(os.open(file, flags, mode=0o600, dir_fd=opened), "w") as out:
+            out.write(secret + "\n")
+    finally:
+        os.close(opened)
+    return place / file
+
+
 def reach(path: Path) -> socket.socket:
     """Return a connection to a socket, however long its path is.
 

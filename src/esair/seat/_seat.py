@@ -12,6 +12,8 @@ from esair.seat._socket import Socket
 from esair.seat._words import act_of
 
 if TYPE_CHECKING:
+    from esair.messages import Page
+    from esair.seat._page import PageServer
     from esair.standard import Robot
 
 _log = logging.getLogger("esair")
@@ -23,13 +25,16 @@ class Seat:
     Args:
         name: The name of the robot.
         socket: Whether it has a control socket.
+        page: Where its page is served; None for nowhere.
 
     Raises:
         ConfigError: A robot of this name runs already, or the folder for sockets
             belongs to somebody else.
     """
 
-    def __init__(self, name: str, *, socket: bool) -> None:
+    def __init__(self, name: str, *, socket: bool, page: Page | None = None) -> None:
+        self._wanted = page
+        self._page: PageServer | None = None
         self._place = _place(name) if socket else None
         self._console: Console | None = None
         self._socket: Socket | None = None
@@ -42,6 +47,16 @@ class Seat:
             place, self._place = self._place, None
             self._socket = Socket(self._console, place)
             await self._socket.start()
+        if self._wanted is not None:
+            from esair.seat._page import PageServer
+
+            self._page = PageServer(self._console, self._wanted)
+            await self._page.start()
+
+    @property
+    def port(self) -> int | None:
+        """The port of the page, if there is one."""
+        return None if self._page is None else self._page.port
 
     def leave(self) -> None:
         """The robot begins to stop: nobody drives it any more."""
@@ -52,6 +67,8 @@ class Seat:
         """Take no more acts; clients are told that the robot has ended."""
         if self._place is not None:
             self._place.close()
+        if self._page is not None:
+            await self._page.close()
         if self._socket is not None:
             await self._socket.close()
         self._console = None

@@ -11,7 +11,7 @@ from esair.exceptions import EsairError, describe
 from esair.loop import clock_of
 from esair.messages import ResourceState
 from esair.recording import plain
-from esair.resources import Resource, settings_of
+from esair.resources import HIDDEN, Resource, settings_of
 
 if TYPE_CHECKING:
     import asyncio
@@ -159,7 +159,7 @@ def settings(resource: Resource) -> list[dict[str, Any]]:
     return [
         {
             "name": name,
-            "value": plain(getattr(resource, name)),
+            "value": HIDDEN if each.secret else plain(getattr(resource, name)),
             "unit": each.unit,
             "min": each.min,
             "max": each.max,

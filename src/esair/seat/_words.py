@@ -25,7 +25,7 @@ def act_of(text: str) -> tuple[Act, dict[str, Any]]:
     if not words or words[0] not in ACTS:
         verb = words[0] if words else ""
         hint = did_you_mean(verb, ACTS) or f"; there are {', '.join(ACTS)}"
-        raise ConfigError("command", verb, f"it is not known{hint}")
+        raise ConfigError("command", f"{verb!r:.80}", f"it is not known{hint}")
     act = ACTS[words[0]]
     return act, fields_of_words(act, words[1:])
 

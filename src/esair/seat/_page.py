@@ -1,0 +1,347 @@
+"""The seat in a browser: one static page, a web socket, and metrics for machines."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import contextlib
+import hmac
+import ipaddress
+import logging
+import os
+import secrets
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from esair.exceptions import BadValueError, ConfigError
+from esair.seat._metrics import metrics
+from esair.seat._place import secret_file
+from esair.seat._visitor import Visitor
+from esair.seat._wire import LIMIT, VERSION, encode, failure
+
+if TYPE_CHECKING:
+    from starlette.requests import HTTPConnection, Request
+    from starlette.responses import Response
+    from starlette.websockets import WebSocket
+
+    from esair.messages import Page
+    from esair.seat._operator import Console
+
+VIEWERS = 16
+"""How many browsers may be there at a time; one lane more is kept for stop."""
+
+STOP_LANES = 4
+"""How many more may come in who can only stop the robot."""
+
+WAITING = 256
+"""How many lines may wait for a browser that does not read; one more and it goes."""
+
+LINES = 500
+"""How many lines a browser may send in a second."""
+
+LOGIN = 5.0
+"""How long a browser may take to show its token, in seconds."""
+
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; "
+    "style-src 'self'; connect-src 'self'; img-src 'self'; frame-ancestors 'none'; "
+    "base-uri 'none'; form-action 'none'",
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+"""What each answer says to the browser: nothing from elsewhere, nothing inline."""
+
+_FILES = {
+    "/": ("page.html", "text/html"),
+    "/page.js": ("page.js", "text/javascript"),
+    "/page.css": ("page.css", "text/css"),
+}
+_STATIC = Path(__file__).parent / "static"
+
+_log = logging.getLogger("esair")
+
+
+class PageServer:
+    """Serves the page of a robot in its own event loop.
+
+    Args:
+        console: Does what browsers want.
+        page: Where, and for whom.
+
+    Raises:
+        ConfigError: A package is missing, or the address is in use.
+    """
+
+    def __init__(self, console: Console, page: Page) -> None:
+        self.console = console
+        self.page = page
+        self.token = page.token
+        self.viewers: set[_Viewer] = set()
+        self.turned_away = 0
+        """How many requests were refused."""
+        self._past = [0, 0]
+        self._server: Any = None
+        self._serving: asyncio.Task[None] | None = None
+        self._secret: Path | None = None
+        self.port = page.port
+        """The port, also if any was asked for."""
+        console.robot.journal.count("page", lambda: [("page", self.counts())])
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        return {
+            "clients": len(self.viewers),
+            "turned_away": self.turned_away,
+            "garbage": self._past[0] + sum(each.garbage for each in self.viewers),
+            "dropped": self._past[1] + sum(each.dropped for each in self.viewers),
+        }
+
+    async def start(self) -> None:
+        """Serve from now on."""
+        try:
+            import uvicorn
+            import websockets  # noqa: F401 - uvicorn uses it
+
+            app = self._app()
+        except ImportError as error:
+            told = f"it needs {error.name}: pip install 'esair[page]'"
+            raise ConfigError("page", "", told) from None
+        page = self.page
+        if not page.is_local and self.token is None:
+            self.token = secrets.token_urlsafe(16)
+            self._secret = secret_file(self.console.robot.name, self.token)
+        settings = uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            ws="websockets-sansio",
+            ws_max_size=LIMIT,
+            ws_ping_interval=2.0,
+            ws_ping_timeout=5.0,
+            limit_concurrency=64,
+            timeout_keep_alive=5,
+            timeout_graceful_shutdown=1,
+            h11_max_incomplete_event_size=16 * 1024,
+            server_header=False,
+            proxy_headers=False,
+            ssl_certfile=page.certificate,
+            ssl_keyfile=page.key,
+        )
+        for name in ("uvicorn.error", "uvicorn.access"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+
+        class Server(uvicorn.Server):  # signals belong to the robot
+            @contextlib.contextmanager
+            def capture_signals(self) -> Iterator[None]:
+                yield
+
+        bound = _bind(page)
+        self.port = bound.getsockname()[1]
+        self._server = Server(settings)
+        self._serving = asyncio.create_task(
+            self._server.serve(sockets=[bound]), name="esair page"
+        )
+        scheme = "http" if page.certificate is None else "https"
+        _log.warning("page: %s://%s:%d/", scheme, page.host, self.port)
+        if self._secret is not None:
+            _log.warning(
+                "page: its token is in %s; add #TOKEN to the address", self._secret
+            )
+
+    async def close(self) -> None:
+        """Serve no more."""
+        for viewer in tuple(self.viewers):
+            viewer.end()
+        if self._serving is not None:
+            self._server.should_exit = True
+            await asyncio.wait({self._serving}, timeout=1.0)
+            self._serving.cancel()
+            await asyncio.wait({self._serving}, timeout=1.0)
+        if self._secret is not None:
+            with contextlib.suppress(OSError):
+                self._secret.unlink()
+
+    # Who may.
+
+    def is_welcome(self, request: HTTPConnection) -> bool:
+        """Tell whether a request comes to us, from a page of ours."""
+        host = request.headers.get("host", "")
+        origin = request.headers.get("origin")
+        scheme = "http" if self.page.certificate is None else "https"
+        good = self._is_our_name(host) and origin in {None, f"{scheme}://{host}"}
+        if request.scope["type"] == "websocket":
+            good = good and origin is not None
+        if not good:
+            self.turned_away += 1
+        return good
+
+    def _is_our_name(self, host: str) -> bool:
+        """Tell whether a Host is one that no stranger's name server can lead here."""
+        name, _, port = host.rpartition(":")
+        if port != str(self.port):
+            return False
+        name = name.removeprefix("[").removesuffix("]").lower()
+        if name in {"localhost", "127.0.0.1", "::1", self.page.host.lower()}:
+            return True
+        if self.page.is_local:
+            return False
+        own = socket.gethostname().lower()
+        with contextlib.suppress(ValueError):
+            return bool(ipaddress.ip_address(name))
+        return name in {own, f"{own}.local"}
+
+    def knows(self, token: object) -> bool:
+        """Tell whether a token is the right one, in constant time."""
+        if self.token is None:
+            return True
+        given = token if isinstance(token, str) else ""
+        return hmac.compare_digest(given.encode(), self.token.encode())
+
+    # What is served.
+
+    def _app(self) -> Any:
+        from starlette.applications import Starlette
+        from starlette.responses import PlainTextResponse, Response
+        from starlette.routing import Route, WebSocketRoute
+
+        async def file(request: Request) -> Response:
+            if not self.is_welcome(request):
+                return PlainTextResponse("not for you", 403, HEADERS)
+            name, kind = _FILES[request.url.path]
+            data = (_STATIC / name).read_bytes()
+            return Response(data, headers=HEADERS, media_type=kind)
+
+        async def numbers(request: Request) -> Response:
+            given = request.headers.get("authorization", "").removeprefix("Bearer ")
+            if not self.is_welcome(request) or not self.knows(given):
+                return PlainTextResponse("not for you", 403, HEADERS)
+            return PlainTextResponse(metrics(self.console), 200, HEADERS)
+
+        async def operate(link: WebSocket) -> None:
+            if not self.is_welcome(link):
+                await link.close(4403)
+                return
+            await link.accept()
+            await self._operate(link)
+
+        return Starlette(
+            routes=[
+                *(Route(path, file, methods=["GET"]) for path in _FILES),
+                Route("/metrics", numbers, methods=["GET"]),
+                WebSocketRoute("/operate", operate),
+            ]
+        )
+
+    async def _operate(self, link: WebSocket) -> None:
+        from starlette.websockets import WebSocketDisconnect
+
+        viewer = _Viewer(self.console, link)
+        address = link.client.host if link.client is not None else "?"
+        viewer.session.who = f"browser at {address}"
+        if len(self.viewers) >= VIEWERS + STOP_LANES:
+            self.turned_away += 1
+            await link.close(4429)
+            return
+        viewer.narrow = VIEWERS if len(self.viewers) >= VIEWERS else 0
+        self.viewers.add(viewer)
+        writes = asyncio.create_task(viewer.write(), name="esair page writes")
+        try:
+            if self.token is not None:
+                async with asyncio.timeout(LOGIN):
+                    if not self.knows(await link.receive_text()):
+                        self.turned_away += 1
+                        _log.warning("page: %s showed a wrong token", address)
+                        await link.close(4401)
+                        return
+            loop = asyncio.get_running_loop()
+            filled, budget = loop.time(), float(LINES)
+            while not viewer.gone:
+                line = await link.receive_text()
+                viewer.do(line.encode("utf-8", "replace"))
+                now = loop.time()
+                budget = min(LINES, budget + (now - filled) * LINES) - 1
+                filled = now
+                if budget < 0:
+                    await asyncio.sleep(-budget / LINES)
+        except (WebSocketDisconnect, TimeoutError, RuntimeError, KeyError):
+            pass  # it has gone, or says nothing that is text
+        finally:
+            self.viewers.discard(viewer)
+            self._past[0] += viewer.garbage
+            self._past[1] += viewer.dropped
+            viewer.gone = True
+            viewer.leave()
+            writes.cancel()
+
+
+class _Viewer(Visitor):
+    """One browser."""
+
+    gone = False
+
+    def __init__(self, console: Console, link: WebSocket) -> None:
+        super().__init__(console)
+        self._link = link
+        self._lines: collections.deque[bytes] = collections.deque()
+        self._news = asyncio.Event()
+        self._bytes = 0
+
+    @property
+    def unread(self) -> int:
+        return self._bytes
+
+    def send(self, found: dict[str, Any]) -> None:
+        if self.gone:
+            return
+        line = encode(found)
+        if len(line) > 1 << 20:
+            told = f"the answer has {len(line)} bytes"
+            line = encode(failure(found.get("id"), BadValueError("answer", "", told)))
+        if len(self._lines) >= WAITING:
+            self.gone = True
+            self._news.set()
+            return
+        self._lines.append(line)
+        self._bytes += len(line)
+        self._news.set()
+
+    def end(self) -> None:
+        """Say that the robot has ended."""
+        self.send({"v": VERSION, "id": None, "ended": True})
+
+    async def write(self) -> None:
+        """Hand over what is to be sent, as fast as the browser takes it."""
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            if self.gone:
+                with contextlib.suppress(RuntimeError):
+                    await self._link.close(4408)
+                return
+            while self._lines:
+                line = self._lines.popleft()
+                try:
+                    await self._link.send_text(line.decode())
+                except Exception:  # it has gone; its reader ends it
+                    self.gone = True
+                    return
+                self._bytes -= len(line)
+
+
+def _bind(page: Page) -> socket.socket:
+    family = socket.AF_INET6 if ":" in page.host else socket.AF_INET
+    bound = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind((page.host, page.port))
+        bound.setblocking(False)
+    except OSError as error:
+        bound.close()
+        told = f"{page.host}:{page.port} cannot be had: {os.strerror(error.errno or 0)}"
+        raise ConfigError("page", "port", told) from None
+    return bound

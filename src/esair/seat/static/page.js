@@ -1,0 +1,264 @@
+// The operator's seat. All text from outside is set as text, never as markup.
+"use strict";
+
+const SILENT = 900; // ms without a picture until the page is grey
+const MINUTE = 60000;
+const byId = (id) => document.getElementById(id);
+let link = null;
+let heard = 0;
+let number = 0;
+let beat = 0;
+let lease = null; // {lease, axes} while it drives
+let held = null; // [x, y] while a key or a button is held
+let taking = false;
+const own = Math.random().toString(36).slice(2);
+const waiting = new Map(); // id -> what to do with the answer
+const past = new Map(); // sensor -> [[time, number], ...]
+
+function send(act, fields, then) {
+  if (link === null || link.readyState !== WebSocket.OPEN) return;
+  number += 1;
+  const id = `${own}-${number}`;
+  waiting.set(id, then || (() => {}));
+  if (waiting.size > 200) waiting.delete(waiting.keys().next().value);
+  link.send(JSON.stringify({ v: 1, id, act, ...fields }));
+}
+
+function tell(text) {
+  byId("told").textContent = text;
+}
+
+function connect() {
+  const scheme = location.protocol === "https:" ? "wss" : "ws";
+  link = new WebSocket(`${scheme}://${location.host}/operate`);
+  link.onopen = () => {
+    if (location.hash.length > 1) link.send(decodeURIComponent(location.hash.slice(1)));
+    send("watch", { every: 0.25 });
+    send("why", {}, showProtection);
+  };
+  link.onmessage = (message) => take(JSON.parse(message.data));
+  link.onclose = (event) => {
+    drop();
+    lease = null;
+    if (event.code === 4401) tell("the token is missing or wrong: add #TOKEN to the address");
+    setTimeout(connect, 1000);
+  };
+}
+
+function take(found) {
+  if (found.status) {
+    heard = performance.now();
+    show(found.status);
+  } else if (found.beat) {
+    beat = found.beat;
+    push();
+  } else if (found.lapsed) {
+    if (lease !== null && found.lapsed === lease.lease) {
+      lease = null;
+      drop(); // what is held must be pressed again
+      byId("driving").textContent = "released";
+    }
+  } else if ("ok" in found) {
+    const then = waiting.get(found.id);
+    waiting.delete(found.id);
+    if (!found.ok) tell(found.error.text);
+    if (then) then(found.ok ? found.result : null, found.error);
+  }
+}
+
+setInterval(() => {
+  const silent = performance.now() - heard > SILENT;
+  document.body.classList.toggle("silent", silent);
+  byId("link").textContent = silent ? "nothing heard: what is shown is old" : "live";
+  if (silent) drop();
+}, 100);
+
+// What is shown.
+
+function cell(row, text, kind) {
+  const found = row.appendChild(document.createElement("td"));
+  found.textContent = text;
+  if (kind) found.className = kind;
+  return found;
+}
+
+const hertz = (rate) => (rate === null ? "" : rate.toFixed(rate >= 10 ? 0 : 1));
+function age(seconds) {
+  if (seconds === null) return "";
+  return seconds < 1 ? `${Math.round(seconds * 1000)} ms` : `${seconds.toFixed(0)} s`;
+}
+
+function show(status) {
+  byId("name").textContent = status.robot;
+  document.title = `${status.robot} - esair`;
+  byId("halted").hidden = status.halted === null;
+  byId("halted").textContent = `HALTED: ${status.halted}`;
+  const resources = document.createDocumentFragment();
+  for (const each of status.resources) {
+    const row = resources.appendChild(document.createElement("tr"));
+    cell(row, each.name);
+    cell(row, each.state, each.state);
+    const holder = each.kind === "actuator" ? `${each.holder || "free"}  ` : "";
+    cell(row, each.error || holder + (each.value || ""), "text").title = each.rule || "";
+    plot(cell(row, ""), each, status.time);
+    for (const text of [hertz(each.rate), age(each.age), each.late, each.losses, each.refusals]) {
+      cell(row, text, "number");
+    }
+  }
+  byId("resources").replaceChildren(resources);
+  const behaviors = document.createDocumentFragment();
+  for (const each of status.behaviors) {
+    const row = behaviors.appendChild(document.createElement("tr"));
+    cell(row, each.name);
+    cell(row, each.state, each.state);
+    cell(row, each.detail || each.error || each.kind, "text");
+    for (const text of [hertz(each.rate), each.late, each.restarts, each.refusals]) {
+      cell(row, text, "number");
+    }
+  }
+  byId("behaviors").replaceChildren(behaviors);
+  choose(status.resources.filter((each) => each.kind === "actuator").map((each) => each.name));
+  showSettings(status.resources);
+}
+
+function plot(place, each, now) {
+  const value = Number.parseFloat(each.value);
+  if (each.kind !== "sensor" || !Number.isFinite(value) || String(each.value).match(/[^-+.eE0-9]/)) return;
+  const points = past.get(each.name) || [];
+  past.set(each.name, points);
+  points.push([now * 1000, value]);
+  while (points[0][0] < now * 1000 - MINUTE) points.shift();
+  const canvas = place.appendChild(document.createElement("canvas"));
+  [canvas.width, canvas.height] = [120, 20];
+  const pen = canvas.getContext("2d");
+  const values = points.map((point) => point[1]);
+  const low = Math.min(...values);
+  const span = Math.max(...values) - low || 1;
+  pen.strokeStyle = "#2780a8";
+  pen.beginPath();
+  for (const [time, height] of points) {
+    pen.lineTo(120 - ((now * 1000 - time) / MINUTE) * 120, 18 - ((height - low) / span) * 16);
+  }
+  pen.stroke();
+}
+
+function choose(names) {
+  const list = byId("actuator");
+  if ([...list.options].map((each) => each.value).join() === names.join()) return;
+  list.replaceChildren(...names.map((name) => new Option(name, name)));
+}
+
+function showProtection(found) {
+  if (found) byId("protection").textContent = found.map((each) => each.text).join("\n\n");
+}
+setInterval(() => send("why", {}, showProtection), 2000);
+
+const inputs = new Map();
+function showSettings(resources) {
+  for (const resource of resources) {
+    for (const each of resource.settings) {
+      const name = `${resource.name}.${each.name}`;
+      let input = inputs.get(name);
+      if (input === undefined) {
+        input = document.createElement("input");
+        const label = byId("settings").appendChild(document.createElement("label"));
+        const limits = [each.min, each.max].map((limit) => (limit === null ? "" : limit));
+        const range = limits.join("") === "" ? "" : ` (${limits.join(" to ")})`;
+        label.append(`${name} `, input, ` ${each.unit}${range}`);
+        label.title = each.doc;
+        input.onchange = () => change(name, each.type, input);
+        inputs.set(name, input);
+      }
+      if (document.activeElement !== input) input.value = String(each.value);
+    }
+  }
+}
+
+function change(setting, kind, input) {
+  let value = input.value;
+  if (kind === "float" || kind === "int") value = Number(value);
+  if (kind === "bool") value = value === "true";
+  send("set", { setting, value }, (found) => {
+    if (found) tell("");
+    input.blur();
+  });
+}
+
+// What is done.
+
+byId("halt").onclick = () => send("stop", { reason: "the page" });
+byId("resume").onclick = () => send("resume", {});
+
+const KEYS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
+
+function hold(direction) {
+  held = direction;
+  if (lease !== null) {
+    push();
+  } else if (!taking) {
+    taking = true;
+    send("lease", { actuator: byId("actuator").value, seconds: 0.5 }, (found) => {
+      taking = false;
+      if (found === null) return;
+      lease = found;
+      beat = found.beat;
+      push();
+      if (held === null) drop(); // let go before it began
+    });
+  }
+}
+
+function drop() {
+  held = null;
+  if (lease === null) return;
+  send("release", { lease: lease.lease });
+  lease = null;
+}
+
+function push() {
+  if (held === null || lease === null) return;
+  const command = commandOf(held, lease.axes, byId("speed").value / 100);
+  send("drive", { lease: lease.lease, beat, command }, (found) => {
+    if (found) byId("driving").textContent = found.written ? JSON.stringify(found.command) : `refused by ${found.holder}: ${found.rule}`;
+  });
+}
+
+function commandOf([forward, left], axes, speed) {
+  const part = (direction, limits) => {
+    const [low, high] = limits || [-1, 1];
+    return speed * direction * Math.abs(direction >= 0 ? high : low);
+  };
+  const names = Object.keys(axes);
+  if (names.length === 1 && names[0] === "") return part(forward, axes[""]);
+  const command = Object.fromEntries(names.map((name) => [name, 0]));
+  if ("left" in axes && "right" in axes) {
+    command.left = part(Math.sign(forward - left), axes.left);
+    command.right = part(Math.sign(forward + left), axes.right);
+    return command;
+  }
+  [forward, left].forEach((direction, index) => {
+    if (index < names.length) command[names[index]] = part(direction, axes[names[index]]);
+  });
+  return command;
+}
+
+const types = (event) => ["INPUT", "SELECT"].includes(event.target.tagName);
+addEventListener("keydown", (event) => {
+  if (types(event) || !(event.key in KEYS)) return;
+  event.preventDefault();
+  if (!event.repeat) hold(KEYS[event.key]);
+});
+addEventListener("keyup", (event) => {
+  if (event.key in KEYS) drop();
+});
+for (const button of document.querySelectorAll("#pad button")) {
+  button.onpointerdown = (event) => {
+    button.setPointerCapture(event.pointerId);
+    hold([Number(button.dataset.x), Number(button.dataset.y)]);
+  };
+  button.onpointerup = button.onpointercancel = button.onlostpointercapture = drop;
+}
+addEventListener("blur", drop);
+document.addEventListener("visibilitychange", () => document.hidden && drop());
+
+connect();
