@@ -104,7 +104,7 @@ class Actuator(Resource, Generic[T]):
         whatever was sent before.
 
         Returns:
-            None if it cannot be said ahead of time: the device is then UNWATCHED.
+            The frames; None if nobody can say them before. Then it is UNWATCHED.
         """
         return None
 
