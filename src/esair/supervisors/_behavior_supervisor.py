@@ -74,6 +74,9 @@ ZOMBIE_LIMIT = 256
 _log = logging.getLogger("esair")
 
 
+"""What a behavior is from its removal on, until what it moved is safe."""
+
+
 class Zombie(NamedTuple):
     """Something that would not end when its component was removed.
 
@@ -634,7 +637,7 @@ class BehaviorSupervisor(abc.Supervisor):
         """Wait until a removal of that name that runs is over; others do not wait."""
         while True:
             member = self._members.get(name)
-            if member is None or not member.is_leaving:
+            if member is None or not member.is_leaving or member.over.done():
                 return
             self._command_queue.changed()
             await asyncio.wait({member.over})

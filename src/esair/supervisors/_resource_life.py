@@ -124,7 +124,8 @@ class ResourceLife:
     def restart(self) -> None:
         """Close the device and open it again; its budget is full."""
         self._budget = RestartBudget(self._budget.policy)
-        self.tried = self._loop.create_future()
+        if self.tried.done():  # else somebody waits for it: one trial is for all
+            self.tried = self._loop.create_future()
         if self.channel.state is ResourceState.READY:
             self._hear(DeviceLostError(self.resource.name, "it is restarted"))
             self._arrived = True

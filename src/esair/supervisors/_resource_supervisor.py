@@ -262,12 +262,19 @@ class ResourceSupervisor(abc.Supervisor):
             StoppingError: The robot is not running.
         """
 
-        async def begin() -> ResourceLife:
+        async def begin() -> ResourceLife | None:
             life = self._life(name)
+            if name in self._departures:
+                return None
             life.restart()
             return life
 
-        life = await self._command_queue.run(begin, name=f"restart {name}", undo=False)
+        life = None
+        while life is None:
+            await self._departed(name)  # what goes is not begun again
+            life = await self._command_queue.run(
+                begin, name=f"restart {name}", undo=False
+            )
         await asyncio.shield(life.tried)
 
     async def replace(

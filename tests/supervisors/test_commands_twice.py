@@ -1,0 +1,47 @@
+"""Commands of the user that come twice at a time: each has its own outcome."""
+
+from __future__ import annotations
+
+import asyncio
+
+import esair
+from esair.testing import FakeActuator
+
+
+async def test_two_restarts_of_a_device_both_end(
+    fake_actuator: type[FakeActuator[float]],
+) -> None:
+    """Who restarts a device that is being restarted does not take the first one's end."""
+    arm = fake_actuator("arm", safe=0.0)
+    async with esair.Robot(resources=[arm]) as robot:
+        arm.stall()
+        async with asyncio.timeout(10.0), asyncio.TaskGroup() as group:
+            group.create_task(robot.resources.restart("arm"))
+            await asyncio.sleep(0)
+            group.create_task(robot.resources.restart("arm"))
+            await asyncio.sleep(0.1)
+            arm.resume()
+
+
+async def test_two_removals_of_a_behavior_have_one_outcome_each(
+    fake_actuator: type[FakeActuator[float]],
+) -> None:
+    """The second one learns that there is no such behavior any more."""
+
+    class Push(esair.Reaction):
+        rate = 10.0
+        arm = esair.writes(float)
+
+        def react(self) -> float:
+            return 1.0
+
+    arm = fake_actuator("arm", safe=0.0)
+    async with esair.Robot(resources=[arm], behaviors=[Push()]) as robot:
+        await arm.until(1.0)
+        told = await asyncio.gather(
+            robot.behaviors.remove("push"),
+            robot.behaviors.remove("push"),
+            return_exceptions=True,
+        )
+
+    assert [type(each) for each in told] == [list, esair.UnknownNameError]
