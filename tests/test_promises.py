@@ -26,18 +26,12 @@ PROMISES = {
 """What the library promises."""
 
 NOT_YET = {
-    *("RS-8", "SC-4", "AC-5"),
-    *("CALL-1", "CALL-2", "CALL-3", "PRO-11"),
-    *("RES-3", "RES-4", "BUS-3", "BUS-4", "GRD-1", "GRD-2", "GRD-3"),
-    *(f"REC-{n}" for n in range(1, 7)),
-    *(
-        "REP-1",
-        "REP-2",
-        "REP-3",
-    ),
-    *("MIN-3", "MIN-4", "MIN-5"),
+    "BUS-4": "departures are noticed by use, but for serial, USB and TCP",
+    "PRO-11": "the last applied command of an actuator is no reading yet",
+    "REC-5": "it is a measurement, and was not made yet",
+    **dict.fromkeys(["REP-1", "REP-2", "REP-3"], "the tape of turns is there, no verb"),
 }
-"""Promises of the second edition that are not built, or not proved, yet."""
+"""Promises without a test, and why."""
 
 GROUPS = {
     "D": 30, "C": 10, "I": 7, "B": 22, "X": 10, "M": 20, "R": 16, "L": 12,
@@ -98,15 +92,17 @@ def test_the_catalogue_is_whole() -> None:
     """There are 193 faults in 14 groups, and 104 promises in 19."""
     assert len(FAULTS) == 193
     assert len(PROMISES) == 104
-    assert NOT_YET < PROMISES
+    assert NOT_YET.keys() < PROMISES
 
 
 def test_every_promise_has_a_test() -> None:
     """No promise is only words."""
     proved = {each for each, _ in marks("promise", files())}
 
-    missing = sorted(PROMISES - proved - NOT_YET)
+    missing = sorted(PROMISES - proved - NOT_YET.keys())
     assert not missing, f"promises without a test: {', '.join(missing)}"
+    stale = sorted(NOT_YET.keys() & proved)
+    assert not stale, f"not yet, but there is a test: {', '.join(stale)}"
 
 
 def test_every_fault_has_a_test_or_a_reason() -> None:
