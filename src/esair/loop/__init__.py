@@ -19,7 +19,7 @@ from esair.loop._ownership import (
     speaks_for_nobody,
 )
 from esair.loop._portal import Portal, portal
-from esair.loop._random import ComponentRandom, stepping
+from esair.loop._random import ComponentRandom, Stream, stepping
 from esair.loop._rate_group import Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
 from esair.loop._signals import ProcessWatch, SignalWatch
@@ -60,6 +60,7 @@ __all__ = [
     "SignalWatch",
     "StallWatch",
     "Step",
+    "Stream",
     "SuspendWatch",
     "Tape",
     "TurnLoop",

@@ -6,7 +6,7 @@ import asyncio
 
 from esair.loop._of_loop import of_loop
 
-SPENDABLE = 64
+SPENDABLE = 24
 """How many awaits of esair may end without a wait; a task gives way by the second time."""
 
 

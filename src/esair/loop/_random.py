@@ -20,6 +20,26 @@ class _Stepping(threading.local):
 stepping = _Stepping()
 
 
+class Stream:
+    """The random numbers of one component, made when they are first asked for.
+
+    It knows a seed and no component: what still holds a task's context, such as a
+    timer that was cancelled, must not keep a component alive that was removed.
+    """
+
+    __slots__ = ("_made", "_seed")
+
+    def __init__(self, seed: str) -> None:
+        self._seed = seed
+        self._made: random.Random | None = None
+
+    def __call__(self) -> random.Random:
+        """Return the numbers."""
+        if self._made is None:
+            self._made = random.Random(self._seed)
+        return self._made
+
+
 class ComponentRandom(random.Random):
     """The random numbers of the component that asks: `esair.random`.
 

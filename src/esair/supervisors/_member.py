@@ -7,7 +7,6 @@ import inspect
 import logging
 import types
 from collections.abc import Awaitable, Callable
-from random import Random
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import (
@@ -48,7 +47,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Owner, Portal, spawn, speaks_for_nobody
+from esair.loop import Owner, Portal, Stream, spawn, speaks_for_nobody
 from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._restart_budget import RestartBudget
@@ -83,7 +82,6 @@ class Member(Mailbox):
         "_budget",
         "_portal",
         "_ports",
-        "_random",
         "_supervisor",
         "_timer",
         "detail",
@@ -95,6 +93,7 @@ class Member(Mailbox):
         "registrations",
         "runner",
         "sight",
+        "stream",
         "task",
         "undead",
         "zombies",
@@ -121,7 +120,8 @@ class Member(Mailbox):
         """The names of its tasks and threads that would not end."""
         self.undead: list[asyncio.Task[Any]] = []
         self._supervisor = supervisor
-        self._random: Random | None = None
+        self.stream = Stream(f"{supervisor.seed}/{name}")
+        """Its random numbers, made from the robot's seed and its name."""
         self._ports: dict[str, SensorPort[Any] | ActuatorPort[Any]] = {}
         """The declared ports of a behavior, by their attributes."""
         self.owner.stream = self.stream
@@ -130,12 +130,6 @@ class Member(Mailbox):
         self._portal: Portal | None = None
         self.sight = Sight(supervisor.actuators.protections, action, name)
         """What it protects, and whether it sees."""
-
-    def stream(self) -> Random:
-        """Return its random numbers, made from the robot's seed and its name."""
-        if self._random is None:
-            self._random = Random(f"{self._supervisor.seed}/{self.name}")
-        return self._random
 
     # What the behavior asks (`Host`).
 
