@@ -132,7 +132,7 @@ async def test_a_second_signal_keeps_the_safe_command(tmp_path: Path) -> None:
         tmp_path / "log", signal.SIGINT, signal.SIGTERM, main=main
     )
 
-    assert returned in {130, 143}, errors
+    assert returned in {130, 143, -signal.SIGTERM}, errors  # it may be over by then
     assert is_safe(lines)
 
 

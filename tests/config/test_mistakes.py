@@ -280,7 +280,7 @@ def test_a_bus_of_another_class_is_refused(project) -> None:
     project.changed('"{m}:Sonar"', '"{m}:OnWire"')
 
     assert (
-        "expected a bus of the class OtherWire, not <Wire 'front' closed>"
+        "expected an OtherWire, but 'front' is a Wire"
         in project.mistakes()["sensor.sonar.bus"]
     )
 

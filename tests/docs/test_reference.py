@@ -26,6 +26,7 @@ BESIDE = [
     "esair.minimal",
     "esair.plan",
     "esair.recording",
+    "esair.seat",
     "esair.sim",
     "esair.testing",
     "esair.watchdog",
@@ -49,8 +50,6 @@ PRIVATE = {"cli", "demo", "loop", "values"}
 
 HIDDEN = {
     "esair.minimal.declared",
-    "esair.minimal.mistakes",
-    "esair.minimal.step_text",
     "esair.sim.Simulation",
 }
 """What is there for other modules of esair only."""
