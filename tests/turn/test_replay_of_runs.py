@@ -65,6 +65,7 @@ def test_a_changed_decision_shows(
     file = tmp_path / "run.tape"
     live = run("record", 8, file, 1, 0.5)
 
+    assert run("replay", 8, file, 2, 0.5) == live
     assert run("changed", 8, file, 2, 0.5) != live
 
 
