@@ -18,7 +18,7 @@ from esair.firmware import find_micropython
 
 ROOT = Path(__file__).parents[2]
 SOURCE = Path(minimal.__file__)
-ROOM = 8 * 1024
+ROOM = 6280
 """How large MIN may be compiled, in bytes."""
 
 ON_MICROPYTHON = """

@@ -23,26 +23,28 @@ No memory is allocated in the steady state. What is wrong with the parts is foun
 there is room for it: by ``esair min build``.
 """
 
-# ruff: noqa: A002, C419, RUF005, T201, UP031, UP037
+# ruff: noqa: A002, B905, T201, UP031, UP037
 # MicroPython knows less of the language: what is newer is not used here.
 
 import time
 
-TYPE_CHECKING = False
+const = int  # MicroPython's compiler knows the word, and leaves out what is never run
+TYPE_CHECKING = const(0)
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Generator, Iterable
     from typing import Any, Literal
 
-_INFINITE = float("inf")
-_LEAST = -_INFINITE
+_ENDLESS = (-float("inf"), float("inf"))
+_EMPTY: "dict[str, Any]" = {}
 
-# Moments are whole milliseconds that may wrap: elapsed = (later - earlier) & _MASK.
+# Moments are whole milliseconds that wrap, on boards at this or a multiple of it.
+_MASK = const(0x3FFFFFFF)
+_HALF = const(0x20000000)
+
 if hasattr(time, "ticks_ms"):
-    _MASK = time.ticks_add(0, -1)  # type: ignore[attr-defined]
     _ticks = time.ticks_ms
     _sleep = time.sleep_ms  # type: ignore[attr-defined]
 else:
-    _MASK = (1 << 62) - 1
 
     def _ticks() -> int:
         return time.monotonic_ns() // 1000000
@@ -54,11 +56,7 @@ else:
 class Need:
     """What a reaction declares to use, as a class attribute."""
 
-    made = 0
-    """How many there are: the order of the attributes, which some classes forget."""
-
     def __init__(self, type: "Any", name: "str | None", configure: bool) -> None:
-        Need.made = self.made = Need.made + 1
         self.type = type
         self.name = name
         self.configure = configure
@@ -129,18 +127,14 @@ class _Part:
         self.name = name or self.name
         give_name(self)
 
-
-class _Device(_Part):
-    """A piece of hardware: a sensor or an actuator."""
-
     def open(self) -> None:
-        """Make the device ready. What it raises ends the program, at its start."""
+        """Make a device ready. What it raises ends the program, at its start."""
 
     def close(self) -> None:
-        """Let the device go."""
+        """Let a device go."""
 
 
-class Sensor(_Device):
+class Sensor(_Part):
     """A device that gives values.
 
     Args:
@@ -155,7 +149,7 @@ class Sensor(_Device):
         raise NotImplementedError
 
 
-class Actuator(_Device):
+class Actuator(_Part):
     """A device that takes commands. It has to declare ``safe``.
 
     A command is a number, a truth value, a text, or a flat tuple of them.
@@ -213,279 +207,253 @@ class Reaction(_Part):
 
 
 class _Input:
-    """A sensor, and its newest reading."""
+    """A sensor, and its newest reading.
 
-    def __init__(self, sensor: "Any", rate: float) -> None:
+    Attributes:
+        due: Whether it is read in this step.
+        value: What it has given last.
+        time: When that was; None before.
+    """
+
+    def __init__(self, loop: "Any", part: "Any") -> None:
         self.due = True
-        """Whether it is read in this step."""
         self.value: "Any" = None
         self.time: "int | None" = None
-        self.name = sensor.name
-        self.period = 1000.0 / min(sensor.rate or rate, rate)
+        self.name = part.name
+        self.read = part.read
+        loop.pace(self, part.rate)
 
 
 class _Port:
-    """What one reaction may do with one actuator, and what it has asked for."""
+    """What one reaction may do with one actuator, and what it has asked for.
 
-    def __init__(self, key: str, output: "Any", priority: float) -> None:
+    Attributes:
+        time: When it has asked for its command.
+        command: What it has asked for; checked when it is sent.
+        bars: Whether it holds the actuator safe while its reaction is blind.
+    """
+
+    def __init__(self, task: "Any", key: str, need: "Any", output: "Any") -> None:
         self.time = -1
-        """When it has asked for its command."""
         self.command: "Any" = None
-        self.name = self.key = key
+        self.task = task
+        self.key = key
         self.output = output
-        self.priority = priority
-        self.hold = output.timeout
-        self.blind = False
-        """Whether it holds the actuator safe, because its reaction is blind."""
-        self.holds_blind = True
+        self.name = task.name
+        self.priority = need.priority
+        self.hold = _ms(need.hold) if need.hold else output.timeout
+        self.bars = need.blind != "release"
 
 
 class _Task:
-    """A reaction with its wiring."""
+    """A reaction with its wiring.
+
+    Attributes:
+        due: Whether it is its turn in this step; None to run whenever there is news.
+        guards: Of a guard: its declaration, the key of it, and the output.
+    """
 
     def __init__(self, loop: "Any", reaction: "Any") -> None:
-        self.due: "bool | None" = True
-        """Whether it is its turn in this step; None to run whenever there is news."""
-        self.blind = True
-        self.first = True
+        self.due: "bool | None" = None if reaction.rate is None else True
+        self.blind = self.first = True
         self.loop = loop
         self.name = reaction.name
         self.reaction = reaction
-        self.ports: "Any" = []
-        self.optional: "Any" = []
+        self.ports: "Any" = {}
         self.values: "Any" = {}
         self.guards: "Any" = None
-        """The key of what it guards, if it does, then whether it latches."""
-        self.news = self.latched = False
-        self.safe: "Any" = None
-        """What is safe for what it guards."""
-        self.priority = 0
-
-    def old(self, key: str, source: "Any", age: float, now: int) -> "Any":
-        """Return a reading that is not new; itself if it is missing or too old."""
-        if source.time is not None and now - source.time < age:
-            return source.value
-        if key in self.optional:
-            return None
-        if not self.blind:
-            self.lose_sight()
-        return self
+        self.latched = False
+        loop.pace(self, reaction.rate)
 
     def lose_sight(self) -> None:
-        """Give back what it holds: whatever it moves is safe until it sees again."""
-        self.blind = self.news = True
-        for port in self.ports:
-            port.blind = port.holds_blind
+        """Be blind: whatever it moves is safe until it sees again."""
+        self.blind = True
+        self.wake()
+        for port in self.ports.values():
+            port.time = -1
             port.output.steady = None
-            _release(port)
-            port.output.orphan = port.output.orphan or port.output.writer is port
 
-    def see(self, now: int) -> None:
-        """Be no longer blind."""
-        self.blind = False
-        if self.first:
-            self.first = False
-            self.reaction.now_ms = now
-        for port in self.ports:
-            port.blind = False
-
-    def wake(self, *args: "Any", **readings: "Any") -> None:
+    def wake(self, **readings: "Any") -> None:
         """Hear that there is news: a guard decides when there is a command."""
-        self.news = True
+        if self.guards:
+            self.guards[2].news = True
 
     def share(self, command: "Any", now: int) -> None:
         """Ask for what a reaction has decided for each of its ports."""
         if command is None:
-            for port in self.ports:
-                _release(port)
-            return
-        known = 0
-        for port in self.ports:
-            known += port.key in command
-        if type(command) is not dict or known != len(command):
-            raise ValueError("expected commands for its ports", command)
-        for port in self.ports:
-            port.command = command.get(port.key)
-            if port.command is None:
-                _release(port)
-            else:
+            command = _EMPTY
+        for key in command:
+            port = self.ports[key]  # it raises for what is none of its ports
+        for key in self.ports:
+            port = self.ports[key]
+            port.command = command.get(key)
+            if port.command is not None:
                 port.time = now
+            elif port.output.holder is port:  # it gives it back at once
+                port.output.holder = port.output.steady = None
 
     def passes(self, command: "Any", now: int) -> "Any":
         """Return what a guard lets pass of a command: None, or never more than it."""
-        key, latch = self.guards
-        passed = None
+        need, key, output = self.guards
+        reaction, passed = self.reaction, None
         if not self.latched:
             try:
                 if self.blind:
-                    passed = self.reaction.blind(command)
+                    passed = reaction.blind(command)
                 else:
-                    reaction = self.reaction
+                    if self.first:
+                        self.first = False
+                        reaction.now_ms = now
                     reaction.elapsed_ms = now - reaction.now_ms
                     reaction.now_ms = now
                     self.values[key] = command
-                    passed = self.reaction.react(**self.values)
-                if passed is not None and not _within(passed, command, self.safe):
-                    raise ValueError("a guard lets pass more than was asked", passed)
+                    passed = reaction.react(**self.values)
+                if passed is not None and not _within(passed, command, output.safe):
+                    raise ValueError("more than asked", passed)
             except Exception as error:
                 passed = None
                 self.loop.note(self.name, error)
-            self.latched = latch and (passed is None or self.blind)
+            self.latched = need.latch and (passed is None or self.blind)
         return passed
 
 
 class _Output:
-    """An actuator, and whose will it does."""
+    """An actuator, and whose will it does.
 
-    def __init__(self, loop: "Any", actuator: "Any") -> None:
-        self.steady: "Any" = None
-        """The port that holds it, if its next write has no questions."""
-        self.last: "Any" = None
-        """What was sent last: it was checked, and cannot change."""
+    Attributes:
+        steady: The port that holds it, if its next write has no questions.
+        last: What was sent last: it was checked, and cannot change.
+        limits: Of each limited field, or of the whole: its least and greatest value.
+        ports: Of the highest priority first, as the guards.
+        holder: The port that keeps lower priorities away.
+        writer: The port whose command stands; None if it is safe.
+        asked: The command that stands, as it was before the guards.
+        news: Whether a guard sees something new.
+        bad: Whether it has not taken its safe command.
+    """
+
+    def __init__(self, loop: "Any", part: "Any") -> None:
+        self.steady = self.last = None
         self.written = 0
         self.loop = loop
-        self.name = actuator.name
-        self.send = actuator.write
-        self.safe = actuator.safe
-        self.timeout = _ms(actuator.command_timeout)
-        self.clamp = actuator.clamp
-        limits = actuator.limits or {}
-        if not isinstance(limits, dict):
-            limits = {"": limits}
-        self.limits = [(field,) + tuple(limits[field]) for field in limits]
-        """Of each limited field: its name, or nothing, its least and greatest value."""
+        self.name = part.name
+        self.send = part.write
+        self.safe = part.safe
+        self.type = type(self.safe)
+        self.timeout = _ms(part.command_timeout)
+        self.clamp = part.clamp
+        limits = part.limits or {}
+        self.limits = limits if isinstance(limits, dict) else {"": limits}
         self.ports: "Any" = []
-        """Of the highest priority first."""
         self.guards: "Any" = []
-        self.holder: "Any" = None
-        self.writer: "Any" = None
-        """The port whose command stands; None if it is safe."""
-        self.asked: "Any" = None
-        self.orphan = False
-        """Whether the writer is gone."""
-        self.bad = False
-        """Whether it has not taken its safe command."""
+        self.holder = self.writer = self.asked = None
+        self.news = self.bad = False
 
-    def settle(self, best: "Any", now: int) -> None:
+    def settle(self, now: int) -> None:
         """Do the will of the best who asks, if nobody holds it against them."""
-        if best is None or best is not self.steady:
-            best = self.arbitrate(best, now)
-            if best is None:
-                return
-        try:
-            command = self.checked(best.command, best.key)
-        except Exception as error:
-            self.loop.note(self.name, error)
-            self.settle_next(best, now)
-            return
-        self.holder = self.writer = best
-        self.written = now
-        if self.guards:
-            self.asked = command
-            command = self.passed()
-            if command is None:
-                self.loop.refused += 1
-                if self.last is not self.safe:
-                    self.make_safe(best)
-                return
-        else:
-            self.steady = best
-        self.last = command
-        self.send(command)
-
-    def settle_next(self, bad: _Port, now: int) -> None:
-        """Do the will of the next best: a command that is no good was never said."""
-        bad.time = -1
+        loop, holder, writer = self.loop, self.holder, self.writer
+        best = self.steady = None
+        bar = _ENDLESS[not loop.armed]
         for port in self.ports:
-            if port.time == now:
-                self.settle(port, now)
-                return
-        self.settle(None, now)
-
-    def arbitrate(self, best: "Any", now: int) -> "Any":
-        """Return whose command is sent in this step; see to what stands if nobody's."""
-        self.steady = None
-        holder, writer = self.holder, self.writer
-        held = holder is not None and now - self.written < holder.hold
-        if best is not None and holder is not None and best.priority <= holder.priority:
-            if holder.time == now:
-                best = holder
-            elif held:
-                self.loop.refused += 1
+            if best is None and port.time == now:
+                best = port
+            if port.bars and port.task.blind and port.priority > bar:
+                bar = port.priority
+        if holder and (holder.task.blind or now - self.written >= holder.hold):
+            holder = None
+        gone = writer and (
+            writer.task.blind
+            or writer.priority <= bar
+            or (not holder and bar > _ENDLESS[0])
+        )
+        if best:
+            if holder and best.priority <= holder.priority:
+                if holder.time == now:
+                    best = holder
+                else:
+                    bar = best.priority
+            if best.priority <= bar:
+                loop.refused += 1
                 best = None
-        for port in self.ports:
-            if port.blind:
-                if best is not None and best.priority <= port.priority:
-                    self.loop.refused += 1
-                    best = None
-                if writer is not None and writer.priority <= port.priority:
-                    self.orphan = True
-                break
-        if self.bad or (
-            best is None
-            and writer is not None
-            and (self.orphan or now - self.written >= self.timeout)
-        ):
-            self.make_safe(holder if held and not self.orphan else None)
-        elif best is None and writer is not None:
-            self.look_again()
-        self.orphan = False
-        return None if self.bad else best
-
-    def look_again(self) -> None:
-        """Put what stands to the guards again, if they have news: it only gets less."""
-        for guard in self.guards:
-            if guard.news:
-                command = self.passed()
-                if command is None:
-                    self.make_safe(self.holder)
-                elif command != self.last and _within(command, self.last, self.safe):
-                    self.last = command
-                    self.send(command)
+        late = writer and now - self.written >= self.timeout
+        if self.bad or (not best and (gone or late)):
+            self.make_safe(None if gone else holder)
+            if self.bad:
                 return
-
-    def passed(self) -> "Any":
-        """Return what the guards let pass of what was asked; None for nothing."""
+        if best:
+            command = self.checked(best)
+            if command is None:
+                self.settle(now)
+                return
+            self.holder = self.writer = best
+            self.written = now
+            self.asked = command
+            if not self.guards:
+                self.steady = best
+        elif not (self.writer and self.news):
+            return
+        self.news = False
         command = self.asked
         for guard in self.guards:
-            guard.news = False
             if command is not None:
-                command = guard.passes(command, self.loop.now_ms)
-        return command
+                command = guard.passes(command, now)
+        if command is None:
+            loop.refused += best is not None
+            self.writer = None
+            if self.last is not self.safe:
+                self.make_safe(self.holder)
+        elif best or (
+            command != self.last and _within(command, self.last, self.safe)
+        ):  # what stands only gets less
+            self.last = command
+            self.send(command)
 
     def make_safe(self, holder: "Any" = None) -> None:
         """Send the safe command."""
-        self.holder, self.writer, self.steady = holder, None, None
+        self.holder = holder
+        self.writer = self.steady = None
         self.last = self.safe
+        self.bad = True  # tried again at each step; no other command goes before it
         try:
             self.send(self.safe)
             self.bad = False
         except Exception as error:
-            self.bad = True  # tried again at each step; no other command goes before it
             self.loop.note(self.name, error)
 
-    def checked(self, command: "Any", key: "str | None" = None) -> "Any":
-        """Return the command that may be sent: its type, finite, within the limits."""
-        kind = type(self.safe)
-        if type(command) is dict and key in command:
-            command = command[key]
-        if type(command) is not kind:
-            if kind is float and type(command) is int:
-                command = float(command)
-            elif not isinstance(command, kind) or type(command) is bool:
-                raise ValueError("wrong type", command)
-        if isinstance(command, tuple):
-            for each in command:
-                if not (isinstance(each, str) or _LEAST < each < _INFINITE):
-                    raise ValueError("not finite", command)
-        elif not isinstance(command, str) and not _LEAST < command < _INFINITE:
-            raise ValueError("not finite", command)
-        for field, low, high in self.limits:
-            value = getattr(command, field) if field else command
-            if not low <= value <= high:
-                if not self.clamp:
-                    raise ValueError("outside the limits", command)
-                command = kind(low if value < low else high)
+    def close(self) -> None:
+        """Send the safe command, unless it has taken it already."""
+        if self.bad:
+            self.make_safe()
+
+    def checked(self, port: "Any") -> "Any":
+        """Return what may be sent; None for what is no good, as if it was never said."""
+        command, kind = port.command, self.type
+        try:
+            if type(command) is not kind:
+                if type(command) is dict:
+                    port.command = command[port.key]
+                    return self.checked(port)
+                if kind is float and type(command) is int:
+                    command = float(command)
+                elif not isinstance(command, kind) or type(command) is bool:
+                    raise ValueError("wrong type", command)
+            if kind is tuple or isinstance(command, tuple):
+                for each in command:
+                    if each != each or each in _ENDLESS:
+                        raise ValueError("not finite", command)
+            elif command != command or command in _ENDLESS:
+                raise ValueError("not finite", command)
+            for field in self.limits:
+                low, high = self.limits[field]
+                value = getattr(command, field) if field else command
+                if not low <= value <= high:
+                    if not self.clamp:
+                        raise ValueError("over limits", command)
+                    command = kind(low if value < low else high)
+        except Exception as error:
+            self.loop.note(self.name, error)
+            port.time = -1
+            return None
         return command
 
 
@@ -508,11 +476,13 @@ class Loop:
         faults: How many times a sensor, reaction or actuator raised an error, or a
             command was no good (wrong type, not finite, outside the limits).
         fault: The name of the component with the last fault, and the error.
+        armed: Whether actuators may move.
         inputs: The sensors by name, each with the value and time of its newest reading.
         outputs: The actuators by name.
 
     Raises:
-        ValueError: A reaction uses what is not there.
+        KeyError: A reaction uses what is not there. ``esair min build`` says more of
+            what is wrong.
     """
 
     def __init__(
@@ -525,80 +495,60 @@ class Loop:
     ) -> None:
         self.now_ms = self.steps = self.late = self.refused = self.faults = 0
         self.fault: "Any" = None
-        self._said = 0
-        self._running = False
-        self._every = int(rate * 1000 + 0.5)
-        self._gap = 1000000 // self._every
+        self.armed = armed
+        self.inputs: "Any" = {}
+        self.outputs: "Any" = {}
         self._debt = 0
+        self._said = -1000
+        self._every = _ms(rate)  # steps in 1000 s
+        self._turns: "Any" = None
         self._paced: "Any" = []
-        self._odd = True
-        sensors, actuators = list(sensors), list(actuators)
-        devices = sensors + actuators
-        for part in devices:
-            give_name(part)
-        self._opened = [each.open for each in devices if _is_plain(each, "open")]
-        self._closed = [each for each in devices if _is_plain(each, "close")]
-        inputs: "Any" = []
-        for sensor in sensors:
-            node: "Any" = _Input(sensor, rate)
-            self._pace(node, sensor.rate)
-            inputs.append((node, sensor.read))
-        self.inputs = named = {each[0].name: each[0] for each in inputs}
-        self.outputs = moved = {each.name: _Output(self, each) for each in actuators}
-        self._locks = []
-        for output in self.outputs.values():
-            lock = _Port("arm", output, _INFINITE)
-            lock.blind = not armed
-            output.ports.append(lock)
-            self._locks.append(lock)
         self._tasks: "Any" = []
-        tasks: "Any" = []
+        self._parts: "Any" = []
+        for parts, node, nodes in (
+            (sensors, _Input, self.inputs),
+            (actuators, _Output, self.outputs),
+        ):
+            for part in parts:
+                give_name(part)
+                nodes[part.name] = node(self, part)
+                if isinstance(part, _Part):
+                    self._parts.append(part)
         for reaction in reactions:
-            give_name(reaction)
-            node = _Task(self, reaction)
-            self._pace(node, reaction.rate)
-            if reaction.rate is None:
-                node.due = None
-            react, terms = reaction.react, []
-            for key, need in declared(reaction):
-                name = need.name or key
-                if name not in (named if hasattr(need, "max_age") else moved):
-                    raise ValueError("%s: %s: there is no %r" % (node.name, key, name))
-                if hasattr(need, "max_age"):
-                    source = named[name]
-                    age = need.max_age
-                    age = 3 * source.period if age is None else age * 1000
-                    terms.append((key, source, int(age + 0.5)))
-                    if getattr(need, "optional", False):
-                        node.optional.append(key)
-                elif hasattr(need, "hold"):
-                    node.ports.append(_port(node.name, key, moved[name], need))
-                else:
-                    node.guards = (key, need.latch)
-                    node.safe = moved[name].safe
-                    node.priority = need.priority
-                    moved[name].guards.append(node)
-                    react = node.wake
-            node.lose_sight()
-            port = node.ports[0] if len(node.ports) == 1 else None
-            single = len(terms) == 1 and not (node.guards or _flags(react) & 8)
-            tasks.append(
-                (node, reaction, tuple(terms), react, port, node.values, single)
-            )
-            self._tasks.append(node)
-        outputs = []
+            self._wire(reaction)
         for output in self.outputs.values():
-            output.ports.sort(key=lambda each: (-each.priority, each.name))
-            output.guards.sort(key=lambda each: (-each.priority, each.name))
-            outputs.append((output, output.ports, output.send))
-        self._wired = (inputs, tasks, outputs)
+            for each in output.ports, output.guards:
+                each.sort(key=lambda one: (-one.priority, one.name))
 
-    def _pace(self, node: "Any", rate: "float | None") -> None:
-        pace = self._every if rate is None else int(rate * 1000 + 0.5)
-        if pace < self._every:
-            node.pace = pace
-            node.phase = self._every - pace
-            self._paced.append(node)
+    def _wire(self, reaction: "Any") -> None:
+        give_name(reaction)
+        task: Any = _Task(self, reaction)
+        timed, react, terms, port = reaction, reaction.react, [], None
+        for key, need in declared(reaction):
+            is_read = hasattr(need, "max_age")
+            node = (self.inputs if is_read else self.outputs)[need.name or key]
+            if is_read:
+                age = need.max_age or 3000 / min(node.pace, self._every)
+                terms.append((key, node, _ms(age), need.optional))
+                task.values[key] = None
+            elif hasattr(need, "latch"):
+                task.guards = (need, key, node)
+                task.priority, task.now_ms = need.priority, 0
+                node.guards.append(task)
+                timed, react = task, task.wake
+            else:
+                port = task.ports[key] = _Port(task, key, need, node)
+                node.ports.append(port)
+        if len(task.ports) != 1:
+            port = None
+        self._tasks.append((task, timed, terms, react, port, task.values))
+
+    def pace(self, part: "Any", rate: "float | None") -> None:
+        """Give a sensor or a reaction its turns, if it is slower than the loop."""
+        part.pace = self._every if rate is None else _ms(rate)
+        if part.pace < self._every:
+            part.phase = self._every
+            self._paced.append(part)
 
     def step(self) -> None:
         """Make one step, for tests and for boards with a loop of their own.
@@ -606,88 +556,102 @@ class Loop:
         Time is counted in periods: such a loop calls `skip` when it has missed some,
         and `close` at its end.
         """
-        if self._odd:
-            self._prepare()
-        now = self.now_ms
-        inputs, tasks, outputs = self._wired
-        for node, read in inputs:
-            if node.due:
-                try:
-                    node.value = read()
-                    node.time = now
-                except Exception as error:
-                    self.note(node.name, error)
-        for node, reaction, terms, react, port, values, single in tasks:
-            news = node.due
-            for key, source, age in terms:
-                if source.time == now:
-                    if news is None:
-                        news = True
-                    value = source.value
-                else:
-                    value = node.old(key, source, age, now)
-                    if value is node:
-                        break
-                if not single:
-                    values[key] = value
-            else:
-                if news:
+        if not self._turns:
+            self.open()
+        next(self._turns)
+
+    def _steps(self) -> "Generator[None]":
+        """Make a step each time: a generator has at hand what it works with."""
+        gap, odd = divmod(1000000, self._every)
+        inputs, outputs = list(self.inputs.values()), list(self.outputs.values())
+        tasks, paced = self._tasks, self._paced
+        odd += len(paced)
+        while True:
+            now = self.now_ms
+            for node in inputs:
+                if node.due:
                     try:
-                        if node.blind:
-                            node.see(now)
-                        reaction.elapsed_ms = now - reaction.now_ms
-                        reaction.now_ms = now
-                        command = react(value) if single else react(**values)
-                        if command is None or port is None:
-                            node.share(command, now)
-                        else:
-                            port.command = command
-                            port.time = now
+                        node.value = node.read()
+                        node.time = now
                     except Exception as error:
                         self.note(node.name, error)
-                        node.lose_sight()
-        for node, ports, send in outputs:
-            best = node
-            for port in ports:
-                if port.time == now:
-                    if best is node:
-                        best = port
-                    else:
-                        self.refused += 1
-            try:
-                if best is node.steady and best.command is node.last:
-                    node.written = now
-                    send(best.command)
+            for node, timed, terms, react, port, values in tasks:
+                news = node.due
+                for key, source, age, optional in terms:
+                    value = source.value
+                    if source.time == now:
+                        if news is None:
+                            news = True
+                    elif source.time is None or now - source.time >= age:
+                        if not optional:
+                            if not node.blind:
+                                node.lose_sight()
+                            break
+                        value = None
+                        if values[key] is not None:
+                            news = True
+                    values[key] = value
                 else:
-                    node.settle(None if best is node else best, now)
-            except Exception as error:
-                self.note(node.name, error)
-                node.make_safe()
-        self.steps += 1
-        self.now_ms = now + self._gap
+                    if timed is node and node.blind:
+                        node.blind, news = False, True  # a guard sees at once
+                    if news:
+                        try:
+                            if node.blind:
+                                node.blind = False
+                                if node.first:
+                                    node.first = False
+                                    timed.now_ms = now
+                            timed.elapsed_ms = now - timed.now_ms
+                            timed.now_ms = now
+                            command = react(**values)
+                            if command is None or port is None:
+                                node.share(command, now)
+                            else:
+                                port.command = command
+                                port.time = now
+                        except Exception as error:
+                            self.note(node.name, error)
+                            node.lose_sight()
+            for node in outputs:
+                best = node
+                for port in node.ports:
+                    if port.time == now:
+                        if best is node:
+                            best = port
+                        else:
+                            self.refused += 1
+                try:
+                    if best is node.steady:
+                        command = best.command
+                        if command is not node.last:
+                            command = node.last = node.checked(best)
+                        if command is not None:
+                            node.written = now
+                            node.send(command)
+                            continue
+                    node.settle(now)
+                except Exception as error:
+                    self.note(node.name, error)
+                    node.make_safe()
+            self.steps += 1
+            if odd:
+                for node in paced:
+                    node.phase %= self._every
+                self.skip(1)
+                self.late -= 1  # it was not left out
+            else:
+                self.now_ms = now + gap
+            yield
 
-    def _prepare(self) -> None:
-        """Find out who has its turn in this step, and when the next one is."""
-        if not self._running:
-            self.open()
-        self._debt += 1000000 % self._every
-        self._gap = 1000000 // self._every + self._debt // self._every
-        self._debt %= self._every
-        for node in self._paced:
-            node.phase += node.pace
-            node.due = node.phase >= self._every
-            if node.due:
-                node.phase %= self._every
-        self._odd = bool(self._paced or 1000000 % self._every)
-
-    def skip(self, periods: int) -> None:
+    def skip(self, steps: int) -> None:
         """Leave out steps that come too late."""
-        self.late += periods
-        self._debt += 1000000 * periods
+        self.late += steps
+        self._debt += 1000000 * steps
         self.now_ms += self._debt // self._every
         self._debt %= self._every
         for node in self._paced:
-            node.phase += node.pace * periods
+            node.phase += node.pace * steps
+            node.due = node.phase >= self._every
 
     def run(
         self, steps: "int | None" = None, feed: "Callable[[], Any] | None" = None
@@ -698,19 +662,18 @@ class Loop:
             steps: How many steps; None for ever.
             feed: Called after each step: the hook for a hardware watchdog.
         """
+        last = None if steps is None else self.steps + steps
         try:
             self.open()
-            begin = _ticks() - self.now_ms
-            while steps is None or steps > 0:
+            begin = _ticks()
+            while self.steps != last:
                 self.step()
-                if feed is not None:
+                if feed:
                     feed()
-                if steps is not None:
-                    steps -= 1
-                left = (begin + self.now_ms - _ticks()) & _MASK
-                if left > _MASK >> 1:  # it is late already
-                    self.skip(((-left) & _MASK) * self._every // 1000000)
-                elif steps != 0:
+                left = ((begin + self.now_ms - _ticks() + _HALF) & _MASK) - _HALF
+                if left < 0:
+                    self.skip(-left * self._every // 1000000)
+                elif self.steps != last:
                     _sleep(left)
         finally:
             self.close()
@@ -720,134 +683,97 @@ class Loop:
 
         `run` does this, and the first `step`.
         """
-        self._running = self._odd = True
         self.now_ms = self._debt = 0
-        for node, _ in self._wired[0]:
+        for node in self.inputs.values():
             node.time = None
-        for node in self._tasks:
-            node.first = True
-            node.lose_sight()
-        for each in self._opened:
-            each()
+        for wired in self._tasks:
+            wired[0].first = True
+            wired[0].lose_sight()
+        for part in self._parts:
+            part.open()
         for output in self.outputs.values():
             output.make_safe()
+        self._turns = self._steps()
+        self.step = self._turns.__next__  # type: ignore[method-assign]
 
     def close(self) -> None:
         """Give each actuator its safe command, three tries each, and close all."""
-        self._running = False
-        self._odd = True
-        stop = None
+        if self._turns:
+            self._turns.close()
+            del self.step
+        self._turns = stop = None
         for output in self.outputs.values():
-            for _ in range(3):
-                try:
-                    output.make_safe()
-                    if not output.bad:
-                        break
-                except BaseException as error:  # Ctrl-C: the safe command first
-                    stop = error
-        for part in self._closed:
+            output.bad = True
+        for each in list(self.outputs.values()) * 3 + self._parts:
             try:
-                part.close()
+                each.close()
             except Exception as error:
-                self.note(part.name, error)
-            except BaseException as error:
+                self.note(each.name, error)
+            except BaseException as error:  # Ctrl-C: the safe command first
                 stop = error
-        if stop is not None:
+        if stop:
             raise stop
 
     def arm(self, armed: bool = True) -> None:
         """Let actuators move from the next step on, or keep them safe."""
-        for lock in self._locks:
-            lock.blind = not armed
-            lock.output.steady = None
+        self.armed = armed
+        for output in self.outputs.values():
+            output.steady = None
 
     def reset(self, name: str) -> bool:
         """Let a guard that has latched decide again; tell whether it does."""
-        for node in self._tasks:
-            if node.name == name:
-                node.latched = node.latched and node.blind
-                return not node.latched
+        for wired in self._tasks:
+            task = wired[0]
+            if task.name == name:
+                task.latched = task.latched and task.blind
+                return not task.latched
         return False
 
-    def note(self, name: str, error: BaseException) -> None:
+    def note(self, name: str, fault: BaseException) -> None:
         """Count a fault, and print it: a line a second at most."""
         self.faults += 1
-        self.fault = (name, error)
+        self.fault = (name, fault)
         now = _ticks()
-        if self.faults == 1 or (now - self._said) & _MASK >= 1000:
+        if (now - self._said) & _MASK >= 1000:
             self._said = now  # a serial line is slow
-            print("esair: %s: %r, fault %d" % (name, error, self.faults))
-
-
-def _port(name: str, key: str, output: "Any", need: "Any") -> _Port:
-    port = _Port(key, output, need.priority)
-    port.name = name
-    port.hold = _ms(need.hold) if need.hold else output.timeout
-    port.holds_blind = getattr(need, "blind", "safe") == "safe"
-    output.ports.append(port)
-    return port
-
-
-def _release(port: _Port) -> None:
-    """Give an actuator back at once; what was sent stands until its time is over."""
-    if port.output.holder is port:
-        port.output.holder = port.output.steady = None
+            print("esair: %s: %r, fault %d" % (name, fault, self.faults))
 
 
 def _within(value: "Any", asked: "Any", safe: "Any") -> bool:
     """Tell whether a command is no more than another: each number lies towards safe."""
-    if isinstance(asked, tuple):
-        if len(value) != len(asked):
+    if not isinstance(asked, tuple):
+        value, asked, safe = (value,), (asked,), (safe,)
+    for each, most, least in zip(value, asked, safe):
+        if each not in (most, least) and (
+            isinstance(most, (bool, str))
+            or not min(most, least) <= each <= max(most, least)
+        ):
             return False
-        return all([_within(value[i], asked[i], safe[i]) for i in range(len(asked))])
-    if type(asked) is bool or isinstance(asked, str):
-        return bool(value in (asked, safe))
-    return bool(min(asked, safe) <= value <= max(asked, safe))
+    return len(value) == len(asked)
 
 
-def _ms(seconds: float) -> int:
-    return int(seconds * 1000 + 0.5)
+def _ms(value: float) -> int:
+    return int(value * 1000 + 0.5)
 
 
-def _is_plain(part: "Any", name: str) -> bool:
-    """Tell whether a part has a method that can be called without an event loop."""
-    method = getattr(part, name, None)
-    return method is not None and not _flags(method) & 0x380
-
-
-def _flags(method: "Any") -> int:
-    """What a computer knows about a function; 0 on a board."""
-    return getattr(getattr(method, "__code__", None), "co_flags", 0)
-
-
-def declared(reaction: "Any") -> "list[tuple[str, Any]]":
-    """Return what a reaction declares to use, by attribute, in the order written."""
-    needs = getattr(reaction, "needs", None)
-    if isinstance(needs, dict):  # a reaction of STD
-        return list(needs.items())
-    found = []
-    for key in dir(reaction):
-        need = getattr(type(reaction), key, None)
-        if isinstance(need, Need):
-            found.append((key, need))
-    found.sort(key=lambda each: each[1].made)
-    return found
+def declared(reaction: "Any") -> "Iterable[tuple[str, Any]]":
+    """Return what a reaction declares to use, by attribute."""
+    needs = getattr(reaction, "needs", None)  # of STD
+    if not isinstance(needs, dict):
+        needs = {}
+        for key in dir(reaction):
+            need = getattr(type(reaction), key, None)
+            if isinstance(need, Need):
+                needs[key] = need
+    return needs.items()
 
 
 def give_name(part: "Any") -> None:
     """Give a part the name of its class, in snake case, unless it has one."""
-    if isinstance(part, type):
-        raise ValueError("%s: expected an object, not a class" % part.__name__)
     if not part.name:
-        part.name = _snake_case(type(part).__name__)
-
-
-def _snake_case(name: str) -> str:
-    found = ""
-    for i, letter in enumerate(name):
-        if letter.lower() != letter and i:  # an upper-case letter begins a word
-            before, after = name[i - 1], name[i + 1 : i + 2]
-            if before.lower() == before or after.upper() != after:
+        name, found = type(part).__name__, ""
+        for before, letter, after in zip("_" + name, name, name[1:] + "_"):
+            if letter.isupper() and (after.islower() or not before.isupper()):
                 found += "_"
-        found += letter.lower()
-    return found.replace("__", "_").strip("_")
+            found += letter.lower()
+        part.name = found.replace("__", "_").strip("_")

