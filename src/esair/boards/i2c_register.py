@@ -1,5 +1,6 @@
 """A number in a register of an I2C part: temperature, light, one axis of a gyroscope."""
 
+from esair.boards.i2c_bus import shared_i2c
 from esair.minimal import Sensor
 
 
@@ -62,14 +63,7 @@ class I2CRegister(Sensor):
         Raises:
             OSError: It does not answer.
         """
-        from machine import I2C, Pin
-
-        if self.scl is None:
-            bus = I2C(self.i2c, freq=self.frequency)
-        else:
-            bus = I2C(
-                self.i2c, scl=Pin(self.scl), sda=Pin(self.sda), freq=self.frequency
-            )
+        bus = shared_i2c(self.i2c, self.scl, self.sda, self.frequency)
         for register, value in self.setup:
             bus.writeto_mem(self.address, register, bytes([value]))
         self._read = bus.readfrom_mem_into

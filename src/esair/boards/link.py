@@ -193,6 +193,9 @@ class Link:
                 self.host.time = now
         elif self.version != VERSION:
             return False
+        elif kind == b"Q":
+            _take_ctrl_c(3)
+            raise KeyboardInterrupt  # it ends as by Ctrl-C, with safe commands
         elif kind == b"A":
             self.armed = bool(value)
             self.loop.arm(self.armed)
@@ -231,18 +234,22 @@ def _free() -> int:
     return gc.mem_free() if hasattr(gc, "mem_free") else 0
 
 
+def _take_ctrl_c(byte: int) -> None:
+    """Let a byte be Ctrl-C; -1 for none."""
+    try:
+        import micropython
+
+        micropython.kbd_intr(byte)  # type: ignore[attr-defined]
+    except (ImportError, AttributeError):
+        pass
+
+
 def _standard_input() -> "Any":
     import select
 
     poll = select.poll()
     poll.register(sys.stdin, select.POLLIN)
-    try:
-        import micropython
-
-        # A byte 3 in a message is no Ctrl-C.
-        micropython.kbd_intr(-1)  # type: ignore[attr-defined]
-    except (ImportError, AttributeError):
-        pass
+    _take_ctrl_c(-1)  # a byte 3 in a message is none
     stdin = sys.stdin.buffer
 
     def read(most: int) -> bytes:

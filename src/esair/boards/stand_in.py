@@ -1,4 +1,4 @@
-"""A stand-in for ``machine``: pins, PWM, ADC and I2C that a test drives and reads.
+"""A stand-in for ``machine``: pins, PWM, ADC, I2C and UART that a test drives.
 
 It runs on CPython and on MicroPython builds without pins::
 
@@ -7,6 +7,10 @@ It runs on CPython and on MicroPython builds without pins::
     ...
     assert stand_in.outputs[3] == [1, 0]
 """
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 inputs = {}  # type: ignore[var-annotated]
 """The level of each input pin; that of its pull unless set."""
@@ -27,6 +31,27 @@ used = {}  # type: ignore[var-annotated]
 """The pins that were used, and whether they are driven."""
 
 
+received = {}  # type: ignore[var-annotated]
+"""The bytes that wait at each serial port."""
+
+handlers = {}  # type: ignore[var-annotated]
+"""Who is called back for each pin, and the pin."""
+
+
+def turn(a: int, b: int, edges: int) -> None:
+    """Turn a quadrature encoder on two pins by so many edges."""
+    states = ((0, 0), (1, 0), (1, 1), (0, 1))
+    at = states.index((inputs.setdefault(a, 0), inputs.setdefault(b, 0)))
+    for _ in range(abs(edges)):
+        at = (at + (1 if edges > 0 else -1)) % 4
+        for number, level in ((a, states[at][0]), (b, states[at][1])):
+            if inputs[number] != level:
+                inputs[number] = level
+                handler, pin = handlers.get(number, (None, None))
+                if handler is not None:
+                    handler(pin)
+
+
 class Pin:
     """A pin; called, or by `value`, it gives or takes a level."""
 
@@ -34,6 +59,8 @@ class Pin:
     OUT = 1
     PULL_UP = 1
     PULL_DOWN = 2
+    IRQ_FALLING = 4
+    IRQ_RISING = 8
 
     def __init__(
         self,
@@ -57,15 +84,27 @@ class Pin:
 
     __call__ = value
 
+    def irq(self, handler: "Any" = None, trigger: int = 12) -> None:
+        """Call back when `turn` moves the pin."""
+        handlers[self.number] = (handler, self)
+
 
 class PWM:
     """Pulses on a pin."""
 
-    def __init__(self, pin: Pin, freq: int = 0, duty_ns: "int | None" = None) -> None:
+    def __init__(
+        self,
+        pin: Pin,
+        freq: int = 0,
+        duty_ns: "int | None" = None,
+        duty_u16: "int | None" = None,
+    ) -> None:
         self.number = pin.number
         used[pin.number] = True
         if duty_ns is not None:
             self.duty_ns(duty_ns)
+        if duty_u16 is not None:
+            self.duty_u16(duty_u16)
 
     def freq(self, hertz: int) -> None:
         """Take any frequency."""
@@ -73,6 +112,10 @@ class PWM:
     def duty_ns(self, width: int) -> None:
         """Take note of the width of the pulses."""
         outputs.setdefault(self.number, []).append(width)
+
+    def duty_u16(self, share: int) -> None:
+        """Take note of the share of the time that the pin is high, of 65535."""
+        outputs.setdefault(self.number, []).append(share)
 
     def deinit(self) -> None:
         """Stop the pulses."""
@@ -108,6 +151,12 @@ class I2C:
         for i, byte in enumerate(data):
             chip[register + i] = byte
 
+    def readfrom_mem(self, address: int, register: int, count: int) -> bytes:
+        """Read registers."""
+        found = bytearray(count)
+        self.readfrom_mem_into(address, register, found)
+        return bytes(found)
+
     def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None:
         """Read registers."""
         chip = self._chip(address)
@@ -119,6 +168,28 @@ class I2C:
             raise OSError(19)  # ENODEV, as MicroPython says it
         found: dict[int, int] = chips[address]
         return found
+
+
+class UART:
+    """A serial port: what `received` has for it is what has come."""
+
+    def __init__(
+        self, number: int, baudrate: int = 9600, timeout: int = 0, **pins: Pin
+    ) -> None:
+        self.number = number
+
+    def any(self) -> int:
+        """Give the number of bytes that wait."""
+        return len(received.get(self.number, b""))
+
+    def read(self, count: int) -> "bytes | None":
+        """Give bytes, or None."""
+        data = received.get(self.number, b"")
+        received[self.number] = data[count:]
+        return data[:count] or None
+
+    def deinit(self) -> None:
+        """Let the port go."""
 
 
 PWRON_RESET = 1

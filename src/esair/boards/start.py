@@ -34,7 +34,7 @@ class Start:
     Args:
         loop: What runs; made with ``armed=False`` unless it is armed always.
         arm: ``"always"``, the number of a pin with a switch to ground, or ``"host"``:
-            a line ``arm`` or ``disarm`` on the serial line.
+            a line ``arm`` or ``disarm`` on the serial line; ``who`` asks how it is.
         watchdog: The time-out of the hardware watchdog, in milliseconds; 0 for none.
         parts: The devices. One that has a method ``is_set_up`` is asked once a second,
             and set up again, made safe, when it says no: its supply had failed.
@@ -75,11 +75,14 @@ class Start:
             from machine import Pin
 
             self.pin = Pin(arm, Pin.IN, Pin.PULL_UP)
-        print("esair: ready, %s, %s" % (self.cause, self._waits()))
+        self._tell()
         if watchdog:
             from machine import WDT
 
             self.feed = WDT(timeout=watchdog).feed
+
+    def _tell(self) -> None:
+        print("esair: ready, %s, %s" % (self.cause, self._waits()))
 
     def _waits(self) -> str:
         if self.arm == "always":
@@ -132,6 +135,8 @@ class Start:
             word, self.line = self.line.strip(), ""
             if word in ("arm", "disarm"):
                 self._arm(word == "arm")
+            elif word == "who":
+                self._tell()
 
 
 def _polled_stdin() -> "Any":

@@ -12,6 +12,8 @@ from rich.text import Text
 
 from esair.firmware import Built, Trial, run_folder
 from esair.firmware import build as build_files
+from esair.firmware import deploy as deploy_files
+from esair.firmware import monitor as monitor_board
 
 minimal = App(name="min", help="Robots on a microcontroller.")
 
@@ -78,6 +80,45 @@ def run(folder: Path, /, *, seconds: float = 5.0) -> int:
     for line in _seen(trial):
         console.print(Text(line), soft_wrap=True)
     return 1 if trial.mistakes else 0
+
+
+@minimal.command
+def deploy(folder: Path, /, *, port: str = "auto", seconds: float = 20.0) -> int:
+    """Copy a built folder to a board, compare, reset it, and wait until it is ready.
+
+    A program that runs there is stopped first, with the safe commands.
+
+    Args:
+        folder: What esair min build has written.
+        port: The board's serial port, a path or usb:...; the only one at USB if not said.
+        seconds: How long to wait for the board after its reset.
+    """
+    console = Console(highlight=False)
+
+    def say(line: str) -> None:
+        console.print(Text(line), soft_wrap=True)
+
+    done = deploy_files(folder, port=port, seconds=seconds, say=say)
+    size = sum(done.files.values()) / 1000
+    say(f"{len(done.files)} files, {size:.1f} KB, are on the board: {done.ready}")
+    return 0
+
+
+@minimal.command
+def monitor(*, port: str = "auto", seconds: float | None = None) -> int:
+    """Show what a board says, until Ctrl-C: its lines, and how a linked one is.
+
+    Args:
+        port: The board's serial port, a path or usb:...; the only one at USB if not said.
+        seconds: How long; until Ctrl-C if not said.
+    """
+    console = Console(highlight=False)
+    monitor_board(
+        port,
+        lambda line: console.print(Text(str(line)), soft_wrap=True),
+        seconds=seconds,
+    )
+    return 0
 
 
 def _seen(trial: Trial) -> list[str]:

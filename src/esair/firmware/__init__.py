@@ -6,6 +6,7 @@ copied to a board: ``esair/minimal.py``, the modules of the parts, and ``main.py
 
 from esair.firmware._boards import BOARDS, Board
 from esair.firmware._build import Built, build
+from esair.firmware._deploy import Deployed, deploy, monitor
 from esair.firmware._micropython import Trial, find_micropython, run_folder
 from esair.firmware._mistakes import mistakes
 from esair.firmware._modules import KNOWN_MODULES
@@ -15,9 +16,12 @@ __all__ = [
     "KNOWN_MODULES",
     "Board",
     "Built",
+    "Deployed",
     "Trial",
     "build",
+    "deploy",
     "find_micropython",
     "mistakes",
+    "monitor",
     "run_folder",
 ]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import io
+import types
 from collections.abc import Sequence
 from typing import Any
 
@@ -118,8 +121,14 @@ def _actuator(part: Any, rate: float) -> list[str]:
         found.append(f"{name}: safe: a command of MIN is {kinds}, not {part.safe!r}")
     if not found:
         try:
-            minimal.Loop(actuators=[part], rate=rate).outputs[name].checked(part.safe)
-        except Exception as error:
+            loop = minimal.Loop(actuators=[part], rate=rate)
+            asked = types.SimpleNamespace(command=part.safe, key=name, time=0)
+            with contextlib.redirect_stdout(io.StringIO()):
+                loop.outputs[name].checked(asked)
+            error = loop.fault and loop.fault[1]
+        except Exception as raised:
+            error = raised
+        if error:
             found.append(f"{name}: safe or limits: {error!r}")
     return found
 
@@ -175,10 +184,5 @@ def _parameters(part: Any, taken: list[str]) -> list[str]:
         names = list(signature.parameters)
         return [
             f"{part.name}: react: its parameters {names} must be its readings {taken}"
-        ]
-    first = next(iter(signature.parameters), None)
-    if len(taken) == 1 and first != taken[0]:
-        return [
-            f"{part.name}: react: the reading {taken[0]} must be its first parameter"
         ]
     return []

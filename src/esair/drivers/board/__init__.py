@@ -3,6 +3,12 @@
 The board runs what ``esair min build --link`` has written: its reactions stay on it, and
 outrank this computer. Its sensors and actuators appear here under the same names::
 
+    [board.base]
+    port = "usb:2e8a:0005"
+    robot = "base.toml"      # what the board was built from
+
+That stands for these tables::
+
     [bus.base]
     type = "serial"
     port = "usb:2e8a:0005"
