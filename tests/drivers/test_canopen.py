@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from canopen.objectdictionary import import_od
@@ -31,7 +32,7 @@ from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
 )
-from esair.testing import ActuatorContract, SensorContract
+from esair.testing import ActuatorContract, BusContract, FakeCan, SensorContract
 
 MOTOR = Path(__file__).parent / "motor.eds"
 PATIENCE = 10.0  # s; the node answers at once, on a machine that may be busy
@@ -99,6 +100,50 @@ class Wired:
     async def unplug(self, _device: Any) -> None:
         self.on_wire.unplug()
 
+    async def silence(self, device: Any) -> None:
+        device.sdo_timeout = 0.02
+        self.node.stop()
+
+    async def speak(self, device: Any) -> None:
+        device.sdo_timeout = PATIENCE
+        self.node.boot()
+
+    async def power_cycle(self, _device: Any) -> None:
+        self.node.power_cycle()
+
+
+class TestCanopenOnABus(BusContract):
+    """Whose an SDO answer is: the package takes any that comes."""
+
+    pytestmark: ClassVar[list[Any]] = [pytest.mark.real_clock]
+
+    @pytest.fixture(autouse=True)
+    async def _closed(self) -> AsyncIterator[None]:
+        yield
+        await self.device.close()
+
+    def make(self) -> Any:
+        self.wire = FakeCan("drive")
+        self.node = FakeCanopenNode(self.wire, MOTOR, node=5)
+        self.device = sensor(self.wire, sdo_timeout=0.08)
+        return self.wire
+
+    async def use(self, bus: Any) -> None:
+        await self.device.open()
+        await self.device.read()
+        await self.device.close()
+
+    async def ask(self, bus: Any, number: int) -> int:
+        if self.device._link is None:
+            await self.device.open()
+        self.node[0x6064] = number
+        with contextlib.suppress(DeviceLostError):
+            return int(await self.device.read())
+        return number  # it was told that there was no answer
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        self.node.delay = seconds
+
 
 class TestSensor(Wired, SensorContract):
     def make(self) -> Any:
@@ -123,6 +168,46 @@ class TestActuator(Wired, ActuatorContract):
 
     def commands(self) -> list[Any]:
         return [500.0, -500.0, 0.123]
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("BUS-3")
+async def test_a_late_sdo_answer_is_never_that_to_the_next_request() -> None:
+    """The request that was given up is owed one; it is counted and nobody's."""
+    wire = FakeCan("drive")
+    node = FakeCanopenNode(wire, MOTOR, node=5)
+    device = sensor(wire)
+    async with opened(device):
+        node[0x6064] = 1
+        node.delay, device.sdo_timeout = 0.25, 0.05
+        with pytest.raises(DeviceLostError):
+            await device.read()
+        node[0x6064] = 2
+        node.delay, device.sdo_timeout = 0.0, PATIENCE
+
+        assert await device.read() == 2
+        assert wire.stats.late == 1
+
+
+@pytest.mark.promise("BUS-4")
+async def test_an_emergency_is_heard_and_told(
+    rig: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """To every device on the node, and once in the log, not each of a flood."""
+    wire, node = rig()
+    position, velocity = sensor(wire), actuator(wire)
+    async with opened(position, velocity):
+        for _ in range(50):
+            node.emergency(0x4210, 0x08, b"hot!!")
+        wire.feed(0x85, b"short")
+        node.emergency(0)
+        await asyncio.sleep(0.01)
+
+        told = [str(each) for each in velocity.emergencies]
+        assert len(told) == 16, "the newest"
+        assert "0x4210 (Temperature), register 0x08" in told[0]
+        assert position.emergencies[-1].code == 0
+        assert caplog.text.count("0x4210") == 1
 
 
 @pytest.mark.parametrize(

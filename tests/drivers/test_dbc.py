@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing, asynccontextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,14 @@ class Wired:
     async def unplug(self, _device: Any) -> None:
         self.wire.unplug()
 
+    async def silence(self, device: Any) -> None:
+        if not isinstance(device, DbcSensor):
+            pytest.skip("nothing answers a frame: who hears it is not known")
+        self.far.stop()
+
+    async def speak(self, _device: Any) -> None:
+        self.start()
+
 
 class TestActuator(Wired, ActuatorContract):
     def make(self) -> DbcActuator:
@@ -108,9 +117,12 @@ class TestSensor(Wired, SensorContract):
         self.far.stop()
 
     def make(self) -> DbcSensor:
-        made = feedback(self.node())
-        self.far.send_every(0.01, "WheelFeedback", speed=1.5, mode=1, current=-3.0)
+        made = feedback(self.node(), silent_after=0.2)
+        self.start()
         return made
+
+    def start(self) -> None:
+        self.far.send_every(0.01, "WheelFeedback", speed=1.5, mode=1, current=-3.0)
 
 
 async def test_a_command_reaches_the_node_with_what_is_fixed_and_counted(
@@ -529,6 +541,130 @@ async def test_repeats_that_find_no_room_are_left_out_until_they_are_a_fault(
 
         assert [type(error) for error in errors] == told
         assert (len(wire.sent) > before + 5) is (told == [])
+
+
+J1939 = """VERSION ""
+NS_ :
+BS_:
+BU_: Engine
+BO_ 2364540158 Speed: 8 Engine
+ SG_ rpm : 24|16@1+ (0.125,0) [0|8031.875] "rpm" Engine
+BO_ 2348810494 Torque: 8 Engine
+ SG_ limit : 8|16@1+ (0.125,0) [0|8031.875] "rpm" Engine
+BO_ 2364540160 Other: 8 Engine
+ SG_ x : 0|8@1+ (1,0) [0|250] "" Engine
+BO_ 5 Short: 8 Engine
+ SG_ y : 0|8@1+ (1,0) [0|250] "" Engine
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "";
+BA_ "VFrameFormat" BO_ 2364540158 3;
+BA_ "VFrameFormat" BO_ 2348810494 3;
+"""
+
+
+@pytest.mark.promise("BUS-4")
+async def test_a_message_of_j1939_is_heard_from_every_address(
+    fake_can: Any, tmp_path: Path
+) -> None:
+    """Whatever its priority; or from one address, or from that of the file alone."""
+    (database := tmp_path / "engine.dbc").write_text(J1939)
+    wire = fake_can("drive")
+    make = partial(DbcSensor, bus=wire, database=database, message="Speed")
+    every, one = make(signal="rpm"), make(name="one", signal="rpm", source=0x11)
+    data = (8 * 800).to_bytes(2, "little")
+    streams: list[Any] = [every.stream(), one.stream()]
+    async with opened(every), opened(one), aclosing(streams[0]) as values:
+        async with aclosing(streams[1]) as values_of_one:
+            first, first_of_one = (
+                asyncio.ensure_future(anext(each)) for each in (values, values_of_one)
+            )
+            await asyncio.sleep(0)
+            for number in (0x0CF00400, 0x18F00411, 0x0CF004FE, 0x0CF00500):
+                wire.feed(number, bytes(3) + data + bytes(3), extended=True)
+            wire.feed(0x400, bytes(8))
+            assert await first == 800.0
+            assert [await anext(values) for _ in range(2)] == [800.0] * 2
+            assert await first_of_one == 800.0
+
+        assert every.sources == {0x00: 1, 0x11: 1, 0xFE: 1}
+        assert one.sources == {0x11: 1}
+        assert every.bad_frames == one.bad_frames == 0
+
+
+async def test_a_command_of_j1939_has_both_addresses(
+    fake_can: Any, tmp_path: Path
+) -> None:
+    """Those of the file, or those that are given; also when the watchdog sends it."""
+    (database := tmp_path / "engine.dbc").write_text(J1939)
+    wire = fake_can("drive")
+    make = partial(DbcActuator, database=database, message="Torque", safe={"limit": 0})
+    for device, number in [
+        (make(bus=wire), 0x0C0000FE),
+        (make(bus=wire, source=0x27, destination=0x05), 0x0C000527),
+    ]:
+        async with opened(device):
+            await device.write({"limit": 10.0})
+            assert (await wire.until(number)).extended
+            (safe,) = device.safe_frames().frames
+            assert int.from_bytes(safe[:4], "little") & 0x1FFFFFFF == number
+        wire.sent.clear()
+
+
+@pytest.mark.parametrize(
+    ("kind", "keywords", "told"),
+    [
+        (DbcSensor, {"message": "Speed", "source": 256}, "source: expected an address"),
+        (DbcSensor, {"message": "Short", "source": 1}, "source: Short has an id of 11"),
+        (
+            DbcActuator,
+            {"message": "Other", "safe": {"x": 0}, "destination": 3},
+            "destination: Other is for all nodes",
+        ),
+    ],
+)
+def test_addresses_that_are_none_are_told(
+    tmp_path: Path, kind: Any, keywords: dict[str, Any], told: str
+) -> None:
+    """When the device is made."""
+    (database := tmp_path / "engine.dbc").write_text(J1939)
+
+    with pytest.raises(ConfigError, match=told):
+        kind(database=database, **keywords)
+
+
+@pytest.mark.promise("BUS-4")
+async def test_a_multiplexed_command_replaces_no_other(
+    fake_can: Any, tmp_path: Path
+) -> None:
+    """Commands for two pages both arrive; an older one for the same page does not."""
+    page = described(
+        tmp_path,
+        ' SG_ page M : 0|8@1+ (1,0) [0|1] "" A',
+        ' SG_ low m0 : 8|8@1+ (1,0) [0|9] "" A',
+        ' SG_ high m1 : 8|8@1+ (1,0) [0|9] "" A\n',
+    )
+    wire = fake_can("drive")
+    device = DbcActuator(
+        bus=wire, database=page, message="M", safe={"page": 0, "low": 0}
+    )
+    async with opened(device):
+        wire.full(2)
+        commands = [
+            {"page": 0, "low": 1},
+            {"page": 1, "high": 2},
+            {"page": 0, "low": 3},
+        ]
+        done = await asyncio.gather(
+            *map(device.write, commands), return_exceptions=True
+        )
+        await asyncio.sleep(0.01)
+
+    assert [type(each).__name__ for each in done] == [
+        "BusyError",
+        "NoneType",
+        "NoneType",
+    ]
+    assert [frame.data[:2] for frame in wire.sent] == [b"\x01\x02", b"\x00\x03"]
 
 
 def described(folder: Path, *lines: str, length: int = 8) -> Path:

@@ -18,6 +18,7 @@ import can
 import pytest
 
 from esair.buses import CanBus, CanState
+from esair.buses.can import ALL, Mask
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.testing import BusContract
 
@@ -218,6 +219,41 @@ async def test_frames_that_nobody_wants_do_not_wake_the_process(vcan: str) -> No
         await asyncio.sleep(0.1)
 
     assert (bus.stats.received, bus.stats.unheard, len(wakes)) == (1, 0, 1)
+    await bus.close()
+
+
+@pytest.mark.promise("BUS-4")
+async def test_masks_and_ranges_are_chosen_by_in_the_kernel(vcan: str) -> None:
+    """What nobody listens to does not reach the process; "all" has both kinds of ids."""
+    bus = CanBus(name="drive", channel=vcan)
+    await bus.open()
+    masked = bus.frames(Mask(0x180, 0x780))
+    ranged = bus.frames(range(0x1FE, 0x203))
+    j1939 = bus.frames(Mask(0x00F00400, 0x03FFFF00), extended=True)
+
+    with Far(vcan) as far:
+        for number in (0x17F, 0x180, 0x1FF, 0x200, 0x202, 0x203):
+            far.send(number)
+        for number in (0x0CF00400, 0x18F00411, 0x0CF00500, 0x180):
+            far.send(number | socket.CAN_EFF_FLAG)
+        far.send(0x181, b"last")
+        while (frame := await masked.take(timeout=PATIENCE)).data != b"last":
+            assert frame.id in {0x180, 0x1FF}
+        assert [(await ranged.take()).id for _ in range(len(ranged))] == [
+            0x1FF,
+            0x200,
+            0x202,
+        ]
+        assert [(await j1939.take()).id for _ in range(len(j1939))] == [
+            0x0CF00400,
+            0x18F00411,
+        ]
+        assert (bus.stats.received, bus.stats.unheard) == (7, 0)
+        every = bus.frames(ALL)
+        far.send(0x700)
+        far.send(0x700 | socket.CAN_EFF_FLAG)
+        found = [await every.take(timeout=PATIENCE) for _ in range(2)]
+        assert [each.extended for each in found] == [False, True]
     await bus.close()
 
 

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 import esair
 from esair.buses import CanBus, CanState, Frame, FrameKind, FrameLink, Wire
+from esair.buses.can import ALL, Filter, Ids, Mask
 from esair.exceptions import (
     BadValueError,
     BusyError,
@@ -38,7 +39,7 @@ class Link(Wire):
         super().__init__()
         self.state = CanState.ACTIVE
         self.sent: list[Frame] = []
-        self.heard: list[set[int] | None] = []
+        self.heard: list[set[int]] = []
         self.full = 0
         self.closed = 0
         self.opened = 0
@@ -57,8 +58,8 @@ class Link(Wire):
         self.on_open()
         return self
 
-    def listen(self, keys: Collection[int] | None) -> None:
-        self.heard.append(None if keys is None else set(keys))
+    def listen(self, filters: Collection[Filter] | None) -> None:
+        self.heard.append({each.key for each in filters or ()})
 
     async def send(self, frame: Frame, timeout: float) -> bool:
         if self.full:
@@ -114,6 +115,98 @@ async def test_a_node_is_told_which_ids_somebody_listens_to(
 
     extended = 2 | 1 << 31
     assert link.heard == [{1, 2}, {1, 2, extended}, {extended}, set()]
+    await bus.close()
+
+
+@hypothesis.given(
+    subscriptions=st.lists(
+        st.tuples(
+            st.one_of(
+                st.integers(0, 0x7FF),
+                st.builds(Mask, st.integers(0, 0x7FF), st.integers(0, 0x7FF)),
+                st.tuples(st.integers(0, 0x7FF), st.integers(0, 0x7FF)).map(
+                    lambda ends: range(min(ends), max(ends) + 1)
+                ),
+                st.just(ALL),
+            ),
+            st.booleans(),
+        ),
+        min_size=1,
+        max_size=4,
+    ),
+    frames=st.lists(st.tuples(st.integers(0, 0x7FF), st.booleans()), max_size=30),
+)
+@pytest.mark.promise("BUS-4")
+def test_ids_masks_ranges_and_all(
+    subscriptions: list[tuple[Ids, bool]], frames: list[tuple[int, bool]]
+) -> None:
+    """Each listener gets exactly its frames, once; the kernel is told the same."""
+
+    def wanted(ids: Ids, extended: bool, number: int, is_extended: bool) -> bool:
+        if ids is ALL:
+            return True
+        if extended is not is_extended:
+            return False
+        if isinstance(ids, Mask):
+            return (number ^ ids.id) & ids.mask == 0
+        return number in ids if isinstance(ids, range) else number == ids
+
+    async def main() -> None:
+        link = Link()
+        bus = CanBus(name="drive", wire=link)
+        filters: list[Filter] = []
+        link.listen = filters.extend  # type: ignore[method-assign,assignment]
+        await bus.open()
+        for ids, extended in subscriptions:
+            filters.clear()
+            inbox = bus.frames(ids, ids, extended=extended, limit=64)
+            expected = []
+            for number, is_extended in frames:
+                link.received(Frame(number, b"", is_extended))
+                key = number | (1 << 31 if is_extended else 0)
+                heard = any(key & mask == each for each, mask in filters)
+                assert heard is wanted(ids, extended, number, is_extended)
+                if heard:
+                    expected.append((number, is_extended))
+            found = [(await inbox.take())[::2][:2] for _ in range(len(inbox))]
+            assert found == expected
+            inbox.close()
+        await bus.close()
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        runner.run(main())
+
+
+async def test_who_listens_to_an_id_may_change_at_any_time(
+    link: Link, bus: CanBus
+) -> None:
+    """What was found out about an id is forgotten when somebody comes or goes."""
+    await bus.open()
+    every = bus.frames(ALL, limit=5000)
+    link.received(Frame(7, b""))
+    one = bus.frames(range(4, 8))
+    link.received(Frame(7, b""))
+    every.close()
+    link.received(Frame(7, b""))
+    for number in range(5000):  # more than are remembered
+        link.received(Frame(number, b"", extended=True))
+    link.received(Frame(7, b""))
+
+    assert (len(every), len(one)) == (2, 3)
+    assert len(bus._routes) <= 4096
+    await bus.close()
+
+
+async def test_the_newest_frame_of_each_id_of_a_mask(link: Link, bus: CanBus) -> None:
+    """As many ids as the limit says: then the one that waited longest gives way."""
+    await bus.open()
+    inbox = bus.frames(ALL, newest=True, limit=2)
+
+    for number, data in [(1, b"a"), (2, b"b"), (1, b"c"), (3, b"d"), (2, b"e")]:
+        link.received(Frame(number, data))
+
+    assert [(await inbox.take()).data for _ in range(2)] == [b"e", b"d"]
+    assert (len(inbox), inbox.dropped) == (0, 3)
     await bus.close()
 
 
@@ -379,7 +472,8 @@ async def test_a_frame_from_another_node_ends_the_suspicion(
     await bus.close()
 
 
-async def test_a_newer_frame_makes_a_waiting_one_obsolete(
+@pytest.mark.promise("BUS-4")
+async def test_a_newer_frame_makes_a_waiting_one_obsolete_if_declared(
     link: Link, bus: CanBus
 ) -> None:
     """Of two commands with one id only the newer is sent; other ids are others."""
@@ -390,28 +484,57 @@ async def test_a_newer_frame_makes_a_waiting_one_obsolete(
     await asyncio.sleep(0)
     assert bus.waiting == 2
 
-    await bus.send(1, b"new")
+    newer = asyncio.create_task(bus.send(1, b"new", replaces=True))
+    await asyncio.gather(older, other, newer)
 
-    with pytest.raises(BusyError):
-        await older
-    await other
-    assert [frame.data for frame in link.sent] == [b"new", b"other"]
-    assert (bus.stats.refused, bus.stats.sent) == (1, 2)
-    await bus.close()
-
-
-async def test_of_two_waiting_frames_the_newer_is_sent(link: Link, bus: CanBus) -> None:
-    """Also when neither finds room at first."""
-    await bus.open()
+    assert [
+        frame.data for frame in link.sent if frame.id == 1 and not frame.extended
+    ] == [
+        b"old",
+        b"new",
+    ]
+    link.sent.clear()
     link.full = 2
-    older = asyncio.create_task(bus.send(1, b"old"))
+    older = asyncio.create_task(bus.send(1, b"old", replaces=True))
     await asyncio.sleep(0)
-    newer = asyncio.create_task(bus.send(1, b"new"))
-
-    await newer
+    await bus.send(1, b"new", replaces=True)
     with pytest.raises(BusyError):
         await older
     assert [frame.data for frame in link.sent] == [b"new"]
+    assert (bus.stats.refused, bus.stats.sent) == (1, 4)
+    await bus.close()
+
+
+@pytest.mark.promise("BUS-4")
+async def test_a_frame_replaces_only_what_is_about_the_same(
+    link: Link, bus: CanBus
+) -> None:
+    """Commands of one id for two motors: each keeps its newest, in their order."""
+    await bus.open()
+    link.full = 1
+    sent = [
+        asyncio.create_task(bus.send(1, data, replaces=(data[:1],)))
+        for data in (b"a1", b"b1", b"a2", b"c1", b"a3")
+    ]
+    done = await asyncio.gather(*sent, return_exceptions=True)
+
+    assert [frame.data for frame in link.sent] == [b"b1", b"c1", b"a3"]
+    assert [type(each) for each in done if each is not None] == [BusyError, BusyError]
+    assert isinstance(done[0], BusyError), "each sender knows what became of its frame"
+    assert bus.waiting == 0
+    await bus.close()
+
+
+async def test_frames_of_one_id_keep_their_order(link: Link, bus: CanBus) -> None:
+    """Also those that came while the first waited for room."""
+    await bus.open()
+    link.full = 3
+    async with asyncio.TaskGroup() as group:
+        for number in range(20):
+            group.create_task(bus.send(1, bytes((number,))))
+            await asyncio.sleep(0.0005)
+
+    assert [frame.data[0] for frame in link.sent] == list(range(20))
     await bus.close()
 
 
@@ -429,9 +552,9 @@ async def test_a_frame_that_found_no_room_does_not_follow_a_newer_one(
     link.send = answer_late  # type: ignore[method-assign]
     await bus.open()
     link.full = 1
-    older = asyncio.create_task(bus.send(1, b"old"))
+    older = asyncio.create_task(bus.send(1, b"old", replaces=True))
     await asyncio.sleep(0)
-    await bus.send(1, b"new")
+    await bus.send(1, b"new", replaces=True)
 
     with pytest.raises(BusyError):
         await older

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import itertools
 import os
@@ -9,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from esair.buses import Bus, CanBus, Frame, LateWire
+from esair.buses import Bus, CanBus, Exchanges, Frame, LateWire
 from esair.buses.can import VirtualCan
 from esair.exceptions import DeviceLostError
 from esair.testing import BusContract, FakeCan
@@ -36,6 +37,31 @@ class TestFakeCan(BusContract):
 
     async def use(self, bus: Any) -> None:
         await ask(bus)
+
+    async def ask(self, bus: Any, number: int) -> int:
+        if self.exchanges is None:  # as a driver of a part that answers
+            self.exchanges = Exchanges(bus, late_limit=0.2)
+            self.hearing = asyncio.ensure_future(self.hear(bus, self.exchanges))
+
+        async def send(_left: float) -> None:
+            await bus.send(0x102, bytes((number,)))
+
+        return (await self.exchanges.ask(send, timeout=1.0))[0]
+
+    async def hear(self, bus: Any, exchanges: Exchanges) -> None:
+        with contextlib.suppress(DeviceLostError):
+            async for frame in bus.frames(0x182):
+                exchanges.offer(frame.data)
+
+    exchanges: Exchanges | None = None
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+
+        def answer(frame: Frame) -> None:
+            loop.call_later(seconds, bus.feed, 0x182, frame.data)
+
+        bus.answer(0x102, answer)
 
 
 class OnVirtualCan(CanBus):

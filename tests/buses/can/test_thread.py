@@ -15,7 +15,7 @@ import can
 import pytest
 
 from esair.buses import CanBus, CanState
-from esair.buses.can import _python_can, _thread_node
+from esair.buses.can import ALL, Mask, _python_can, _thread_node
 from esair.exceptions import (
     ConfigError,
     DeviceLostError,
@@ -119,6 +119,35 @@ async def test_frames_go_both_ways_through_python_can() -> None:
     assert sent is not None
     assert (sent.arbitration_id, bytes(sent.data)) == (0x101, b"\x03")
     assert bus.stats.unheard == 0
+    other.shutdown()
+    await bus.close()
+
+
+@pytest.mark.promise("BUS-4")
+async def test_masks_ranges_and_all_of_another_interface() -> None:
+    """The thread that reads chooses as the kernel would; extended ids are others."""
+    channel = f"masks-{os.getpid()}"
+    bus = CanBus(name="drive", interface="virtual", channel=channel)
+    await bus.open()
+    other = can.Bus(channel, interface="virtual")
+    masked = bus.frames(Mask(0x180, 0x780))
+    ranged = bus.frames(range(0x1FE, 0x203))
+    for number in (0x17F, 0x180, 0x1FF, 0x200, 0x202, 0x203):
+        other.send(message(number))
+        other.send(message(number, is_extended_id=True))
+    await until(lambda: bus.stats.received == 12)
+    every = bus.frames(ALL)
+    other.send(message(0x1234, is_extended_id=True))
+    last = await every.take(timeout=PATIENCE)
+
+    assert [(await masked.take()).id for _ in range(len(masked))] == [0x180, 0x1FF]
+    assert [(await ranged.take()).id for _ in range(len(ranged))] == [
+        0x1FF,
+        0x200,
+        0x202,
+    ]
+    assert (last.id, last.extended) == (0x1234, True)
+    assert bus.stats.unheard == 8
     other.shutdown()
     await bus.close()
 

@@ -116,5 +116,5 @@ async def test_a_hundred_times_pulled_and_restored() -> None:
             assert bus.stats.lost == n + 1
         await bus.until(lambda frame: frame.data == b"\x07", timeout=60)
         assert len(bus._far._robots) == 1
-        assert len(bus._by_key) == 1
+        assert len(bus._routes._filters) == 1
     assert bus.sent[-1].data == b"\0"

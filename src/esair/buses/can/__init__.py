@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from esair.buses._late import late
+from esair.loading import late
 
 if TYPE_CHECKING:
     from esair.buses.can._bus import CanBus
@@ -16,18 +16,23 @@ if TYPE_CHECKING:
     from esair.buses.can._fake import FakeCan
     from esair.buses.can._far_end import MemoryCan, VirtualCan
     from esair.buses.can._frame import FD_SIZES, CanWire, Frame, FrameKind, FrameLink
+    from esair.buses.can._ids import ALL, Filter, Ids, Mask
     from esair.buses.can._interfaces import devices, toml
     from esair.buses.can._python_can import python_can
 
 __all__ = [
+    "ALL",
     "FD_SIZES",
     "CanBus",
     "CanState",
     "CanWire",
     "FakeCan",
+    "Filter",
     "Frame",
     "FrameKind",
     "FrameLink",
+    "Ids",
+    "Mask",
     "MemoryCan",
     "VirtualCan",
     "devices",
@@ -38,14 +43,18 @@ __all__ = [
 __getattr__, __dir__ = late(
     __name__,
     {
+        "ALL": "_ids",
         "FD_SIZES": "_frame",
         "CanBus": "_bus",
         "CanState": "_errors",
         "CanWire": "_frame",
         "FakeCan": "_fake",
+        "Filter": "_ids",
         "Frame": "_frame",
         "FrameKind": "_frame",
         "FrameLink": "_frame",
+        "Ids": "_ids",
+        "Mask": "_ids",
         "MemoryCan": "_far_end",
         "VirtualCan": "_far_end",
         "devices": "_interfaces",

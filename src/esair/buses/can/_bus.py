@@ -20,9 +20,11 @@ from esair.buses.can._frame import (
     check_data,
     key_of,
 )
+from esair.buses.can._ids import Ids, filters_of
 from esair.buses.can._inbox import FrameInbox, NewestInbox
+from esair.buses.can._outbox import Outbox
+from esair.buses.can._routes import Routes
 from esair.exceptions import (
-    BadValueError,
     BusyError,
     ConfigError,
     DeviceFaultError,
@@ -33,15 +35,6 @@ from esair.exceptions import (
 )
 from esair.loop import spawn
 from esair.watchdog import Outlet
-
-RETRY_PERIOD = 0.001
-"""The first pause before a frame is offered again to a full queue, in seconds."""
-
-LONGEST_RETRY_PERIOD = 0.02
-"""The longest pause before a frame is offered again, in seconds."""
-
-WAITING_LIMIT = 256
-"""How many frames, each with another id, may wait for room."""
 
 _LOST_WHEN: Final = {
     "warning": CanState.WARNING,
@@ -56,8 +49,9 @@ class CanBus(Bus):
 
     Reading never misses that the bus is gone: whatever ends it reaches everybody
     on the bus as one loss. Sending never blocks the event loop: a frame that the
-    controller's queue has no room for is offered again until its deadline, or until
-    a newer frame with the same id makes it obsolete.
+    controller's queue has no room for is offered again until its deadline; frames with
+    one id leave in their order, and a newer one takes the place of one that waits only
+    where its sender says so. Whatever happens to a frame, its sender is told.
 
     Only frames that somebody listens to reach this process, where the interface can
     choose (SocketCAN); the others cost nothing and are not counted.
@@ -125,8 +119,8 @@ class CanBus(Bus):
         self._leaving: asyncio.Task[None] | None = None
         self._epoch = 0
         self._lost_in_opening: Exception | None = None
-        self._by_key: dict[int, tuple[FrameInbox, ...]] = {}
-        self._waiting: dict[int, _Waiting] = {}
+        self._routes = Routes()
+        self._outbox = Outbox(name, self.stats)
         self._unacknowledged = False
 
     @property
@@ -143,8 +137,8 @@ class CanBus(Bus):
 
     @property
     def waiting(self) -> int:
-        """How many frames, each with another id, are on their way to the controller."""
-        return len(self._waiting)
+        """How many frames are on their way to the controller."""
+        return self._outbox.waiting
 
     def on_state(self, listener: Callable[[CanState], None]) -> Callable[[], None]:
         """Call a function when the controller enters another state.
@@ -161,7 +155,7 @@ class CanBus(Bus):
 
     def frames(
         self,
-        *ids: int,
+        *ids: Ids,
         extended: bool = False,
         length: int | None = None,
         limit: int = 16,
@@ -170,31 +164,26 @@ class CanBus(Bus):
         """Listen to the data frames with some ids.
 
         Args:
-            *ids: Arbitration ids.
+            *ids: Arbitration ids: one, ``range(0x580, 0x600)``,
+                ``Mask(0x180, 0x780)``, or ``ALL``.
             extended: Whether these are ids of 29 bits; a standard id with the same
                 number is another one.
             length: How many bytes they must have; others are counted as bad frames.
             limit: How many are kept until they are taken; then the newest win.
-            newest: Whether to keep only the newest frame of each id, instead.
+            newest: Whether to keep only the newest frame of each id, instead; of ids
+                that are not listed, those of ``limit`` ids.
 
         Raises:
             DeviceLostError: The bus is not open.
             BadValueError: There is no id, or one that is none.
         """
         self._connected()
-        keys = [key_of(self.name, each, extended=extended) for each in ids]
-        keys = list(dict.fromkeys(keys))
-        if not keys:
-            raise BadValueError(
-                self.name, "ids", "expected at least one id to listen to"
-            )
-        inbox = (
-            NewestInbox(len(keys), self._forget, stats=self.stats, length=length)
-            if newest
-            else FrameInbox(limit, self._forget, stats=self.stats, length=length)
-        )
-        for key in keys:
-            self._by_key[key] = (*self._by_key.get(key, ()), inbox)
+        filters = filters_of(self.name, ids, extended=extended)
+        if newest and all(each.is_exact for each in filters):
+            limit = len(filters)
+        kind = NewestInbox if newest else FrameInbox
+        inbox = kind(limit, self._forget, stats=self.stats, length=length)
+        self._routes.add(inbox, filters)
         self._choose()
         return inbox
 
@@ -204,6 +193,7 @@ class CanBus(Bus):
         data: bytes,
         *,
         extended: bool = False,
+        replaces: Hashable | None = None,
         timeout: float | None = None,
     ) -> None:
         """Send a frame: hand it to the controller, which sends it when the bus is free.
@@ -212,30 +202,37 @@ class CanBus(Bus):
             id: The arbitration id.
             data: Its 0 to 8 bytes; up to 64 with CAN FD.
             extended: Whether the id has 29 bits.
+            replaces: True if a frame with this id that still waits for room is obsolete
+                by it. Another value than True: only one that was sent with the same
+                value, such as what a multiplexed command is about.
             timeout: How long to wait for room, in seconds; ``send_timeout`` if None.
 
         Raises:
             BadValueError: The id or the data are not those of a frame.
             DeviceLostError: The bus is gone.
-            BusyError: A newer frame with this id was given, or too many frames wait;
+            BusyError: A newer frame replaced it, or too many frames wait;
                 this one was not sent.
             DeviceFaultError: There was no room in time, and no other node acknowledges;
                 it was not sent. Or the interface does not take such a frame.
             DriverStuckError: There was no room in time; it was not sent.
         """
         link = self._connected()
-        key = key_of(self.name, id, extended=extended)
+        key_of(self.name, id, extended=extended)
         if type(data) is not bytes or len(data) > 8:
             check_data(self.name, data, fd=self.fd)
             data = bytes(data)
         frame = Frame(id, data, extended)
         seconds = self.send_timeout if timeout is None else timeout
-        if (older := self._waiting.get(key)) is not None:
-            older.obsolete = True
-        mine = self._waiting[key] = _Waiting()
+        heard = self.stats.received
         try:
-            if not await link.send(frame, seconds):
-                await self._send_again(link, mine, frame, seconds)
+            if not await self._outbox.send(
+                link,
+                frame,
+                seconds,
+                replaces=replaces,
+                is_current=lambda: self._link is link,
+            ):
+                raise self._no_room(seconds, heard)
         except EsairError as error:
             self._count(error)
             raise
@@ -245,51 +242,21 @@ class CanBus(Bus):
             if self._link is link:
                 self._gone(self._epoch, loss)
             raise loss from error
-        finally:
-            if self._waiting.get(key) is mine:
-                del self._waiting[key]
         self.stats.sent += 1
 
-    async def _send_again(
-        self, link: FrameLink, mine: _Waiting, frame: Frame, seconds: float
-    ) -> None:
-        if len(self._waiting) > WAITING_LIMIT:
-            raise BusyError(
-                f"bus {self.name}", "number of waiting frames", WAITING_LIMIT
-            )
-        heard = self.stats.received
-        loop = asyncio.get_running_loop()
-        give_up = loop.time() + seconds
-        pause = RETRY_PERIOD
-        while (left := give_up - loop.time()) > 0:
-            await asyncio.sleep(min(pause, left))
-            pause = min(2 * pause, LONGEST_RETRY_PERIOD)
-            if mine.obsolete:
-                raise BusyError(
-                    f"bus {self.name}", f"frames waiting with id {frame.id:#x}", 1
-                )
-            if self._link is not link:
-                raise DeviceLostError(
-                    self.name, "the bus was lost while a frame waited"
-                )
-            left = give_up - loop.time()
-            if left <= 0:
-                break
-            self.stats.retries += 1
-            if await link.send(frame, max(RETRY_PERIOD, left)):
-                return
+    def _no_room(self, seconds: float, heard: int) -> EsairError:
         self.stats.discarded += 1
         if self._unacknowledged:
-            raise self._silent(
+            return self._silent(
                 f"no other node acknowledges, for {seconds:g} s: is one on the bus, "
                 "switched on, with the same bit rate?"
             )
         if self.stats.received == heard:
-            raise self._silent(
+            return self._silent(
                 f"no frame was sent for {seconds:g} s, and none came: no other node "
                 "acknowledges; is one on the bus, switched on, with the same bit rate?"
             )
-        raise DriverStuckError(self.name, "send", seconds)
+        return DriverStuckError(self.name, "send", seconds)
 
     def _silent(self, detail: str) -> DeviceFaultError:
         fault = DeviceFaultError(self.name, detail)
@@ -309,19 +276,15 @@ class CanBus(Bus):
         return self._link
 
     def _forget(self, inbox: Inbox[Frame]) -> None:
-        for key, inboxes in tuple(self._by_key.items()):
-            rest = tuple(other for other in inboxes if other is not inbox)
-            if rest:
-                self._by_key[key] = rest
-            else:
-                del self._by_key[key]
+        assert isinstance(inbox, FrameInbox)
+        self._routes.remove(inbox)
         self._choose()
 
     def _choose(self) -> None:
         if self._link is None:
             return
         try:
-            self._link.listen(self._by_key.keys())
+            self._link.listen(self._routes.filters)
         except OSError as error:
             self._gone(self._epoch, error)
 
@@ -377,16 +340,16 @@ class CanBus(Bus):
     async def _close(self) -> None:
         self._epoch += 1
         link, self._link = self._link, None
-        self._fail_listeners(DeviceLostError(self.name, "the bus was closed"))
+        self._routes.fail(DeviceLostError(self.name, "the bus was closed"))
         if self._leaving is not None:
             await asyncio.wait({self._leaving})
         if link is not None:
             await link.close()
 
     def _received(self, frame: Frame) -> None:
-        inboxes = self._by_key.get(frame.id | EXTENDED if frame.extended else frame.id)
-        if frame.kind is not _DATA or inboxes is None:
-            self._unusual(frame, heard=inboxes is not None)
+        inboxes = self._routes[frame.id | EXTENDED if frame.extended else frame.id]
+        if frame.kind is not _DATA or not inboxes:
+            self._unusual(frame, heard=bool(inboxes))
             return
         self.stats.received += 1
         self._unacknowledged = False
@@ -465,7 +428,7 @@ class CanBus(Bus):
                 self._leave(link),
                 name=f"leave bus {self.name}",
             )
-        self._fail_listeners(loss)
+        self._routes.fail(loss)
         self.lost(loss)
 
     async def _leave(self, link: FrameLink) -> None:
@@ -476,22 +439,7 @@ class CanBus(Bus):
         finally:
             self._leaving = None
 
-    def _fail_listeners(self, error: Exception) -> None:
-        by_key, self._by_key = self._by_key, {}
-        for inboxes in by_key.values():
-            for inbox in inboxes:
-                inbox.fail(error)
-
     def _look(self) -> Hashable | None:
         from esair.buses.can._interface import is_there
 
         return is_there(self.channel)
-
-
-class _Waiting:
-    """A frame on its way, until it is sent or a newer one makes it obsolete."""
-
-    __slots__ = ("obsolete",)
-
-    def __init__(self) -> None:
-        self.obsolete = False

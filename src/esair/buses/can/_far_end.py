@@ -14,6 +14,7 @@ from esair.buses.can._frame import (
     FrameLink,
     InterfaceOpener,
 )
+from esair.buses.can._ids import Filter
 from esair.buses.can._python_can import python_can
 from esair.loop import Executor, clock_of, spawn
 
@@ -229,7 +230,7 @@ class _MemoryNode:
         self._wire = wire
         self._received: Received | None = received
 
-    def listen(self, keys: Collection[int] | None) -> None:
+    def listen(self, filters: Collection[Filter] | None) -> None:
         """Hear all: nothing is saved by less."""
 
     async def send(self, frame: Frame, timeout: float) -> bool:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import abc
 import enum
 from collections.abc import Awaitable, Callable, Collection
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from esair.buses._wire import Wire
 from esair.buses.can._errors import CanState
 from esair.exceptions import BadValueError
+
+if TYPE_CHECKING:
+    from esair.buses.can._ids import Filter
 
 EXTENDED: Final = 0x8000_0000
 """The bit that tells an extended id from a standard one with the same number."""
@@ -53,13 +56,14 @@ class FrameLink(Protocol):
     def state(self) -> CanState:
         """The state of its controller when the node was opened."""
 
-    def listen(self, keys: Collection[int] | None) -> None:
+    def listen(self, filters: Collection[Filter] | None) -> None:
         """Hear the frames with some ids; at first none, and error frames always.
 
         A link that cannot choose hears all.
 
         Args:
-            keys: The ids; extended ones have the bit `EXTENDED` set. All if None.
+            filters: Keys and masks; extended ids have the bit `EXTENDED` set. All if
+                None.
         """
 
     async def send(self, frame: Frame, timeout: float) -> bool:

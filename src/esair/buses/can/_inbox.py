@@ -69,19 +69,23 @@ class NewestInbox(FrameInbox):
         length: int | None = None,
     ) -> None:
         super().__init__(ids, forget, stats=stats, length=length)
-        self._newest: dict[int, Frame] = {}
+        self._newest: dict[tuple[int, bool], Frame] = {}
 
     def offer(self, item: Frame) -> None:
         """Put a frame in the place of an older one with its id, or at the end."""
         if self._length is not None and len(item.data) != self._length:
             self._refuse()
             return
-        if item.id in self._newest:
+        key, items = _key(item), self._items
+        is_known = key in self._newest
+        if is_known or len(items) == items.maxlen:
             self.dropped += 1
             self._stats.dropped += 1
-        else:
-            self._items.append(item)
-        self._newest[item.id] = item
+        if not is_known:
+            if len(items) == items.maxlen:
+                del self._newest[_key(items[0])]
+            items.append(item)
+        self._newest[key] = item
         self._wake()
 
     def fail(self, error: BaseException) -> None:
@@ -91,4 +95,8 @@ class NewestInbox(FrameInbox):
 
     async def take(self, *, timeout: float | None = None) -> Frame:
         """Wait for the next frame and take it; errors as those of `Inbox.take`."""
-        return self._newest.pop((await super().take(timeout=timeout)).id)
+        return self._newest.pop(_key(await super().take(timeout=timeout)))
+
+
+def _key(frame: Frame) -> tuple[int, bool]:
+    return frame.id, frame.extended

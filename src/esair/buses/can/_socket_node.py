@@ -13,6 +13,7 @@ from typing import Any, Final
 from esair.buses._stats import BusStats
 from esair.buses.can._errors import CanState
 from esair.buses.can._frame import EXTENDED, Frame, FrameKind
+from esair.buses.can._ids import Filter
 from esair.exceptions import (
     BusyError,
     DeviceFaultError,
@@ -25,7 +26,7 @@ BATCH = 64
 """How many frames are read at once: a flood must not keep the event loop."""
 
 FILTER_LIMIT = 512
-"""How many ids the kernel can choose by (CAN_RAW_FILTER_MAX)."""
+"""How many masks the kernel can choose by (CAN_RAW_FILTER_MAX)."""
 
 _REMOTE: Final = 0x4000_0000
 
@@ -95,17 +96,14 @@ class SocketNode:
         self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
         self.listen(())
 
-    def listen(self, keys: Collection[int] | None) -> None:
+    def listen(self, filters: Collection[Filter] | None) -> None:
         if self._closed or self._socket.family != socket.AF_CAN:
             return
-        if keys is None or len(keys) > FILTER_LIMIT:
-            filters = _FILTER.pack(0, 0)
+        if filters is None or len(filters) > FILTER_LIMIT:
+            packed = _FILTER.pack(0, 0)
         else:  # remote frames too: they are counted
-            filters = b"".join(
-                _FILTER.pack(key, EXTENDED | (_NUMBER if key & EXTENDED else _STANDARD))
-                for key in keys
-            )
-        self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
+            packed = b"".join(_FILTER.pack(*each) for each in filters)
+        self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
 
     async def send(self, frame: Frame, timeout: float) -> bool:
         if self._closed:

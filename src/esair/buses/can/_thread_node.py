@@ -13,13 +13,14 @@ from typing import Any
 from esair.buses._stats import BusStats
 from esair.buses.can._errors import CanState
 from esair.buses.can._frame import EXTENDED, Frame, FrameKind
+from esair.buses.can._ids import Filter
 from esair.buses.can._socket_node import shut_bus
 from esair.exceptions import (
     BusyError,
     DriverStuckError,
     describe,
 )
-from esair.loop import CallRefused, Executor, clock_of
+from esair.loop import CallRefused, Executor, clock_beside
 
 POLL_PERIOD = 0.1
 """How often a reading thread looks whether it should end, in seconds."""
@@ -68,9 +69,10 @@ class ThreadNode:
         self._echoes = echoes
         self._decodes_errors = decodes_errors
         self._loop = asyncio.get_running_loop()
-        self._time = clock_of(self._loop)
+        self._time = clock_beside(self._loop)
         self._closed = False
-        self._wanted: frozenset[int] | None = frozenset()
+        self._wanted: frozenset[int] = frozenset()
+        self._masks: tuple[Filter, ...] = ()
         self._incoming: collections.deque[Frame] = collections.deque(
             maxlen=self.inbox_limit
         )
@@ -85,8 +87,10 @@ class ThreadNode:
         self._reader.start()
         self._watch = self._loop.call_later(HEARTBEAT, self._check, self._beats)
 
-    def listen(self, keys: Collection[int] | None) -> None:
-        self._wanted = None if keys is None else frozenset(keys)
+    def listen(self, filters: Collection[Filter] | None) -> None:
+        wanted = (Filter(0, 0),) if filters is None else filters
+        self._wanted = frozenset(each.key for each in wanted if each.is_exact)
+        self._masks = tuple(each for each in wanted if not each.is_exact)
 
     async def send(self, frame: Frame, timeout: float) -> bool:
         if self._closed:
@@ -152,10 +156,12 @@ class ThreadNode:
         elif not (message.is_rx or self._echoes):
             return None  # what was sent from here, which nobody asked for
         else:
-            wanted, number = self._wanted, message.arbitration_id
+            number = message.arbitration_id
             if message.is_extended_id:
                 number |= EXTENDED
-            if wanted is not None and number not in wanted:
+            if number not in self._wanted and not any(
+                number & mask == key for key, mask in self._masks
+            ):
                 with self._counted:
                     self._unheard += 1
                 return None

@@ -27,6 +27,6 @@ Source: CiA 301 (object dictionary, SDO, PDO, NMT, heartbeat); CiA 306 (EDS and 
 
 from esair.drivers.canopen._devices import CanopenActuator, CanopenSensor
 from esair.drivers.canopen._dictionary import Mapped
-from esair.drivers.canopen._node import CanopenNetwork
+from esair.drivers.canopen._node import CanopenNetwork, Emergency
 
-__all__ = ["CanopenActuator", "CanopenNetwork", "CanopenSensor", "Mapped"]
+__all__ = ["CanopenActuator", "CanopenNetwork", "CanopenSensor", "Emergency", "Mapped"]

@@ -29,8 +29,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import struct
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -50,38 +49,31 @@ from esair.drivers.canopen._dictionary import (
     find_object,
     read_eds,
 )
-from esair.drivers.canopen._node import Node, T, nodes_of_bus
+from esair.drivers.canopen._node import sdo_frames
+from esair.drivers.canopen._on_node import OnNode
 from esair.exceptions import (
     BusyError,
     ConfigError,
     DeviceFaultError,
-    DeviceLostError,
 )
 from esair.loop import CallRefused
-from esair.resources import Actuator, Resource, Sensor
-from esair.values import check_seconds
-from esair.watchdog import SafeFrames, can_frame
+from esair.resources import Actuator, Sensor
+from esair.watchdog import SafeFrames
 
 # What it logs, it raises as well; a node that is not there would fill the log.
 logging.getLogger("canopen.sdo.client").addFilter(lambda _record: False)
 
 
-class _OnNode(Resource):
+class _Object(OnNode):
     """What the sensor and the actuator have in common: an object of a node."""
 
-    def _describe(
+    def _find(
         self,
-        node: int,
         eds: Path | str,
         object_: str | int | tuple[int, int],
         factor: float | None,
-        heartbeat: float | None,
-        sdo_timeout: float,
     ) -> None:
-        if type(node) is not int or not 1 <= node <= 127:
-            raise ConfigError(self.name, "node", f"expected 1 to 127, not {node!r:.80}")
-        self.node = node
-        self.dictionary = read_eds(self.name, eds, node)
+        self.dictionary = read_eds(self.name, eds, self.node)
         self.variable = find_object(self.name, self.dictionary, object_)
         if factor is not None and (
             not factor or self.variable.data_type not in INTEGER_TYPES + FLOAT_TYPES
@@ -90,44 +82,6 @@ class _OnNode(Resource):
                 self.name, "factor", "expected a factor that is not 0, for a number"
             )
         self.factor = factor
-        self.heartbeat = heartbeat
-        if heartbeat is not None and not 0.001 <= heartbeat <= 65.0:
-            raise ConfigError(
-                self.name, "heartbeat", f"expected 0.001 to 65 s, not {heartbeat!r}"
-            )
-        self.sdo_timeout = check_seconds(self.name, "sdo_timeout", sdo_timeout)
-        self._link: Node | None = None
-
-    def make_ready(self, remote: Any) -> None:
-        """Tell the node what must be there before it is started, in its thread."""
-
-    async def _join(self) -> Node:
-        await self._part()
-        bus = can_bus(self)
-        nodes = nodes_of_bus.setdefault(bus, {})
-        link = nodes.get(self.node)
-        if link is None or not link.usable:
-            link = nodes[self.node] = Node(bus, self.node)
-        link.users.add(self)
-        self._link = link
-        await link.open(self)
-        return link
-
-    async def _part(self) -> None:
-        link, self._link = self._link, None
-        if link is not None:
-            await link.leave(self)
-
-    async def _call(
-        self,
-        function: Callable[..., T],
-        *args: Any,
-        guard: Callable[[], bool] | None = None,
-    ) -> T:
-        link = self._link
-        if link is None or link.remote is None:
-            raise DeviceLostError(self.name, f"node {self.node} is not open")
-        return await link.call(self, function, *args, guard=guard)
 
     def _object_of(self, remote: Any) -> Any:
         """The object as canopen reads and writes it, in its thread."""
@@ -150,7 +104,7 @@ class _OnNode(Resource):
         return str if kind in TEXT else bytes
 
 
-class CanopenSensor(_OnNode, Sensor[Any]):
+class CanopenSensor(_Object, Sensor[Any]):
     """An object of a CANopen node.
 
     It is asked by SDO at its rate; or, with ``pdo``, it comes in the PDO that the node
@@ -188,7 +142,8 @@ class CanopenSensor(_OnNode, Sensor[Any]):
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self._describe(node, eds, object, factor, heartbeat, sdo_timeout)
+        self._describe(node, heartbeat, sdo_timeout)
+        self._find(eds, object, factor)
         self.pdo = pdo
         self.bad_frames = 0
         self._mapped: Mapped | None = None
@@ -270,7 +225,7 @@ class CanopenSensor(_OnNode, Sensor[Any]):
         )
 
 
-class CanopenActuator(_OnNode, Actuator[Any]):
+class CanopenActuator(_Object, Actuator[Any]):
     """An object of a CANopen node that is written by SDO.
 
     Its limits are those of the file, or else what its type can hold. A write that
@@ -306,7 +261,8 @@ class CanopenActuator(_OnNode, Actuator[Any]):
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self._describe(node, eds, object, factor, heartbeat, sdo_timeout)
+        self._describe(node, heartbeat, sdo_timeout)
+        self._find(eds, object, factor)
         if not self.variable.writable:
             raise ConfigError(
                 self.name, "object", f"{self.variable.qualname!r} cannot be written"
@@ -344,12 +300,9 @@ class CanopenActuator(_OnNode, Actuator[Any]):
         data = bytes(variable.encode_raw(self._to_raw(self.safe)))
         if not 0 < len(data) <= 4:
             return None
-        place = struct.pack("<HB", variable.index, variable.subindex)
-        abort = struct.pack("<B3sI", 0x80, place, 0x08000000)
-        download = 0x23 | (4 - len(data)) << 2
-        write = struct.pack("<B3s4s", download, place, data)
-        request = 0x600 + self.node
-        return SafeFrames([can_frame(request, abort), can_frame(request, write)])
+        return SafeFrames(
+            sdo_frames(self.node, variable.index, variable.subindex, data)
+        )
 
     async def open(self) -> None:
         """Open the node."""

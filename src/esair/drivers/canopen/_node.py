@@ -4,32 +4,36 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
+import struct
 import weakref
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import canopen
+from canopen.emcy import EMCY_STRUCT, EmcyError
 from canopen.nmt import NmtError
 from canopen.objectdictionary import (
     ObjectDictionary,
 )
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from esair.buses import CanBus
+from esair.buses import CanBus, Exchanges, Frame
+from esair.drivers.canopen._sdo import LATE_LIMIT, LOOP_TIMEOUT, RemoteNode
 from esair.exceptions import (
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
 )
 from esair.loop import Executor
+from esair.watchdog import can_frame
 
 T = TypeVar("T")
 
+_log = logging.getLogger("esair")
+
 SEND_TIMEOUT = 0.2
 """How long one frame may wait for room on the bus, in seconds."""
-
-LOOP_TIMEOUT = 1.0
-"""How much longer the thread waits for the event loop to answer, in seconds."""
 
 HEARTBEATS_MISSED = 2.5
 """After how many heartbeat periods of silence a node is lost."""
@@ -40,7 +44,28 @@ HEARTBEAT_TIME = 0x1017
 
 IDENTITY = 0x1018
 
-_BOOT_UP = 0
+_BOOT_UP, _OPERATIONAL = 0, 5
+
+
+class Emergency(NamedTuple):
+    """What a node says in an emergency message.
+
+    Attributes:
+        code: The error code of the standard; 0 if an error is over.
+        register: Its error register, which says what all errors are about, a bit each.
+        data: Five bytes of the maker's.
+    """
+
+    code: int
+    register: int
+    data: bytes
+
+    def __str__(self) -> str:
+        said = EmcyError(self.code, self.register, self.data, 0.0).get_desc()
+        return (
+            f"emergency {self.code:#06x} ({said}), register {self.register:#04x}, "
+            f"data {self.data.hex()}"
+        )
 
 
 class CanopenNetwork(canopen.Network):
@@ -90,6 +115,14 @@ class CanopenNetwork(canopen.Network):
         raise DeviceFaultError("canopen", "nothing is sent periodically")
 
 
+def sdo_frames(node: int, index: int, subindex: int, data: bytes) -> list[bytes]:
+    """Return an abort of a transfer that was cut, and a write of up to four bytes."""
+    place = struct.pack("<HB", index, subindex)
+    abort = struct.pack("<B3sI", 0x80, place, 0x08000000)
+    write = struct.pack("<B3s4s", 0x23 | (4 - len(data)) << 2, place, data)
+    return [can_frame(0x600 + node, abort), can_frame(0x600 + node, write)]
+
+
 class NodeUser(Protocol):
     """A device on a node, as the node sees it."""
 
@@ -105,6 +138,9 @@ class NodeUser(Protocol):
     def make_ready(self, remote: Any) -> None:
         """Tell the node what must be there before it is started, in its thread."""
 
+    def heed(self, emergency: Emergency) -> None:
+        """Be told what the node says in an emergency message."""
+
     def report_lost(self, error: BaseException | None = None) -> None:
         """Be told that the node is gone."""
 
@@ -118,6 +154,7 @@ class Node:
         self.users: set[NodeUser] = set()
         self.usable = True
         """Whether devices may still join it; a new one is made otherwise."""
+        self.exchanges = _exchanges_of(bus, number)
         self.opening = asyncio.Lock()
         self._is_open = False
         self.remote: Any = None
@@ -125,6 +162,12 @@ class Node:
         self._pump: asyncio.Task[None] | None = None
         self._watch: asyncio.TimerHandle | None = None
         self._patience = 0.0
+        self._emergency: Emergency | None = None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it is open, and neither silent nor started anew."""
+        return self._is_open and self.usable
 
     async def open(self, device: NodeUser) -> None:
         """Find the node, compare its identity, start it and watch its heartbeat.
@@ -137,10 +180,13 @@ class Node:
             if not self.usable:
                 raise DeviceLostError(device.name, f"node {self.number} is not there")
             self.network = CanopenNetwork(self.bus)
-            self.remote = canopen.RemoteNode(self.number, device.dictionary)
+            self.remote = RemoteNode(
+                self.number, device.dictionary, self.bus, self.exchanges
+            )
             self.network.add_node(self.remote)
-            # Emergencies are left alone: the package keeps all of them for ever.
-            inbox = self.bus.frames(0x580 + self.number, 0x700 + self.number, limit=64)
+            inbox = self.bus.frames(
+                *(base + self.number for base in (0x80, 0x580, 0x700)), limit=64
+            )
             self._pump = asyncio.get_running_loop().create_task(
                 self._take(inbox), name=f"{self.bus.name} node {self.number}"
             )
@@ -185,6 +231,9 @@ class Node:
     ) -> T:
         """Call a function that waits for the node, in the thread of its network."""
         assert self.network is not None
+        if self.exchanges.owed:  # wait here: the thread has a time for its answer
+            async with self.exchanges.request(timeout=2 * LATE_LIMIT):
+                pass
         self.remote.sdo.RESPONSE_TIMEOUT = device.sdo_timeout
         try:
             return await self.network.executor.call(
@@ -231,16 +280,39 @@ class Node:
 
     async def _take(self, inbox: Any) -> None:
         assert self.network is not None
-        with contextlib.closing(inbox), contextlib.suppress(ConnectionError):
-            async for frame in inbox:
-                # Frames with wrong lengths must not end the listening.
-                with contextlib.suppress(Exception):
-                    if not frame.extended:
-                        self.network.notify(frame.id, bytearray(frame.data), frame.time)
+        with contextlib.closing(inbox):
+            try:
+                async for frame in inbox:
+                    self._hear(frame)
+            except ConnectionError as error:
+                self.exchanges.fail(error)
+
+    def _hear(self, frame: Frame) -> None:
+        if frame.id == 0x580 + self.number:
+            if len(frame.data) == 8:
+                self.exchanges.offer(frame.data)
+            return
+        # Frames with wrong lengths must not end the listening.
+        with contextlib.suppress(struct.error, IndexError, KeyError):
+            if frame.id == 0x80 + self.number:
+                self._heed(Emergency(*EMCY_STRUCT.unpack(frame.data)))
+            else:
+                assert self.network is not None
+                self.network.notify(frame.id, bytearray(frame.data), frame.time)
+
+    def _heed(self, emergency: Emergency) -> None:
+        if emergency != self._emergency:  # not each of a flood
+            _log.warning("%s: node %d: %s", self.bus.name, self.number, emergency)
+        self._emergency = emergency
+        for device in tuple(self.users):
+            device.heed(emergency)
 
     def _beat(self, state: int) -> None:
         if state == _BOOT_UP:
+            self.exchanges.clear()
             self._lost("it has started anew")
+        elif state != _OPERATIONAL:
+            self._lost(f"it does not run any more: its NMT state is {state}")
         else:
             self._arm_watch()
 
@@ -262,5 +334,16 @@ class Node:
 
 
 nodes_of_bus: weakref.WeakKeyDictionary[CanBus, dict[int, Node]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def _exchanges_of(bus: CanBus, number: int) -> Exchanges:
+    """Those of a node: what is owed is owed to its next opening, too."""
+    of_bus = _exchanges_of_bus.setdefault(bus, {})
+    return of_bus.setdefault(number, Exchanges(bus, late_limit=LATE_LIMIT))
+
+
+_exchanges_of_bus: weakref.WeakKeyDictionary[CanBus, dict[int, Exchanges]] = (
     weakref.WeakKeyDictionary()
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import canopen
+from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.exceptions import SdoAbortedError
 
 from esair.buses import Frame
@@ -18,15 +19,19 @@ class FakeCanopenNode:
 
     Args:
         can: The bus that it is on.
-        eds: Its EDS file.
+        eds: Its EDS file, or its objects.
         node: Its id.
 
     Attributes:
+        delay: How much later it answers requests, in seconds.
         local: The node of the package canopen.
         written: What was written: index, subindex, value; the oldest first.
     """
 
-    def __init__(self, can: FakeCan, eds: Path | str, *, node: int = 1) -> None:
+    def __init__(
+        self, can: FakeCan, eds: Path | str | ObjectDictionary, *, node: int = 1
+    ) -> None:
+        self.delay = 0.0
         self.written: list[tuple[int, int, Any]] = []
         self._network = _Network(can)
         can.on_send(self.receive)
@@ -48,6 +53,15 @@ class FakeCanopenNode:
         self._on = True
         self.local.nmt.state = "INITIALISING"
         self.local.nmt.state = "PRE-OPERATIONAL"
+
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: its objects are what they are by default."""
+        self.local.data_store.clear()
+        self.boot()
+
+    def emergency(self, code: int, register: int = 1, data: bytes = bytes(5)) -> None:
+        """Tell of an error; code 0 says that it is over."""
+        self.local.emcy.send(code, register, data)
 
     def stop(self) -> None:
         """Fall silent, as without power."""
@@ -78,7 +92,9 @@ class FakeCanopenNode:
     def receive(self, frame: Frame) -> None:
         """Take a frame from the bus."""
         if self._on and not frame.extended:
+            self._network.delay = self.delay
             self._network.notify(frame.id, bytearray(frame.data), frame.time)
+            self._network.delay = 0.0
 
     def _read(self, index: int, subindex: int, **_: Any) -> None:
         self._check(index, subindex)
@@ -92,17 +108,23 @@ class FakeCanopenNode:
             raise SdoAbortedError(self._refused[index, subindex])
 
 
-def _local_node(node: int, eds: Path | str) -> Any:
-    return canopen.LocalNode(node, str(eds))  # the package is typed in part
+def _local_node(node: int, eds: Path | str | ObjectDictionary) -> Any:
+    known = eds if isinstance(eds, ObjectDictionary) else str(eds)
+    return canopen.LocalNode(node, known)  # the package is typed in part
 
 
 class _Network(canopen.Network):
     def __init__(self, can: FakeCan) -> None:
         super().__init__()
         self._can = can
+        self.delay = 0.0
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        self._can.feed(can_id, bytes(data))
+        if not self.delay:
+            self._can.feed(can_id, bytes(data))
+            return
+        loop = asyncio.get_running_loop()
+        loop.call_later(self.delay, self._can.feed, can_id, bytes(data))
 
     def send_periodic(
         self, can_id: int, data: Any, period: float, remote: bool = False

@@ -22,11 +22,11 @@ from esair.drivers.dbc._codec import (
     choices_of,
 )
 from esair.drivers.dbc._file import among, find_message, find_signal, modulus_of
+from esair.drivers.dbc._j1939 import id_to
 from esair.exceptions import (
     BadValueError,
     BusyError,
     ConfigError,
-    DriverStuckError,
     did_you_mean,
 )
 from esair.resources import Actuator
@@ -58,6 +58,9 @@ class DbcActuator(Actuator[Any]):
         signal: The name of the only signal that commands are; all of them unless given.
         fixed: Signals that are the same in every frame, and are not in commands.
         sequence: The name of a signal that counts the frames; it is not in commands.
+        source: Of a message of J1939, the address that this robot has; that of the file
+            unless given. It is not claimed: no other node may have it.
+        destination: Of a message of J1939 for one node, the address of that node.
         cycle: How often the last command is repeated, in seconds; it is not if None.
         limits: Narrower limits than those of the file.
         slew: The fastest change, in units per second: of the only signal, or of signals
@@ -75,6 +78,8 @@ class DbcActuator(Actuator[Any]):
         signal: str | None = None,
         fixed: Mapping[str, float | str] | None = None,
         sequence: str | None = None,
+        source: int | None = None,
+        destination: int | None = None,
         cycle: float | None = None,
         limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
         slew: float | Mapping[str, float] | None = None,
@@ -82,9 +87,10 @@ class DbcActuator(Actuator[Any]):
     ) -> None:
         super().__init__(**settings)
         self.codec = codec = MessageCodec(find_message(self.name, database, message))
+        self._id = id_to(self.name, codec.message, source, destination)
         if not codec.message.is_multiplexed():  # else others may have a share of it
             kind = "extended frame" if codec.message.is_extended_frame else "frame"
-            self.claim = f"the {kind} {codec.message.frame_id:#x}"
+            self.claim = f"the {kind} {self._id:#x}"
         self.signal = signal
         self.sequence = sequence
         self.cycle = None if cycle is None else check_seconds(self.name, "cycle", cycle)
@@ -153,7 +159,7 @@ class DbcActuator(Actuator[Any]):
             ]
         return SafeFrames(
             can_frame(
-                message.frame_id,
+                self._id,
                 self.codec.encode(each),
                 extended=message.is_extended_frame,
                 fd=bool(message.is_fd),
@@ -199,7 +205,10 @@ class DbcActuator(Actuator[Any]):
         except FrameError as error:
             raise BadValueError(self.name, "command", str(error)) from error
         await can_bus(self).send(
-            message.frame_id, data, extended=message.is_extended_frame
+            self._id,
+            data,
+            extended=message.is_extended_frame,
+            replaces=self.codec.topic(values),
         )
 
     async def _repeat(self, cycle: float) -> None:
@@ -217,8 +226,8 @@ class DbcActuator(Actuator[Any]):
                 continue
             try:
                 await self._send(values)
-            except (BusyError, DriverStuckError):
-                continue  # a newer command took its place, or the next repeat will
+            except BusyError:
+                continue  # a newer command took its place
             except Exception as error:
                 faults += 1
                 if isinstance(error, ConnectionError) or faults >= self.fault_limit:

@@ -46,6 +46,9 @@ class MessageCodec:
         self.signals: dict[str, Signal] = {
             signal.name: signal for signal in message.signals
         }
+        self._multiplexers = tuple(
+            signal.name for signal in message.signals if signal.is_multiplexer
+        )
 
     def decode(self, data: bytes) -> Signals:
         """Unpack a frame.
@@ -85,6 +88,14 @@ class MessageCodec:
         if isinstance(value, str):
             return float(self.signals[name].conversion.choice_to_number(value))
         return value
+
+    def topic(self, values: Signals) -> tuple[float, ...]:
+        """Return what its multiplexers select.
+
+        A newer frame that selects the same makes an older one obsolete; no other does.
+        """
+        names = (name for name in self._multiplexers if name in values)
+        return tuple(self.number(name, values[name]) for name in names)
 
     def selected(self, values: Mapping[str, Any]) -> set[str]:
         """Return which signals a frame with these values has.

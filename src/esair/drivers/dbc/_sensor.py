@@ -7,15 +7,18 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Literal
 
-from esair.buses import CanBus
+from esair.buses import CanBus, Frame, Inbox
 from esair.drivers._on_can import can_bus
+from esair.drivers._silence import hear_first, heard
 from esair.drivers.dbc._codec import FrameError, MessageCodec, Signals
 from esair.drivers.dbc._file import find_message, find_signal, modulus_of
+from esair.drivers.dbc._j1939 import SOURCE, Source, ids_from
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
 )
 from esair.resources import Sensor
+from esair.values import check_seconds
 
 
 class DbcSensor(Sensor[Any]):
@@ -34,9 +37,15 @@ class DbcSensor(Sensor[Any]):
         sequence: The name of a signal that counts the frames. A frame with the number
             of the one before is no reading: a node whose program hangs may send it for
             ever.
+        source: Of a message of J1939, the address of the node that sends it, or
+            ``"any"``, which it is unless given: then the messages of all of them are
+            readings, whatever their priority and whomever they are for.
+        silent_after: After how many seconds without a frame the node is lost; it may be
+            silent for ever if None.
         buffer: How many frames are kept until they are taken; then the newest win.
 
     Attributes:
+        sources: How many frames came from each address, of a message of J1939.
         bad_frames: How many frames could not be decoded.
         repeated: How many frames had the number of the one before.
         missed: How many frames never came, by their numbers.
@@ -55,6 +64,8 @@ class DbcSensor(Sensor[Any]):
         signal: str | None = None,
         choices: Literal["numbers", "names"] = "numbers",
         sequence: str | None = None,
+        source: Source = None,
+        silent_after: float | None = None,
         buffer: int = 64,
         **settings: Any,
     ) -> None:
@@ -75,11 +86,17 @@ class DbcSensor(Sensor[Any]):
             find_signal(self.name, "signal", self.codec, signal)
         self.sequence = sequence
         self._modulus = modulus_of(self.name, self.codec, sequence)
+        self.silent_after = silent_after
+        if silent_after is not None:
+            check_seconds(self.name, "silent_after", silent_after)
+        self.source = source
+        self._ids = ids_from(self.name, self.codec.message, source)
+        self.sources: dict[int, int] = {}
         self.buffer = buffer
         self.bad_frames = 0
         self.repeated = 0
         self.missed = 0
-        self._number: int | None = None
+        self._numbers: dict[int, int] = {}
         self._dropped = 0
         self._inbox: Any = None
 
@@ -97,19 +114,28 @@ class DbcSensor(Sensor[Any]):
             return str
         return float
 
+    async def open(self) -> None:
+        """Wait for the first frame, if the node may not be silent."""
+        await hear_first(self, self._frames(), self.silent_after)
+
+    def _frames(self) -> Inbox[Frame]:
+        return can_bus(self).frames(
+            self._ids,
+            extended=self.codec.message.is_extended_frame,
+            limit=self.buffer,
+        )
+
     async def stream(self) -> AsyncIterator[Any]:
         """Yield the signals of each frame."""
-        message, signal = self.codec.message, self.signal
+        signal = self.signal
         as_text = self.value_type is str
         bad_in_row = 0
-        self._number = None
-        self._inbox = can_bus(self).frames(
-            message.frame_id, extended=message.is_extended_frame, limit=self.buffer
-        )
+        self._numbers.clear()
+        self._inbox = self._frames()
         with contextlib.closing(self._inbox):
-            async for frame in self._inbox:
+            async for frame in heard(self, self._inbox, self.silent_after):
                 try:
-                    values = self._decoded(frame.data)
+                    values = self._decoded(frame)
                 except FrameError as error:
                     bad_in_row += 1
                     if bad_in_row >= self.bad_frame_limit:
@@ -123,20 +149,24 @@ class DbcSensor(Sensor[Any]):
                 elif signal in values:  # it is not multiplexed away
                     yield str(values[signal]) if as_text else values[signal]
 
-    def _decoded(self, data: bytes) -> Signals:
+    def _decoded(self, frame: Frame) -> Signals:
         """Return the signals of a frame that counts.
 
         Raises:
             FrameError: It cannot be decoded, or is that of before once more.
         """
         try:
-            values = self.codec.decode(data)
+            values = self.codec.decode(frame.data)
         except FrameError:
             self.bad_frames += 1
             raise
+        if not isinstance(self._ids, int):
+            sender = frame.id & SOURCE
+            self.sources[sender] = self.sources.get(sender, 0) + 1
         if self.sequence is not None and self.sequence in values:
             number = int(self.codec.number(self.sequence, values[self.sequence]))
-            before, self._number = self._number, number
+            before = self._numbers.get(frame.id)  # each node counts its own
+            self._numbers[frame.id] = number
             if before is not None:
                 step = (number - before) % self._modulus
                 if step == 0:

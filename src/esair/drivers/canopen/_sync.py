@@ -1,0 +1,80 @@
+"""SYNC: one producer on each bus, in the event loop, so that it ends when that hangs."""
+
+from __future__ import annotations
+
+import asyncio
+import weakref
+
+from esair.buses import CanBus
+from esair.exceptions import (
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
+from esair.resources import Resource
+
+SYNC = 0x80
+
+
+class Sync:
+    """The producer of SYNC on a bus, while at least one device wants it."""
+
+    def __init__(self, bus: CanBus, period: float) -> None:
+        self.period = period
+        self._bus = weakref.ref(bus)
+        self._users: set[Resource] = set()
+        self._sending: asyncio.Task[None] | None = None
+
+    def join(self, device: Resource) -> None:
+        """Produce for a device, too."""
+        self._users.add(device)
+        if self._sending is None or self._sending.done():
+            self._sending = asyncio.get_running_loop().create_task(
+                self._send(), name=f"{device.name} sync"
+            )
+
+    async def leave(self, device: Resource) -> None:
+        """Produce for a device no more; after the last one not at all."""
+        self._users.discard(device)
+        task = self._sending
+        if task is None or self._users:
+            return
+        self._sending = None
+        bus = self._bus()
+        if bus is not None and _syncs.get(bus) is self:
+            del _syncs[bus]
+        task.cancel()
+        await asyncio.wait({task})
+
+    async def _send(self) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while (bus := self._bus()) is not None:
+            try:
+                await bus.send(SYNC, b"", replaces=True, timeout=self.period)
+            except DeviceLostError:
+                return
+            except (BusyError, DeviceFaultError, DriverStuckError):
+                pass  # the next one comes soon; the bus counts
+            del bus
+            due = max(due + self.period, loop.time())
+            await asyncio.sleep(due - loop.time())
+
+
+_syncs: weakref.WeakKeyDictionary[CanBus, Sync] = weakref.WeakKeyDictionary()
+
+
+def sync_of(device: Resource, bus: CanBus, period: float) -> Sync:
+    """Return the producer of a bus.
+
+    Raises:
+        ConfigError: It has another period.
+    """
+    found = _syncs.setdefault(bus, Sync(bus, period))
+    if found.period != period:
+        raise ConfigError(
+            device.name, "sync", f"the bus has a SYNC every {found.period:g} s already"
+        )
+    return found

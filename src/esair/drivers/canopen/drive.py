@@ -1,0 +1,194 @@
+"""Motor drives of CiA 402: enabled, told a velocity or a position, stopped.
+
+::
+
+    [actuator.wheel]
+    driver = "cia402"
+    bus = "drive"
+    node = 5
+    factor = 0.00157        # rad/s for one unit of its target velocity
+    sync = 0.02             # optional: a SYNC every 20 ms, for all on the bus
+
+    [sensor.wheel_state]
+    driver = "cia402"
+    bus = "drive"
+    node = 5
+
+A drive of which nothing special is known needs no EDS file: its objects are those of the
+standard. At each opening its PDOs are set up, which are the first of commands and the
+first two of what it tells.
+
+Source: CiA 402-2 (states, controlword, statusword) and 402-3 (modes); CiA 301 (PDO, SYNC,
+EMCY).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any, Literal
+
+import attrs
+
+from esair.buses import CanBus
+from esair.drivers._on_can import can_bus
+from esair.drivers.canopen import _profile as profile
+from esair.drivers.canopen._on_drive import DriveActuator, OnDrive
+from esair.drivers.canopen._profile import State, state_of
+from esair.exceptions import ConfigError
+from esair.resources import Actuator, Sensor
+
+__all__ = ["Drive", "DriveReading", "DriveState", "State"]
+
+
+@attrs.frozen
+class DriveReading:
+    """What a drive measures, and how it is.
+
+    Attributes:
+        position: In rad, or the unit that its factor gives.
+        velocity: In rad/s, or the unit that its factor gives.
+        state: Its state.
+    """
+
+    position: float
+    velocity: float
+    state: State
+
+
+class DriveState(OnDrive, Sensor[DriveReading]):
+    """What a drive measures, each time that it tells.
+
+    Args:
+        node: The id of the node, 1 to 127.
+        eds: Its EDS or DCF file; the objects of the standard if None.
+        position_factor: The unit of its position, in rad.
+        velocity_factor: The unit of its velocity, in rad/s.
+        tell_every: How often it tells, in seconds; without a SYNC.
+        sync: The period of the SYNC with which it tells, in seconds; the same for all
+            devices on a bus.
+        heartbeat: The heartbeat period that it is told, in seconds.
+        sdo_timeout: How long it may take to answer, in seconds.
+
+    Attributes:
+        bad_frames: How many PDOs were too short.
+    """
+
+    bus: CanBus
+    deadline = 3.0
+
+    def __init__(
+        self,
+        *,
+        node: int,
+        eds: Path | str | None = None,
+        position_factor: float = 1.0,
+        velocity_factor: float = 1.0,
+        tell_every: float = 0.02,
+        sync: float | None = None,
+        heartbeat: float | None = None,
+        sdo_timeout: float = 0.3,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self._describe_drive(node, eds, heartbeat, sdo_timeout, tell_every, sync)
+        self.position_factor = position_factor
+        self.velocity_factor = velocity_factor
+        self.bad_frames = 0
+
+    async def open(self) -> None:
+        """Find the node and have it tell."""
+        await self._open_drive()
+
+    async def close(self) -> None:
+        """Leave the node."""
+        await self._close_drive()
+
+    async def stream(self) -> AsyncIterator[DriveReading]:
+        """Yield what it tells; its second PDO completes a reading."""
+        first, second = 0x180 + self.node, 0x280 + self.node
+        told: bytes | None = None
+        inbox = can_bus(self).frames(first, second, limit=64)
+        with contextlib.closing(inbox):
+            async for frame in inbox:
+                if len(frame.data) < (6 if frame.id == first else 4):
+                    self.bad_frames += 1
+                elif frame.id == first:
+                    told = frame.data
+                elif told is not None:
+                    yield DriveReading(
+                        _signed(told[2:6]) * self.position_factor,
+                        _signed(frame.data[:4]) * self.velocity_factor,
+                        state_of(int.from_bytes(told[:2], "little")),
+                    )
+
+
+class Drive(DriveActuator, Actuator[float]):
+    """A drive that is told a velocity in rad/s (profile velocity mode).
+
+    It is enabled, which is to say it gets power, only by a command that is not the safe
+    one; the safe command stops it. At each opening a fault is cleared once, and one that
+    remains is a fault of the device. While it is open a fault, with what the drive has
+    said in emergency messages, or that it is disabled by somebody else is a fault at
+    once; it is opened again and not enabled until a fresh command.
+
+    Args:
+        node: The id of the node, 1 to 127.
+        eds: Its EDS or DCF file; the objects of the standard if None.
+        factor: The unit of its target velocity, in rad/s.
+        limits: The least and the greatest velocity, in rad/s.
+        stop: How the safe command stops it: ``"quick_stop"``, by the ramp for that, and
+            mostly without torque then; or ``"halt"``, which holds it enabled.
+        tell_every: How often it tells its state, in seconds; without a SYNC.
+        sync: The period of the SYNC with which it takes its target, in seconds; the
+            same for all devices on a bus. It is sent by the event loop, so it ends when
+            that hangs.
+        heartbeat: The heartbeat period that it is told, in seconds.
+        sdo_timeout: How long it may take to answer, in seconds.
+    """
+
+    bus: CanBus
+    deadline = 3.0
+    safe = 0.0
+    mode = profile.PROFILE_VELOCITY
+    target = profile.TARGET_VELOCITY
+
+    def __init__(
+        self,
+        *,
+        node: int,
+        eds: Path | str | None = None,
+        factor: float = 1.0,
+        limits: tuple[float, float] | None = None,
+        stop: Literal["quick_stop", "halt"] = "quick_stop",
+        tell_every: float = 0.02,
+        sync: float | None = None,
+        heartbeat: float | None = None,
+        sdo_timeout: float = 0.3,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self._describe_drive(node, eds, heartbeat, sdo_timeout, tell_every, sync)
+        self._describe_actuator(stop)
+        self.factor = _factor(self.name, factor)
+        largest = abs(self.factor) * (2**31 - 1)
+        self.limits = (-largest, largest) if limits is None else limits
+        self.claim = f"the drive of node {self.node}"
+
+    async def write(self, command: float) -> None:
+        """Tell the drive its velocity, and enable it if that is not 0; or stop it."""
+        if command == self.safe:
+            await self._stop()
+        else:
+            await self._go(profile.ENABLE, value=round(command / self.factor))
+
+
+def _factor(name: str, factor: float) -> float:
+    if not factor:
+        raise ConfigError(name, "factor", "expected a factor that is not 0")
+    return factor
+
+
+def _signed(data: bytes) -> int:
+    return int.from_bytes(data, "little", signed=True)

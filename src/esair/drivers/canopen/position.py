@@ -1,0 +1,89 @@
+"""A drive of CiA 402 that goes to positions (profile position mode); see `drive`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import attrs
+
+from esair.buses import CanBus
+from esair.drivers.canopen import _profile as profile
+from esair.drivers.canopen._on_drive import DriveActuator
+from esair.exceptions import ConfigError
+from esair.resources import Actuator
+
+__all__ = ["Move", "PositionDrive"]
+
+
+@attrs.frozen
+class Move:
+    """What a drive is told.
+
+    Attributes:
+        position: Where to go, in rad; without meaning if it stops.
+        stop: Whether it stops where it is.
+    """
+
+    position: float = 0.0
+    stop: bool = False
+
+
+class PositionDrive(DriveActuator, Actuator[Move]):
+    """A drive that goes to a position by its own ramps, and stops if that is safe.
+
+    A newer position takes the place of one on the way to which it is. Otherwise it is as
+    `esair.drivers.canopen.drive.Drive`.
+
+    Args:
+        node: The id of the node, 1 to 127.
+        eds: Its EDS or DCF file; the objects of the standard if None.
+        factor: The unit of its target position, in rad.
+        limits: The least and the greatest position, in rad.
+        stop: ``"quick_stop"`` or ``"halt"``.
+        tell_every: How often it tells its state, in seconds.
+        heartbeat: The heartbeat period that it is told, in seconds.
+        sdo_timeout: How long it may take to answer, in seconds.
+    """
+
+    bus: CanBus
+    deadline = 3.0
+    safe = Move(stop=True)
+    mode = profile.PROFILE_POSITION
+    target = profile.TARGET_POSITION
+
+    def __init__(
+        self,
+        *,
+        node: int,
+        eds: Path | str | None = None,
+        factor: float = 1.0,
+        limits: tuple[float, float] | None = None,
+        stop: Literal["quick_stop", "halt"] = "quick_stop",
+        tell_every: float = 0.02,
+        heartbeat: float | None = None,
+        sdo_timeout: float = 0.3,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self._describe_drive(node, eds, heartbeat, sdo_timeout, tell_every, None)
+        self._describe_actuator(stop)
+        if not factor:
+            raise ConfigError(self.name, "factor", "expected a factor that is not 0")
+        self.factor = factor
+        largest = abs(factor) * (2**31 - 1)
+        self.limits = {"position": limits or (-largest, largest)}
+        self.claim = f"the drive of node {self.node}"
+
+    async def write(self, command: Move) -> None:
+        """Tell the drive where to go, and enable it; or stop it."""
+        if command.stop:
+            await self._stop()
+            return
+        # Bit 4 must rise for each position: first without it, then with it.
+        at_once = profile.ENABLE | profile.AT_ONCE
+        await self._go(
+            at_once,
+            at_once | profile.NEW_SET_POINT,
+            value=round(command.position / self.factor),
+        )

@@ -1,0 +1,336 @@
+"""Drives of CiA 402: enabled by motion, stopped by what is safe, faults told."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator, Callable
+from contextlib import aclosing, asynccontextmanager
+from typing import Any
+
+import pytest
+
+import esair
+from esair.drivers.canopen.drive import Drive, DriveState, State
+from esair.drivers.canopen.fake_drive import FakeDrive
+from esair.drivers.canopen.position import Move, PositionDrive
+from esair.exceptions import BusyError, ConfigError, DeviceFaultError
+from esair.testing import ActuatorContract, FakeCan, SensorContract
+
+PATIENCE = 10.0
+UNIT = math.tau / 4096  # rad, and rad/s, for one increment
+
+pytestmark = pytest.mark.virtual_clock
+
+
+def made(kind: Any, wire: Any, **keywords: Any) -> Any:
+    return kind(bus=wire, **{"node": 5, "sdo_timeout": PATIENCE, **keywords})
+
+
+@asynccontextmanager
+async def opened(*devices: Any) -> AsyncIterator[None]:
+    await devices[0].bus.open()
+    try:
+        for device in devices:
+            await device.open()
+        yield
+    finally:
+        for device in devices:
+            await device.close()
+        await devices[0].bus.close()
+
+
+def state_of(far: FakeDrive) -> State:
+    return far.drive_state
+
+
+@pytest.fixture
+def wire() -> FakeCan:
+    return FakeCan("drive")
+
+
+@pytest.fixture
+async def far(wire: FakeCan) -> AsyncIterator[FakeDrive]:
+    drive = FakeDrive(wire)
+    yield drive
+    drive.stop()
+
+
+class Wired:
+    @pytest.fixture(autouse=True)
+    def _wire(self, fake_can: Callable[..., Any]) -> None:
+        self.wire = fake_can("drive")
+
+    def on_wire(self) -> Any:
+        self.far = FakeDrive(self.wire)
+        return self.wire
+
+    async def unplug(self, _device: Any) -> None:
+        self.wire.unplug()
+
+    async def silence(self, device: Any) -> None:
+        device.sdo_timeout = 0.02
+        self.far.stop()
+
+    async def speak(self, device: Any) -> None:
+        device.sdo_timeout = PATIENCE
+        self.far.boot()
+
+    async def power_cycle(self, _device: Any) -> None:
+        self.far.power_cycle()
+
+
+class TestDrive(Wired, ActuatorContract):
+    def make(self) -> Any:
+        return made(Drive, self.on_wire(), factor=UNIT)
+
+    def commands(self) -> list[Any]:
+        return [1.0, -2.0]
+
+
+class TestDriveThatHalts(Wired, ActuatorContract):
+    def make(self) -> Any:
+        return made(Drive, self.on_wire(), stop="halt", sync=0.01)
+
+    def commands(self) -> list[Any]:
+        return [100.0, -100.0]
+
+
+class TestPositionDrive(Wired, ActuatorContract):
+    def make(self) -> Any:
+        return made(PositionDrive, self.on_wire(), factor=UNIT)
+
+    def commands(self) -> list[Any]:
+        return [Move(1.0), Move(-1.0)]
+
+
+class TestDriveState(Wired, SensorContract):
+    def make(self) -> Any:
+        return made(DriveState, self.on_wire(), velocity_factor=UNIT)
+
+
+@pytest.mark.parametrize("sync", [None, 0.01])
+async def test_a_drive_is_led_to_operation_enabled_and_turns(
+    wire: FakeCan, far: FakeDrive, sync: float | None
+) -> None:
+    """By the first command that moves; then a command is one PDO, with the SYNC."""
+    drive = made(Drive, wire, factor=UNIT, sync=sync)
+    async with opened(drive):
+        assert state_of(far) is State.DISABLED
+        await drive.write(0.0)
+        await asyncio.sleep(0.1)
+        assert state_of(far) is State.DISABLED, "what is safe gives no power"
+
+        await drive.write(math.pi)
+        await asyncio.sleep(0.5)
+        assert state_of(far) is State.ENABLED
+        assert far.velocity == pytest.approx(2048, abs=1)
+        wire.sent.clear()
+        await drive.write(-math.pi)
+        await asyncio.sleep(0.5)
+        assert far.velocity == pytest.approx(-2048, abs=1)
+        commands = [each for each in wire.sent if each.id == 0x205]
+        assert [each.data.hex() for each in commands] == ["0f0000f8ffff"]
+        assert (far.syncs > 50) is (sync is not None)
+
+
+@pytest.mark.parametrize(
+    ("stop", "left"), [("quick_stop", State.DISABLED), ("halt", State.ENABLED)]
+)
+async def test_what_is_safe_stops_the_drive(
+    wire: FakeCan, far: FakeDrive, stop: Any, left: State
+) -> None:
+    """By its ramp, at once; a fresh command starts it again."""
+    drive = made(Drive, wire, stop=stop)
+    async with opened(drive):
+        for _ in range(3):
+            await drive.write(3000.0)
+            await asyncio.sleep(0.5)
+            assert far.velocity == 3000
+            await drive.write(0.0)
+            await asyncio.sleep(0.03)
+            assert 0 < far.velocity < 3000, "by a ramp"
+            await asyncio.sleep(0.5)
+            assert (far.velocity, state_of(far)) == (0, left)
+
+
+async def test_a_command_right_after_a_stop_moves(
+    wire: FakeCan, far: FakeDrive
+) -> None:
+    """Whatever the drive told before it had heard the stop."""
+    drive = made(Drive, wire)
+    async with opened(drive):
+        for pause in range(40):
+            await drive.write(1000.0)
+            await asyncio.sleep(0.002 * pause)
+            await drive.write(0.0)
+            await asyncio.sleep(0.001 * pause)
+        await drive.write(1000.0)
+        await asyncio.sleep(0.3)
+        assert (state_of(far), far.velocity) == (State.ENABLED, 1000)
+
+
+async def test_a_stop_ends_an_enabling(wire: FakeCan, far: FakeDrive) -> None:
+    """It does not wait for it, and no motion follows it."""
+    drive = made(Drive, wire)
+    async with opened(drive):
+        moving = asyncio.ensure_future(drive.write(1000.0))
+        await asyncio.sleep(0)
+        await drive.write(0.0)
+        with pytest.raises(BusyError):
+            await moving
+        await asyncio.sleep(0.2)
+        assert far.velocity == 0
+        assert state_of(far) is not State.ENABLED
+
+
+async def test_the_watchdogs_frames_stop_it(wire: FakeCan, far: FakeDrive) -> None:
+    """As bytes for the socket, also where a PDO waits for a SYNC."""
+    drive = made(Drive, wire, sync=0.01)
+    async with opened(drive):
+        await drive.write(1000.0)
+        await asyncio.sleep(0.5)
+        assert far.velocity == 1000
+        drive._sync._sending.cancel()  # this process hangs
+        for frame in drive.safe_frames().frames:
+            number, length = int.from_bytes(frame[:4], "little"), frame[4]
+            await wire.send(number, frame[8 : 8 + length])
+        await asyncio.sleep(0.1)
+        assert (far.velocity, state_of(far)) == (0, State.DISABLED)
+
+
+async def test_a_position_is_gone_to_and_a_newer_one_at_once(
+    wire: FakeCan, far: FakeDrive
+) -> None:
+    """Each is a new set-point, for which bit 4 must rise."""
+    drive = made(PositionDrive, wire)
+    async with opened(drive):
+        await drive.write(Move(500.0))
+        await asyncio.sleep(0.1)
+        await drive.write(Move(-200.0))
+        await asyncio.sleep(1.0)
+        assert far.moves == [500, -200]
+        assert far.position == pytest.approx(-200, abs=1)
+        await drive.write(Move(5000.0))
+        await asyncio.sleep(0.5)
+        await drive.write(Move(stop=True))
+        await asyncio.sleep(0.5)
+        assert 100 < far.position < 1000
+        assert far.velocity == 0
+
+
+@pytest.mark.fault("D05")
+async def test_a_fault_is_told_in_the_words_of_the_emergency(
+    wire: FakeCan, far: FakeDrive
+) -> None:
+    """It is opened again, cleared once, and not enabled until a fresh command."""
+    drive = made(Drive, wire, name="motor")
+    policy = esair.Policy("motor", allow={"me": esair.Access.WRITE})
+    async with esair.Robot(resources=[drive], policies=[policy]) as robot:
+        right = await robot.resources.register("me", "motor", esair.Access.WRITE)
+        await robot.actuators.write(right, 1000.0)
+        await asyncio.sleep(0.05)
+        assert state_of(far) is State.ENABLED
+        far.fault(0x2310)
+        await asyncio.sleep(0.05)
+        status = robot.resources.query("motor")
+        assert "0x2310 (Current)" in str(status.error)
+        await asyncio.sleep(5.0)
+        assert robot.resources.query("motor").state is esair.ResourceState.READY
+        assert state_of(far) is State.DISABLED
+
+
+async def test_a_fault_that_remains_is_told_at_the_opening(
+    wire: FakeCan, far: FakeDrive
+) -> None:
+    """With its code."""
+    far.fault(0x3210, clears=False)
+    drive = made(Drive, wire)
+    await wire.open()
+    with pytest.raises(DeviceFaultError, match="error code 0x3210"):
+        await drive.open()
+    await drive.close()
+    await wire.close()
+
+
+async def test_a_drive_that_does_not_follow_is_told(
+    wire: FakeCan, far: FakeDrive
+) -> None:
+    """With the state in which it stays."""
+    drive = made(Drive, wire)
+    async with opened(drive):
+        far._become(State.NOT_READY)
+        with pytest.raises(
+            DeviceFaultError, match=r"1 s: it is not ready to switch on"
+        ):
+            await drive.write(1.0)
+
+
+async def test_somebody_else_takes_the_power(wire: FakeCan, far: FakeDrive) -> None:
+    """A drive that is disabled behind our back is a fault, not a silence."""
+    drive = made(Drive, wire)
+    errors: list[Any] = []
+    async with opened(drive):
+        drive._listener = errors.append
+        await drive.write(10.0)
+        await asyncio.sleep(0.1)
+        far._become(State.READY)
+        await asyncio.sleep(0.1)
+    assert [str(error) for error in errors if "it is ready to switch on" in str(error)]
+
+
+async def test_what_a_drive_measures(wire: FakeCan, far: FakeDrive) -> None:
+    """In the units of its factors; of both its PDOs, short ones count."""
+    drive = made(Drive, wire, factor=UNIT)
+    state = made(DriveState, wire, position_factor=UNIT, velocity_factor=UNIT)
+    stream: Any
+    async with opened(drive, state), aclosing(state.stream()) as stream:
+        await drive.write(math.tau)
+        await anext(stream)
+        await asyncio.sleep(1.0)
+        wire.feed(0x185, b"\0")
+        for _ in range(80):
+            reading = await anext(stream)
+        assert reading.velocity == pytest.approx(math.tau, rel=1e-2)
+        assert reading.position == pytest.approx(far.position * UNIT, rel=0.1)
+        assert reading.state is State.ENABLED
+        assert state.bad_frames == 1
+
+
+async def test_one_bus_has_one_sync(wire: FakeCan, far: FakeDrive) -> None:
+    """Two devices share it; another period is refused; after the last it ends."""
+    one, two = made(Drive, wire, sync=0.01), made(DriveState, wire, sync=0.01)
+    other = made(DriveState, wire, sync=0.02, name="other")
+    async with opened(one, two):
+        with pytest.raises(ConfigError, match=r"SYNC every 0\.01 s"):
+            await other.open()
+        await other.close()
+        wire.sent.clear()
+        await asyncio.sleep(0.1)
+        assert sum(frame.id == 0x80 for frame in wire.sent) in {9, 10, 11}
+        await two.close()
+        await one.close()
+        wire.sent.clear()
+        await asyncio.sleep(0.1)
+        assert [frame for frame in wire.sent if frame.id == 0x80] == []
+        await one.open()
+        await two.open()
+
+
+@pytest.mark.parametrize(
+    ("kind", "keywords", "told"),
+    [
+        (Drive, {"stop": "now"}, "stop: expected 'quick_stop' or 'halt'"),
+        (Drive, {"factor": 0}, "factor: expected a factor that is not 0"),
+        (Drive, {"node": 128}, "node: expected 1 to 127"),
+        (PositionDrive, {"factor": 0.0}, "factor: expected a factor"),
+        (DriveState, {"sync": 0.0}, "sync"),
+        (Drive, {"sync": 0.2}, r"sync: expected 0\.1 s at most"),
+    ],
+)
+def test_mistakes_are_told_when_the_device_is_made(
+    kind: Any, keywords: dict[str, Any], told: str
+) -> None:
+    """With the field."""
+    with pytest.raises(ConfigError, match=told):
+        kind(**{"node": 5, **keywords})
