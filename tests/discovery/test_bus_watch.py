@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 
 import esair
-from esair.buses import Bus, SerialBus
+from esair.buses import Bus, I2CBus, SerialBus
+from esair.buses.i2c import ChipBus, _kernel
+from esair.drivers.servo import ServoBus
 from esair.exceptions import DeviceLostError
 from esair.messages import ResourceState
 from esair.supervisors import _resource_life
@@ -98,6 +100,56 @@ async def test_who_does_not_wait_costs_no_thread(bus) -> None:
     await until(is_watched)
     await bus.close()
     await until(lambda: not is_watched())
+
+
+@pytest.mark.promise("BUS-4")
+@pytest.mark.fault("D03")
+async def test_a_wire_that_leaves_unused_is_lost(bus) -> None:
+    """Within a second, told once; then its arrival is waited for, and the next leave."""
+    told: list[object] = []
+    bus._still_there = lambda: bus.there is not None
+    bus.on_lost(told.append)
+    bus.on_arrival(lambda: told.append("arrived"))
+    for _ in range(2):
+        bus.there = object()
+        await bus.open()
+        await asyncio.sleep(0.4)
+        assert told == []
+        bus.there = None
+        begin = time.monotonic()
+        await until(lambda: told)
+        assert time.monotonic() - begin < 3.0
+        assert "unplugged" in str(told)
+        assert not bus.is_open
+        bus.there = object()
+        await until(lambda: told[-1] == "arrived")
+        assert len(told) == 2
+        told.clear()
+    bus.on_arrival(lambda: None)
+    await bus.close()
+    await until(lambda: not is_watched())
+
+
+@pytest.mark.promise("BUS-4")
+async def test_a_chip_bus_that_is_pulled_is_noticed_without_a_transfer(
+    tmp_path, monkeypatch
+) -> None:
+    """An I²C adapter by its device file; a changed permission is no departure."""
+    place = tmp_path / "i2c-7"
+    place.touch()
+    monkeypatch.setattr(_kernel, "open_bus", lambda _path, pec: ChipBus({}))
+    bus = I2CBus(name="chips", bus=str(place))
+    lost: list[BaseException] = []
+    bus.on_lost(lost.append)
+    await bus.open()
+    place.chmod(0o600)
+    await asyncio.sleep(0.6)
+    assert lost == []
+    place.unlink()
+    await until(lambda: lost)
+    assert bus.stats.lost == 1
+    assert not bus.is_open
+    await bus.close()
 
 
 async def test_a_wire_that_was_never_away_is_no_arrival(bus) -> None:
@@ -234,6 +286,21 @@ class Motor(esair.Actuator[int]):
 
     async def write(self, command: int) -> None:
         await self.bus.send(bytes([command]))
+
+
+@pytest.mark.promise("BUS-4")
+async def test_a_servo_line_that_is_pulled_is_noticed_without_a_request(pulled) -> None:
+    """Its thread waits for answers only, so the name of its port is watched."""
+    pulled.plug()
+    bus = ServoBus(name="arm", port=str(pulled.link))
+    lost: list[BaseException] = []
+    bus.on_lost(lost.append)
+    await bus.open()
+    await asyncio.sleep(0.6)
+    assert lost == []
+    pulled.pull()
+    await until(lambda: lost)
+    await bus.close()
 
 
 @pytest.mark.fault("D03", "D04", "D06", "D19")

@@ -288,6 +288,44 @@ async def test_a_slow_chip_costs_its_user_and_not_the_loop(adapter) -> None:
 
 
 @with_usb
+@pytest.mark.promise("BUS-4")
+async def test_an_unplug_inside_a_transfer_is_a_loss(adapter) -> None:
+    """Whatever number the kernel gives for a transfer that was cut."""
+    bus = tiny_bus()
+    lost: list[BaseException] = []
+    bus.on_lost(lost.append)
+    await bus.open()
+    await asyncio.to_thread(adapter.tell, "slow", 0.5)
+    reading = asyncio.ensure_future(bus.read(0x50, 0))
+    await asyncio.sleep(0.2)
+
+    await asyncio.to_thread(adapter.unplug)
+
+    with pytest.raises(DeviceLostError):
+        await reading
+    assert len(lost) == 1
+    await bus.close()
+
+
+@with_usb
+@pytest.mark.promise("BUS-4")
+async def test_an_adapter_that_leaves_unused_is_lost(adapter) -> None:
+    """Nobody reads or writes; its arrival is waited for then."""
+    bus = tiny_bus()
+    lost: list[BaseException] = []
+    bus.on_lost(lost.append)
+    await bus.open()
+    await asyncio.sleep(0.6)
+    assert lost == []
+
+    await asyncio.to_thread(adapter.unplug)
+
+    await until(lambda: lost)
+    assert not bus.is_open
+    await bus.close()
+
+
+@with_usb
 @pytest.mark.fault("I07")
 async def test_transactions_are_whole(adapter) -> None:
     """Many tasks count in two registers of a chip, and none is lost."""

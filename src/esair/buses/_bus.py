@@ -38,12 +38,17 @@ class Bus(abc.ABC):
     as soon as something new is there. A wire that is there but cannot be opened, being
     busy, is no arrival; that its permissions have changed is one, if the value says so.
 
+    One whose wire says nothing when it is pulled sets ``_still_there`` to a function that
+    tells whether what was opened is still there. It is called while the bus is open, as
+    often as that, and the bus is `lost` as soon as it says no.
+
     Args:
         name: The name of the bus in errors, threads and the configuration.
         wire: What is opened instead of a port of the computer.
     """
 
     _presence: Callable[[], Hashable | None] | None = None
+    _still_there: Callable[[], bool] | None = None
 
     def __init__(self, *, name: str, wire: Wire | None = None) -> None:
         self.name = check_name("bus", name)
@@ -63,6 +68,8 @@ class Bus(abc.ABC):
         self._is_missed = False
         """Whether it is to be opened again: it was lost, or could not be opened."""
         self._end_of_watch: Callable[[], None] | None = None
+        self._watched: Callable[[], None] | None = None
+        """What is called when what is looked out for happens."""
 
     @property
     def outlet(self) -> Outlet | None:
@@ -127,20 +134,38 @@ class Bus(abc.ABC):
             return None
 
     def _keep_watch(self) -> None:
-        """Look out for the wire while somebody waits for it, and only then."""
-        presence = self._presence
-        if presence is None or not self._is_missed or not self._on_arrival:
-            end, self._end_of_watch = self._end_of_watch, None
-            if end is not None:
-                end()
-        elif self._end_of_watch is None:
-            from esair.buses.finding import watch  # only when something is missing
+        """Look out for the wire while somebody waits for it, and for its departure."""
+        looks, told, seen = self._to_watch()
+        if told == self._watched:
+            return
+        self._watched = told
+        end, self._end_of_watch = self._end_of_watch, None
+        if end is not None:
+            end()
+        if looks is not None and told is not None:
+            from esair.buses.finding import watch  # only when there is something to see
 
             # Without a thread or a descriptor left the devices still try by themselves.
             with contextlib.suppress(OSError, RuntimeError):
-                self._end_of_watch = watch(
-                    presence, self.arrived, seen=self._seen_first
-                )
+                self._end_of_watch = watch(looks, told, seen=seen)
+
+    def _to_watch(
+        self,
+    ) -> tuple[
+        Callable[[], Hashable | None] | None, Callable[[], None] | None, Hashable | None
+    ]:
+        if self.is_open and self._still_there is not None:
+            return self._look_after, self._departed, None
+        if self._is_missed and self._on_arrival and self._presence is not None:
+            return self._presence, self.arrived, self._seen_first
+        return None, None, None
+
+    def _look_after(self) -> Hashable | None:
+        assert self._still_there is not None
+        return None if self._still_there() else "gone"
+
+    def _departed(self) -> None:
+        self.lost(DeviceLostError(self.name, "it was unplugged"))
 
     async def close(self) -> None:
         """Close the bus and end its thread."""
@@ -149,8 +174,8 @@ class Bus(abc.ABC):
             opening.cancel()
             await asyncio.wait({opening}, timeout=CANCEL_TIMEOUT)
         self._is_missed = False
-        self._keep_watch()
         was_open, self.is_open = self.is_open, False
+        self._keep_watch()
         if was_open or opening is not None or self.error is not None:
             await self._close()
         await self.executor.join(timeout=0.2)

@@ -108,7 +108,7 @@ async def within(future: asyncio.Future[T], seconds: float | None) -> T:
     """
     if seconds is None or future.done():
         return await future
-    deadlines = Deadlines.of(asyncio.get_running_loop())
+    deadlines = Deadlines.beside(asyncio.get_running_loop())
     deadline = deadlines.after(seconds, _expire, future)
     try:
         return await future

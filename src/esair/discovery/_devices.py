@@ -13,12 +13,14 @@ from esair.buses.finding import ROOT, Device
 _ROOMS: Final = {
     **{kind: medium.package for kind, medium in MEDIA.items()},
     "gpio": "esair.drivers.gpio",
+    "gamepad": "esair.drivers.gamepad",
+    "camera": "esair.drivers.camera",
 }
 """Who finds what: packages with ``devices(root)`` and ``toml(device, name)``."""
 
 
 def devices(root: Path = ROOT) -> list[Device]:
-    """Return what is plugged in: serial, CAN, I²C, GPIO. Blocks for a moment.
+    """Return what is plugged in, of all media. Blocks for a moment.
 
     Nothing is opened but GPIO chips, which takes nothing from anybody.
 

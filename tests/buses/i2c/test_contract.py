@@ -13,7 +13,16 @@ class TestFakeI2c(BusContract):
     """On the virtual clock, in the event loop."""
 
     def make(self) -> FakeI2c:
-        return FakeI2c(chips={0x68: {0x75: 0x68}, 0x40: b""}, timeout=0.1)
+        numbers = bytes(range(256))
+        return FakeI2c(
+            chips={0x68: {0x75: 0x68}, 0x40: b"", 0x41: numbers}, timeout=0.1
+        )
+
+    async def ask(self, bus: Any, number: int) -> int:
+        return int((await bus.read(0x41, number))[0])
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        bus.stretch(seconds)
 
     async def use(self, bus: Any) -> None:
         await bus.write(0x40, 0x06, b"\x12\x34")

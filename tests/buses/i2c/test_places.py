@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import errno
+import os
+import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from esair.buses import I2CBus
+from esair.buses.i2c import ChipBus, _bus
 from esair.buses.i2c import _kernel as kernel
 from esair.buses.i2c._bus import SCANNED
-from esair.exceptions import BadValueError, DeviceFaultError, DeviceLostError
+from esair.exceptions import (
+    BadValueError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
 
 
 @pytest.fixture
@@ -75,6 +85,54 @@ def test_presence_tells_arrivals_apart(tmp_path) -> None:
     other.touch()
     other.replace(place)
     assert kernel.presence(str(place)) not in {None, first}
+
+
+class Cut(ChipBus):
+    """An adapter that is pulled in the middle of a transfer, as the kernel shows it."""
+
+    def __init__(self, place: Path, code: int, stays: bool) -> None:
+        super().__init__({})
+        self.place, self.code, self.stays = place, code, stays
+
+    def _exchange(self, address: int, write: bytes, read: int) -> bytes:
+        if not self.stays:  # it goes a moment after the transfer has failed
+            threading.Timer(0.02, self.place.unlink).start()
+        raise OSError(self.code, os.strerror(self.code))
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("BUS-4")
+@pytest.mark.parametrize("code", [errno.EIO, errno.EPROTO, errno.ETIMEDOUT])
+@pytest.mark.parametrize("stays", [False, True])
+async def test_an_unplug_inside_a_transfer_is_a_loss(
+    tmp_path, monkeypatch, code: int, stays: bool
+) -> None:
+    """The transfer fails before the adapter is gone; one that stays had a fault."""
+    place = tmp_path / "i2c-7"
+    place.touch()
+    cut = Cut(place, code, stays)
+    monkeypatch.setattr(kernel, "open_bus", lambda _path, pec: cut)
+    monkeypatch.setattr(kernel, "is_removable", lambda _path: True)
+    monkeypatch.setattr(_bus, "GOING_TIME", 0.1 if stays else 5.0)  # a busy computer
+    bus = I2CBus(name="chips", bus=str(place), timeout=8.0)
+    await bus.open()
+
+    wanted: Any = (DeviceFaultError, DriverStuckError) if stays else DeviceLostError
+    with pytest.raises(wanted):
+        await bus.read(0x40, 0)
+
+    assert bus.is_open is stays
+    await bus.close()
+
+
+def test_an_adapter_on_usb_can_be_pulled(adapters, tmp_path) -> None:
+    """By its place in /sys; one of the computer cannot."""
+    usb = tmp_path / "devices/usb1/1-1/i2c-11"
+    usb.mkdir(parents=True)
+    (adapters / "i2c-11/device").symlink_to(usb)
+
+    assert kernel.is_removable("/dev/i2c-11", adapters)
+    assert not kernel.is_removable("/dev/i2c-1", adapters)
 
 
 async def test_a_scan_is_as_careful_as_i2cdetect(fake_i2c) -> None:

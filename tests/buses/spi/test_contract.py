@@ -14,7 +14,15 @@ class TestFakeSpi(BusContract):
     """On the virtual clock, in the event loop."""
 
     def make(self) -> FakeSpi:
-        return FakeSpi(chips={0: {0x0F: 0x33}, 1: b""}, timeout=0.1)
+        return FakeSpi(
+            chips={0: {0x0F: 0x33}, 1: b"", 2: bytes(range(128))}, timeout=0.1
+        )
+
+    async def ask(self, bus: Any, number: int) -> int:
+        return int((await bus.transfer(2, bytes((0x80 | number,)), read=1))[0])
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        bus.stretch(seconds)
 
     async def use(self, bus: Any) -> None:
         await bus.exchange(1, b"\x06\x12\x34")

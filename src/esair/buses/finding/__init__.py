@@ -6,6 +6,7 @@ all of it together is `esair.discovery`.
 
 from esair.buses.finding._device import Device, quoted
 from esair.buses.finding._permission import permission, who_may
+from esair.buses.finding._pick import pick
 from esair.buses.finding._sysfs import ROOT, entries, read
 from esair.buses.finding._usb import (
     UsbIdentity,
@@ -26,6 +27,7 @@ __all__ = [
     "identity_of",
     "parse_identity",
     "permission",
+    "pick",
     "quoted",
     "read",
     "usb_device",

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-SUBSYSTEMS = ("tty", "net", "i2c-dev", "gpio")
+SUBSYSTEMS = ("tty", "net", "i2c-dev", "gpio", "spidev", "input", "video4linux")
 """What the events that wake are about."""
 
 _UDEVD = Path("/run/udev/control")

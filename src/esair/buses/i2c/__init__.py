@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from esair.buses._late import late
+from esair.loading import late
 
 if TYPE_CHECKING:
     from esair.buses.i2c._adapters import devices, toml

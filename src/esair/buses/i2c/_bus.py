@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import random
+import time
 from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import NamedTuple, TypeVar, cast
@@ -13,7 +14,14 @@ from esair.buses._link_bus import LinkBus
 from esair.buses._wire import Wire
 from esair.buses.i2c import _kernel as kernel
 from esair.buses.i2c import _link as wire
-from esair.buses.i2c._errors import OCCUPIED, SILENT, explained, stuck_with
+from esair.buses.i2c._errors import (
+    GOING_TIME,
+    ITS_CHIP,
+    OCCUPIED,
+    SILENT,
+    explained,
+    stuck_with,
+)
 from esair.buses.i2c._link import RegisterLink
 from esair.exceptions import (
     BadValueError,
@@ -77,7 +85,9 @@ class I2CBus(LinkBus[RegisterLink]):
         self.pec = pec
         if wire is None:
             self._presence = self._look
+            self._still_there = self._same_place
         self._opened_as: Hashable | None = None
+        self._is_removable = False
         self._jitter = random.Random(name)
 
     @property
@@ -337,6 +347,8 @@ class I2CBus(LinkBus[RegisterLink]):
         self, error: OSError, address: int | None, seconds: float
     ) -> EsairError:
         there = self._same_place() if self.path else None
+        if there and self._is_removable and error.errno not in ITS_CHIP:
+            there = self._stays()
         owner = self._owner(error, address)
         return explained(
             self.name, error, address, there=there, seconds=seconds, owner=owner
@@ -384,9 +396,19 @@ class I2CBus(LinkBus[RegisterLink]):
         # A changed time may be a changed permission; device and file are the adapter.
         return seen is not None and seen[:2] == self._opened_as
 
+    def _stays(self) -> bool:
+        """Look for a moment: a transfer that is cut fails before its adapter is gone."""
+        end = time.monotonic() + GOING_TIME
+        while self._same_place():
+            if time.monotonic() >= end:
+                return True
+            time.sleep(0.005)
+        return False
+
     def _open_link(self) -> RegisterLink:
         path = kernel.find(self.place)
         link = kernel.open_bus(path, pec=self.pec)
+        self._is_removable = kernel.is_removable(path)
         seen = kernel.presence(path)
         self._opened_as = None if seen is None else seen[:2]
         self.path = path

@@ -22,6 +22,12 @@ SILENT = frozenset({errno.ENXIO, errno.EREMOTEIO})
 OCCUPIED = frozenset({errno.EAGAIN, errno.EBUSY})
 """Another master had the bus: the transfer was not made."""
 
+ITS_CHIP = SILENT | OCCUPIED
+"""What is said of a chip, or of another master, while the adapter is well."""
+
+GOING_TIME = 0.1
+"""How long the kernel takes at most to take an unplugged adapter away, in seconds."""
+
 
 def explained(
     name: str,

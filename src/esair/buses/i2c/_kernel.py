@@ -87,6 +87,11 @@ def presence(place: int | str) -> tuple[int, int, int] | None:
     return seen.st_rdev, seen.st_ino, seen.st_ctime_ns
 
 
+def is_removable(path: str, directory: Path = _CLASS) -> bool:
+    """Tell whether the adapter of a bus hangs on USB."""
+    return "/usb" in os.path.realpath(directory / os.path.basename(path) / "device")
+
+
 def owner(path: str, address: int, directory: Path = _DEVICES) -> Path | None:
     """Return the driver of the kernel that has a chip, as its place in ``/sys``."""
     number = os.path.realpath(path).rpartition("-")[2]

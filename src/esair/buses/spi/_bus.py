@@ -73,6 +73,7 @@ class SpiBus(LinkBus[SpiLink]):
         self.mode = mode
         if wire is None:
             self._presence = self._look
+            self._still_there = lambda: self._files() == self._opened_as
         self._opened_as: Hashable | None = None
 
     async def exchange(
