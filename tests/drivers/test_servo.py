@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import os
 import pty
 import struct
 import termios
 import threading
+import time
 import tty
 from collections.abc import Iterator
 from typing import Any
@@ -19,7 +21,11 @@ import esair
 from esair.buses.serial import _port as _serial_port
 from esair.drivers.servo import (
     CENTER,
+    GOAL_CURRENT,
     GOAL_POSITION,
+    GOAL_VELOCITY,
+    OPERATING_MODE,
+    PRESENT_POSITION,
     PROFILE_VELOCITY,
     TORQUE_ENABLE,
     Goal,
@@ -31,7 +37,16 @@ from esair.drivers.servo import (
     to_angle,
     to_steps,
 )
-from esair.drivers.servo.fake import PING, WRITE, FakeServo, FakeServos, packet
+from esair.drivers.servo.fake import (
+    PING,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    FakeServo,
+    FakeServos,
+    packet,
+)
+from esair.drivers.servo.turning import ServoCurrent, ServoVelocity
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -72,6 +87,15 @@ class TestServoBus(Memory, BusContract):
 
     async def resume(self, bus: Any) -> None:
         self.fakes.resume()
+
+    async def ask(self, bus: Any, number: int) -> int:
+        self.fakes.servos[1].table[:62] = bytes(range(62))
+        with contextlib.suppress(DeviceFaultError):
+            return int(await bus.read(1, number, 1))
+        return number  # it was told that there was no answer
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        self.fakes.delay = 0.2 * seconds
 
 
 class TestServoPosition(Memory, SensorContract):
@@ -117,6 +141,19 @@ class TestServoThatHolds(TestServo):
     safe = HOLD
 
 
+class TestServoVelocity(TestServo):
+    def make(self) -> Any:
+        return ServoVelocity(id=2, bus=self.make_bus())
+
+    def commands(self) -> list[Any]:
+        return [1.0, -6.0]
+
+
+class TestServoCurrent(TestServoVelocity):
+    def make(self) -> Any:
+        return ServoCurrent(id=2, limits=(-6.0, 6.0), bus=self.make_bus())
+
+
 @pytest.fixture
 def fakes() -> FakeServos:
     return FakeServos([1, 2])
@@ -125,6 +162,113 @@ def fakes() -> FakeServos:
 @pytest.fixture
 def bus(fakes: FakeServos) -> ServoBus:
     return ServoBus(name="arm", opener=fakes.open)
+
+
+# Together.
+
+
+async def test_six_servos_take_two_turns_of_the_wire() -> None:
+    """All are read in one, and asked whether they are set up in one; goals need none."""
+    fakes = FakeServos(range(1, 7))
+    bus = ServoBus(name="arm", opener=fakes.open)
+    servos = [Servo(name=f"s{n}", id=n, safe=RELEASE, bus=bus) for n in range(1, 7)]
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in range(1, 7)]
+    await bus.open()
+    await asyncio.gather(*(each.open() for each in servos))
+    await asyncio.gather(*(each.write(Goal(0.1)) for each in servos))
+    fakes.written.clear()
+    fakes.turns = 0
+    for step in range(1, 11):
+        await asyncio.gather(*(each.write(Goal(0.1 * step)) for each in servos))
+        found = await asyncio.gather(*(each.read() for each in places))
+        assert found == pytest.approx([0.1 * step] * 6, abs=1e-3)
+
+    assert fakes.turns == 2 * 10
+    assert [kind for _, kind, _ in fakes.written] == [
+        SYNC_READ,
+        SYNC_WRITE,
+        SYNC_READ,
+    ] * 10
+    await bus.close()
+
+
+@pytest.mark.real_clock
+async def test_six_servos_wait_for_the_latency_of_the_adapter_twice() -> None:
+    """Each cycle, read and told; one after the other it would be eighteen times."""
+    fakes = FakeServos(range(1, 7))
+    bus = ServoBus(name="arm", opener=fakes.open)
+    servos = [Servo(name=f"s{n}", id=n, safe=RELEASE, bus=bus) for n in range(1, 7)]
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in range(1, 7)]
+    await bus.open()
+    await asyncio.gather(*(each.open() for each in servos))
+    await asyncio.gather(*(each.write(Goal(0.1)) for each in servos))
+    fakes.delay, fakes.turns = 0.016, 0
+    begin = time.monotonic()
+    for step in range(10):
+        await asyncio.gather(*(each.write(Goal(0.1 * step)) for each in servos))
+        await asyncio.gather(*(each.read() for each in places))
+
+    assert time.monotonic() - begin >= 20 * fakes.delay, "the fake has that latency"
+    assert fakes.turns == 20
+    await bus.close()
+
+
+async def test_a_silent_servo_costs_the_others_nothing_but_time() -> None:
+    """Those behind it on the wire are asked alone; it is told by itself."""
+    fakes = FakeServos(range(1, 4))
+    bus = ServoBus(name="arm", opener=fakes.open)
+    await bus.open()
+    fakes.servos.pop(2)
+    found = await asyncio.gather(
+        *(bus.read(n, PRESENT_POSITION, 4) for n in (1, 2, 3)), return_exceptions=True
+    )
+
+    assert found[0] == found[2] == CENTER
+    assert isinstance(found[1], DeviceFaultError)
+    await bus.close()
+
+
+async def test_a_goal_that_is_given_up_in_the_line_is_not_sent() -> None:
+    """Of one servo the newest counts."""
+    fakes = FakeServos([1, 2])
+    bus = ServoBus(name="arm", opener=fakes.open)
+    await bus.open()
+    writes = [
+        asyncio.ensure_future(bus.write(n, GOAL_POSITION, 4, value))
+        for n, value in [(1, 100), (2, 200), (1, 300)]
+    ]
+    await asyncio.sleep(0)
+    writes[1].cancel()
+    await asyncio.gather(*writes, return_exceptions=True)
+
+    assert fakes.servos[1].get(GOAL_POSITION) == 300
+    assert fakes.servos[2].get(GOAL_POSITION) == CENTER
+    await bus.close()
+
+
+async def test_a_servo_turns_and_pushes_in_its_mode() -> None:
+    """The mode is set without torque, kept over power, and at rest when it is safe."""
+    fakes = FakeServos([1, 2])
+    bus = ServoBus(name="arm", opener=fakes.open)
+    wheel = ServoVelocity(name="wheel", id=1, bus=bus)
+    grip = ServoCurrent(name="grip", id=2, bus=bus)
+    await bus.open()
+    fakes.servos[1].table[TORQUE_ENABLE] = 1
+    await wheel.open()
+    await grip.open()
+    assert [each.table[OPERATING_MODE] for each in fakes.servos.values()] == [1, 0]
+    assert not fakes.servos[1].torque
+
+    await wheel.write(-math.tau / 60 * 22.9)
+    await grip.write(0.269)
+    assert fakes.servos[1].torque
+    assert fakes.servos[1].get(GOAL_VELOCITY) == -100
+    assert fakes.servos[2].get(GOAL_CURRENT) & 0xFFFF == 100
+    for device, address in ((wheel, GOAL_VELOCITY), (grip, GOAL_CURRENT)):
+        for packet_ in device.safe_frames().frames:
+            fakes.heard(packet_)
+        assert fakes.servos[device.id].get(address) & 0xFFFF == 0
+    await bus.close()
 
 
 # The codec.

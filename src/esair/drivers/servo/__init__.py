@@ -21,15 +21,14 @@ The bus is one of its own kind, because master and servos take turns on one wire
 A servo goes on to the goal that it has when this computer dies, and holds it.
 """
 
-from esair.drivers.servo._bus import (
-    HARDWARE_ERROR,
-    ServoBus,
-    ServoLink,
-    hardware_errors,
-)
+from esair.drivers.servo._bus import HARDWARE_ERROR, ServoBus, hardware_errors
+from esair.drivers.servo._line import ServoLink
 from esair.drivers.servo._servo import (
     CENTER,
+    GOAL_CURRENT,
     GOAL_POSITION,
+    GOAL_VELOCITY,
+    OPERATING_MODE,
     PRESENT_POSITION,
     PROFILE_VELOCITY,
     TORQUE_ENABLE,
@@ -43,8 +42,11 @@ from esair.drivers.servo._servo import (
 
 __all__ = [
     "CENTER",
+    "GOAL_CURRENT",
     "GOAL_POSITION",
+    "GOAL_VELOCITY",
     "HARDWARE_ERROR",
+    "OPERATING_MODE",
     "PRESENT_POSITION",
     "PROFILE_VELOCITY",
     "TORQUE_ENABLE",

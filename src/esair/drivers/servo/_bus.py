@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select
-import time
-from collections.abc import Callable
-from typing import Any, Final, Protocol, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, Final, TypeVar
 
 from dynamixel_sdk import (  # type: ignore[import-untyped]
     COMM_RX_CORRUPT,
@@ -18,11 +16,15 @@ from dynamixel_sdk import (  # type: ignore[import-untyped]
 
 from esair.buses import Bus, Exchanges, open_on, shut_on, wanted
 from esair.buses.serial import OPEN_TIMEOUT, Port, SerialPlace, close_port, reach_port
+from esair.drivers.servo._line import ANSWER_TIMEOUT, PortLink, SdkPort, ServoLink
+from esair.drivers.servo._tables import DYNAMIXEL_X
+from esair.drivers.servo._together import Together
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
+    EsairError,
     describe,
 )
 from esair.watchdog import Outlet
@@ -30,9 +32,6 @@ from esair.watchdog import Outlet
 T = TypeVar("T")
 
 HARDWARE_ERROR = 70
-
-ANSWER_TIMEOUT: Final = 0.05
-"""How long a servo may take for a whole answer, in seconds."""
 
 LATE_LIMIT: Final = 0.1
 """How long after it was given up an answer may still come, in seconds."""
@@ -55,24 +54,12 @@ def hardware_errors(bits: int) -> str:
     return ", ".join(named) or f"code {bits:#04x}"
 
 
-class ServoLink(Protocol):
-    """A half-duplex line to servos; may block, is used by one thread."""
-
-    def write(self, data: bytes, seconds: float) -> None:
-        """Send bytes; raise `OSError` if they cannot all be sent in time."""
-
-    def read(self, size: int, seconds: float) -> bytes:
-        """Return at least one and at most *size* bytes; none if none come in time."""
-
-    def discard(self) -> None:
-        """Throw away what has come and was not read."""
-
-    def close(self) -> None:
-        """Let the line go."""
-
-
 class ServoBus(Bus):
     """The line that servos share.
+
+    Requests of several servos for the same entry that are there at the same time are one
+    on the wire (sync read, sync write): the wire is turned once for all of them, which
+    takes most of the time. A sync write has no answer.
 
     In ``bus.stats`` what is sent and received is counted in packets.
 
@@ -83,6 +70,10 @@ class ServoBus(Bus):
         timeout: How long one request may take, its turn included, in seconds.
         opener: Opens something else than a port, such as a fake; may block.
     """
+
+    table = DYNAMIXEL_X
+    _rx_timeout = COMM_RX_TIMEOUT
+    _rx_corrupt = COMM_RX_CORRUPT
 
     def __init__(
         self,
@@ -103,17 +94,36 @@ class ServoBus(Bus):
         self.timeout = timeout
         self._opener = opener
         self._exchanges = Exchanges(self, late_limit=LATE_LIMIT)
+        self._together = Together(self._make)
         self._device: Port | None = None
-        self._link: _SdkPort | None = None
-        self._handler: Any = PacketHandler(2.0)
+        self._link: SdkPort | None = None
+        self._handler: Any = self._make_handler()
         self._place: SerialPlace | None = None
+        self._opened_as = 0, 0
         if opener is None:
             self._place = SerialPlace(name, port)
             self._presence = self._place.look
+            self._still_there = self._same_port
             if self._place.is_url:
                 raise ConfigError(
                     name, "port", f"expected a device file or usb:..., not {port!r:.80}"
                 )
+
+    def _make_handler(self) -> Any:
+        """Return what makes and reads packets."""
+        return PacketHandler(2.0)
+
+    def _sync_read(
+        self, handler: Any, link: SdkPort, address: int, size: int, servos: list[int]
+    ) -> int:
+        """Ask servos for an entry; returns the code of how that went."""
+        code: int = handler.syncReadTx(link, address, size, servos, len(servos), False)
+        return code
+
+    def _faults(self, error: int) -> str:
+        """Return what an answer says about the servo, beside that it has shut down."""
+        text = str(self._handler.getRxPacketError(error & ~ALERT))
+        return text.rpartition("] ")[2] if error & ~ALERT else ""
 
     @property
     def outlet(self) -> Outlet | None:
@@ -122,8 +132,8 @@ class ServoBus(Bus):
             return None
         return Outlet("serial", descriptor=self._device.fileno())
 
-    def packet(self, servo: int, address: int, value: int) -> bytes:
-        """Return the packet that writes one byte and wants no answer."""
+    def packet(self, servo: int, address: int, value: int, size: int = 1) -> bytes:
+        """Return the packet that writes one entry and wants no answer."""
         written: list[bytes] = []
 
         class Captured:
@@ -136,7 +146,8 @@ class ServoBus(Bus):
             def clearPort(self) -> None:  # noqa: N802
                 """There is nothing in it."""
 
-        self._handler.write1ByteTxOnly(Captured(), servo, address, value)
+        data = list((value & (1 << 8 * size) - 1).to_bytes(size, "little"))
+        self._handler.writeTxOnly(Captured(), servo, address, size, data)
         return b"".join(written)
 
     async def ping(self, servo: int) -> int:
@@ -148,7 +159,7 @@ class ServoBus(Bus):
             DriverStuckError: It took too long.
         """
 
-        def call(handler: Any, link: _SdkPort) -> tuple[int, int, int]:
+        def call(handler: Any, link: SdkPort) -> tuple[int, int, int]:
             return handler.ping(link, servo)  # type: ignore[no-any-return]
 
         return await self._request(servo, "ping", call)
@@ -158,79 +169,146 @@ class ServoBus(Bus):
 
         Errors are those of `ping`; a servo that has shut down is a fault, too.
         """
-
-        def call(handler: Any, link: _SdkPort) -> tuple[int, int, int]:
-            read = {
-                1: handler.read1ByteTxRx,
-                2: handler.read2ByteTxRx,
-                4: handler.read4ByteTxRx,
-            }[size]
-            return read(link, servo, address)  # type: ignore[no-any-return]
-
-        return await self._request(servo, f"read {address}", call)
+        value = await self._together.ask(servo, address, size, None)
+        assert value is not None
+        return value
 
     async def write(self, servo: int, address: int, size: int, value: int) -> None:
         """Change an entry of a servo's control table; args and errors as for `read`."""
+        await self._together.ask(servo, address, size, value & (1 << 8 * size) - 1)
 
-        def call(handler: Any, link: _SdkPort) -> tuple[int, int, int]:
-            write = {
-                1: handler.write1ByteTxRx,
-                2: handler.write2ByteTxRx,
-                4: handler.write4ByteTxRx,
-            }[size]
-            result, error = write(link, servo, address, value & (1 << 8 * size) - 1)
+    async def _make(
+        self, address: int, size: int, asked: Mapping[int, int | None]
+    ) -> Mapping[int, int | BaseException]:
+        """Make requests of one or of several servos for one entry."""
+        if len(asked) == 1:
+            ((servo, value),) = asked.items()
+            try:
+                return {servo: await self._make_one(servo, address, size, value)}
+            except EsairError as error:
+                return {servo: error}
+        if None in asked.values():
+            return await self._read_all(address, size, tuple(asked))
+        return await self._write_all(address, size, asked)
+
+    async def _make_one(
+        self, servo: int, address: int, size: int, value: int | None
+    ) -> int:
+        def read(handler: Any, link: SdkPort) -> tuple[int, int, int]:
+            data, result, error = handler.readTxRx(link, servo, address, size)
+            return int.from_bytes(bytes(data), "little"), result, error
+
+        def write(handler: Any, link: SdkPort) -> tuple[int, int, int]:
+            assert value is not None
+            data = list(value.to_bytes(size, "little"))
+            result, error = handler.writeTxRx(link, servo, address, size, data)
             return 0, result, error
 
-        await self._request(servo, f"write {address}", call)
+        if value is None:
+            return await self._request(servo, f"read {address}", read)
+        return await self._request(servo, f"write {address}", write)
+
+    async def _read_all(
+        self, address: int, size: int, servos: tuple[int, ...]
+    ) -> Mapping[int, int | BaseException]:
+        def call(handler: Any, link: SdkPort) -> list[tuple[int, int, int]]:
+            result = self._sync_read(handler, link, address, size, list(servos))
+            told = []
+            for servo in servos:
+                data, error = [], 0
+                if not result:
+                    data, result, error = handler.readRx(link, servo, size)
+                told.append((int.from_bytes(bytes(data), "little"), result, error))
+            link.is_using = False
+            return told
+
+        what = f"read {address} of {len(servos)} servos"
+        told = await self._exchanged(servos, what, call)
+        found: dict[int, int | BaseException] = {}
+        for servo, (value, result, error) in zip(servos, told, strict=True):
+            if result or error:  # asked again alone: it tells why, and for the others
+                try:
+                    found[servo] = await self._make_one(servo, address, size, None)
+                except EsairError as alone:
+                    found[servo] = alone
+            else:
+                self.stats.received += 1
+                found[servo] = value
+        return found
+
+    async def _write_all(
+        self, address: int, size: int, asked: Mapping[int, int | None]
+    ) -> Mapping[int, int | BaseException]:
+        data: list[int] = []
+        for servo, value in asked.items():
+            assert value is not None
+            data += [servo, *value.to_bytes(size, "little")]
+
+        def call(handler: Any, link: SdkPort) -> list[tuple[int, int, int]]:
+            sent = handler.syncWriteTxOnly(link, address, size, data, len(data))
+            return [(0, sent, 0)]
+
+        what = f"write {address} of {len(asked)} servos"
+        await self._exchanged(tuple(asked), what, call)
+        return dict.fromkeys(asked, 0)
+
+    async def _exchanged(
+        self,
+        servos: tuple[int, ...],
+        what: str,
+        call: Callable[[Any, SdkPort], list[tuple[int, int, int]]],
+    ) -> list[tuple[int, int, int]]:
+        """Make an exchange with servos in its turn, and return what each has told."""
+        link = self._link
+        if not self.is_open or link is None:
+            raise DeviceLostError(self.name, "the line is not open")
+        # The package tells answers apart by the servo, and throws away what came before.
+        exchange = self._exchanges.request(*servos, timeout=self.timeout)
+        exchange.name = what
+        async with exchange:
+            exchange.begin()
+            told = await self._call(link, what, call, exchange.left)
+            if all(result != self._rx_timeout for _, result, _ in told):
+                exchange.end()
+        return told
 
     async def _request(
         self,
         servo: int,
         what: str,
-        call: Callable[[Any, _SdkPort], tuple[int, int, int]],
+        call: Callable[[Any, SdkPort], tuple[int, int, int]],
     ) -> int:
-        link = self._link
-        if not self.is_open or link is None:
-            raise DeviceLostError(self.name, "the line is not open")
-        # The package tells answers apart by the servo, and throws away what came before.
-        exchange = self._exchanges.request(servo, timeout=self.timeout)
-        exchange.name = what
-        async with exchange:
-            exchange.begin()
-            value, result, error = await self._call(link, what, call, exchange.left)
-            if result != COMM_RX_TIMEOUT:
-                exchange.end()
+        ((value, result, error),) = await self._exchanged(
+            (servo,), what, lambda handler, link: [call(handler, link)]
+        )
         if result:
-            self.stats.bad_frames += result == COMM_RX_CORRUPT
+            self.stats.bad_frames += result == self._rx_corrupt
             fault = DeviceFaultError(
                 self.name, f"servo {servo}, {what}: {_plain(self._handler, result)}"
             )
-            if result == COMM_RX_TIMEOUT:
+            if result == self._rx_timeout:
                 fault.errno = errno.ETIMEDOUT  # it has no power, say
             self._count(fault)
             raise fault
         self.stats.received += 1
-        if error & ALERT and what != _LOOK:
-            bits = await self.read(servo, HARDWARE_ERROR, 1)
+        if error & ALERT and what != f"read {self.table.errors}":
+            bits = await self._make_one(servo, self.table.errors, 1, None)
             raise DeviceFaultError(
                 self.name,
                 f"servo {servo} has shut down: {hardware_errors(bits)}; "
                 "take its power away for a moment",
             )
-        if error & ~ALERT:
-            text = self._handler.getRxPacketError(error & ~ALERT)
-            raise DeviceFaultError(
-                self.name, f"servo {servo}, {what}: {text.rpartition('] ')[2]}"
-            )
+        if faults := self._faults(error):
+            raise DeviceFaultError(self.name, f"servo {servo}, {what}: {faults}")
         return value
 
     async def _call(
         self,
-        link: _SdkPort,
+        link: SdkPort,
         what: str,
-        call: Callable[[Any, _SdkPort], tuple[int, int, int]],
+        call: Callable[[Any, SdkPort], T],
         seconds: float,
-    ) -> tuple[int, int, int]:
+    ) -> T:
         if self._link is not link:
             raise DeviceLostError(self.name, "the line is not open")
         self.stats.sent += 1
@@ -251,9 +329,7 @@ class ServoBus(Bus):
             self.lost(loss)
             raise loss from gone
 
-    def _run(
-        self, link: _SdkPort, call: Callable[[Any, _SdkPort], tuple[int, int, int]]
-    ) -> tuple[int, int, int]:
+    def _run(self, link: SdkPort, call: Callable[[Any, SdkPort], T]) -> T:
         link.is_using = False  # what a call that has failed half-way has left
         return call(self._handler, link)
 
@@ -270,7 +346,9 @@ class ServoBus(Bus):
             self._device = await reach_port(
                 self.executor, self._place, self.baudrate, {}, {}
             )
-            line = _PortLink(self._device.fileno())
+            line = PortLink(self._device.fileno())
+            opened = os.fstat(self._device.fileno())
+            self._opened_as = opened.st_rdev, opened.st_ino
         else:
             try:
                 line = await open_on(
@@ -280,7 +358,15 @@ class ServoBus(Bus):
                 raise
             except OSError as error:  # DriverStuckError is one
                 raise DeviceLostError(self.name, describe(error)) from error
-        self._link = _SdkPort(line, self.baudrate)
+        self._link = SdkPort(line, self.baudrate)
+
+    def _same_port(self) -> bool:
+        assert self._place is not None
+        try:
+            found = os.stat(self._place.find())
+        except OSError:
+            return False
+        return (found.st_rdev, found.st_ino) == self._opened_as
 
     async def _close(self) -> None:
         link, self._link = self._link, None
@@ -296,84 +382,5 @@ def _close_line(line: ServoLink) -> None:
         line.close()
 
 
-_LOOK: Final = f"read {HARDWARE_ERROR}"
-
-
 def _plain(handler: Any, result: int) -> str:
     return str(handler.getTxRxResult(result)).rpartition("] ")[2] or f"error {result}"
-
-
-class _SdkPort:
-    """The SDK's ``PortHandler``, with a line that waits instead of spinning.
-
-    The SDK's own reads nothing again and again until its time, which is wall time, has
-    passed; and on a line that is never silent it reads for ever.
-    """
-
-    def __init__(self, line: ServoLink, baudrate: int) -> None:
-        self.line = line
-        self.is_using = False
-        self._baudrate = baudrate
-        self._end = 0.0
-
-    def getBaudRate(self) -> int:  # noqa: N802 - the SDK's names
-        return self._baudrate
-
-    def clearPort(self) -> None:  # noqa: N802
-        self.line.discard()
-
-    def writePort(self, packet: list[int]) -> int:  # noqa: N802
-        self.line.write(bytes(packet), ANSWER_TIMEOUT)
-        self._end = time.monotonic() + ANSWER_TIMEOUT
-        return len(packet)
-
-    def readPort(self, length: int) -> bytes:  # noqa: N802
-        left = self._end - time.monotonic()
-        return self.line.read(length, left) if left > 0 else b""
-
-    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
-        """Keep the deadline, which began with the request."""
-
-    def setPacketTimeoutMillis(self, msec: float) -> None:  # noqa: N802
-        """Keep the deadline, which began with the request."""
-
-    def isPacketTimeout(self) -> bool:  # noqa: N802
-        return time.monotonic() >= self._end
-
-
-class _PortLink:
-    """An open port, for a thread that may wait."""
-
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
-
-    def write(self, data: bytes, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while data:
-            self._wait(select.POLLOUT, end - time.monotonic())
-            with contextlib.suppress(BlockingIOError):
-                data = data[os.write(self._fd, data) :]
-            if data and time.monotonic() > end:
-                raise TimeoutError(errno.ETIMEDOUT, "the servos' line takes no bytes")
-
-    def read(self, size: int, seconds: float) -> bytes:
-        if not self._wait(select.POLLIN, seconds):
-            return b""
-        with contextlib.suppress(BlockingIOError):
-            return os.read(self._fd, size)
-        return b""
-
-    def discard(self) -> None:
-        while self.read(4096, 0.0):
-            pass
-
-    def close(self) -> None:
-        """Leave it to the port."""
-
-    def _wait(self, event: int, seconds: float) -> bool:
-        poll = select.poll()
-        poll.register(self._fd, event)
-        found = poll.poll(max(0.0, seconds) * 1000)
-        if found and found[0][1] & (select.POLLHUP | select.POLLERR | select.POLLNVAL):
-            raise OSError(errno.EIO, "the other end hung up")
-        return bool(found)

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import attrs
 
@@ -34,10 +34,16 @@ from esair.exceptions import ConfigError, DeviceLostError
 from esair.resources import Actuator, Sensor, setting
 from esair.watchdog import SafeFrames
 
+OPERATING_MODE = 11
+
 TORQUE_ENABLE = 64
 
 LED = 65
 """Lit once the servo is set up; a restart puts it out, and so it is noticed."""
+
+GOAL_CURRENT = 102
+
+GOAL_VELOCITY = 104
 
 PROFILE_VELOCITY = 112
 
@@ -45,14 +51,16 @@ GOAL_POSITION = 116
 
 PRESENT_POSITION = 132
 
+T = TypeVar("T")
+
 STEPS: Final = 4096
 """How many steps a turn has."""
 
 CENTER: Final = 2048
 """The step in the middle, which is angle 0."""
 
-VELOCITY_UNIT: Final = 0.229 * math.tau / 60
-"""The unit of ``PROFILE_VELOCITY`` in rad/s."""
+CURRENT, VELOCITY, POSITION = range(3)
+"""Places in the ``modes`` of a control table."""
 
 
 def to_steps(angle: float) -> int:
@@ -121,10 +129,62 @@ class ServoPosition(Sensor[float]):
 
     async def read(self) -> float:
         """Ask where it is."""
-        return to_angle(await self.bus.read(self.id, PRESENT_POSITION, 4))
+        place = self.bus.table.position
+        raw = await self.bus.read(self.id, place.address, place.size)
+        return (place.unpack(raw) - CENTER) * math.tau / STEPS
 
 
-class Servo(Actuator[Goal]):
+class Torqued(Actuator[T]):
+    """What servos have in common in each mode: a torque, and a light that is lit."""
+
+    bus: ServoBus
+    mode: int
+
+    def __init__(self, *, id: int, **keywords: Any) -> None:  # noqa: A002 - the maker's word
+        super().__init__(**keywords)
+        _servo_bus(self.name, self.bus)
+        self.id = _check_id(self.name, id)
+        self.claim = f"servo {self.id}"
+        self._torque = False
+
+    async def open(self) -> None:
+        """Make sure that the servo answers, and is in its mode; nothing moves by that."""
+        self._torque = False
+        await self.bus.ping(self.id)
+        table = self.bus.table
+        mode = table.modes[self.mode]
+        if mode is None:
+            raise ConfigError(self.name, "bus", "its servos have no such mode")
+        if await self.bus.read(self.id, table.mode, 1) != mode:
+            await self.bus.write(self.id, table.torque, 1, 0)  # else it is refused
+            if table.lock is not None:
+                await self.bus.write(self.id, table.lock, 1, 0)
+            await self.bus.write(self.id, table.mode, 1, mode)
+            if table.lock is not None:
+                await self.bus.write(self.id, table.lock, 1, 1)
+        if table.light is not None:
+            await self.bus.write(self.id, table.light, 1, 1)
+
+    async def is_set_up(self) -> bool:
+        """Tell whether it has not restarted: then it has no torque, and no light."""
+        table = self.bus.table
+        if table.light is None:  # what has no torque has nothing to lose
+            return (
+                bool(await self.bus.read(self.id, table.torque, 1)) or not self._torque
+            )
+        both = await self.bus.read(self.id, table.torque, 2)
+        return bool(both >> 8) and (bool(both & 0xFF) or not self._torque)
+
+    async def _begin(self) -> None:
+        await self.bus.write(self.id, self.bus.table.torque, 1, 1)
+
+    async def _check_set_up(self) -> None:
+        if not await self.is_set_up():
+            self._torque = False
+            raise DeviceLostError(self.name, "it has restarted: its torque is off")
+
+
+class Servo(Torqued[Goal]):
     """A servo that goes to an angle and holds it.
 
     Args:
@@ -136,7 +196,7 @@ class Servo(Actuator[Goal]):
             before π, unless given.
     """
 
-    bus: ServoBus
+    mode = POSITION
     speed = setting(
         0.0, unit="rad/s", min=0.0, max=30.0, doc="how fast it moves; 0 for no limit"
     )
@@ -149,36 +209,22 @@ class Servo(Actuator[Goal]):
         limits: tuple[float, float] = (to_angle(0), to_angle(STEPS - 1)),
         **keywords: Any,
     ) -> None:
-        super().__init__(**keywords)
-        _servo_bus(self.name, self.bus)
-        self.id = _check_id(self.name, id)
-        self.claim = f"servo {self.id}"
+        super().__init__(id=id, **keywords)
         self.safe = safe
         self.limits = {"angle": tuple(limits)}  # type: ignore[dict-item]
-        self._torque = False
-
-    async def open(self) -> None:
-        """Make sure that the servo answers; nothing moves by that."""
-        self._torque = False
-        await self.bus.ping(self.id)
-        await self.bus.write(self.id, LED, 1, 1)
 
     def safe_frames(self) -> SafeFrames | None:
         """No torque; None if it has to hold, for which its place must be asked first."""
         if self.safe.mode is not Mode.RELEASE:
             return None
-        return SafeFrames([self.bus.packet(self.id, TORQUE_ENABLE, 0)])
-
-    async def is_set_up(self) -> bool:
-        """Tell whether it has not restarted: then it has no torque, and no light."""
-        both = await self.bus.read(self.id, TORQUE_ENABLE, 2)
-        return bool(both >> 8) and (bool(both & 0xFF) or not self._torque)
+        return SafeFrames([self.bus.packet(self.id, self.bus.table.torque, 0)])
 
     async def apply(self, *, speed: float | None = None, **_: object) -> None:
         """Set how fast it moves."""
         value = self.speed if speed is None else speed
-        units = max(1, round(value / VELOCITY_UNIT)) if value else 0
-        await self.bus.write(self.id, PROFILE_VELOCITY, 4, units)
+        table = self.bus.table
+        units = max(1, round(value / table.velocity_unit)) if value else 0
+        await self.bus.write(self.id, table.speed.address, table.speed.size, units)
 
     async def write(self, command: Goal) -> None:
         """Send the goal; the servo rounds it to a step, which is 0.0015 rad.
@@ -187,21 +233,22 @@ class Servo(Actuator[Goal]):
             DeviceFaultError: It does not answer, or has shut down.
             DeviceLostError: It has restarted, its torque is off: the goal was not sent.
         """
+        table = self.bus.table
         if command.mode is Mode.RELEASE:
             self._torque = False
-            await self.bus.write(self.id, TORQUE_ENABLE, 1, 0)
+            await self.bus.write(self.id, table.torque, 1, 0)
             return
-        if not await self.is_set_up():
-            self._torque = False
-            raise DeviceLostError(self.name, "it has restarted: its torque is off")
+        await self._check_set_up()
         if command.mode is Mode.HOLD:
-            steps = await self.bus.read(self.id, PRESENT_POSITION, 4)
+            place = table.position
+            raw = await self.bus.read(self.id, place.address, place.size)
         else:
-            steps = to_steps(command.angle)
-        await self.bus.write(self.id, GOAL_POSITION, 4, steps)
+            raw = table.goal.pack(to_steps(command.angle))
+        goal = self.id, table.goal.address, table.goal.size, raw
+        await self.bus.write(*goal)
         if not self._torque:
             # The goal went first, so that it does not jump to an old one; and once more,
             # because some firmware forgets it when the torque comes.
-            await self.bus.write(self.id, TORQUE_ENABLE, 1, 1)
-            await self.bus.write(self.id, GOAL_POSITION, 4, steps)
+            await self._begin()
+            await self.bus.write(*goal)
             self._torque = True

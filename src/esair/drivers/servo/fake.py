@@ -6,6 +6,7 @@ import errno
 import os
 import struct
 import threading
+import time
 from collections.abc import Iterable
 
 from dynamixel_sdk import Protocol2PacketHandler  # type: ignore[import-untyped]
@@ -14,12 +15,14 @@ from esair.drivers.servo import (
     CENTER,
     GOAL_POSITION,
     HARDWARE_ERROR,
+    OPERATING_MODE,
     PRESENT_POSITION,
     TORQUE_ENABLE,
     ServoLink,
 )
 
 PING, READ, WRITE, STATUS = 0x01, 0x02, 0x03, 0x55
+SYNC_READ, SYNC_WRITE = 0x82, 0x83
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 
@@ -54,14 +57,16 @@ class FakeServo:
     def __init__(self, *, model: int = 1060, steps: int = CENTER) -> None:
         self.model = model
         self.table = bytearray(TABLE_SIZE)
+        self.table[OPERATING_MODE] = 3
         self.shut_down = 0
         self.put(GOAL_POSITION, steps)
         self.put(PRESENT_POSITION, steps)
 
     def power_cycle(self) -> None:
         """Lose the power for a moment: it stays where it is, without torque."""
-        steps = self.get(PRESENT_POSITION)
+        steps, mode = self.get(PRESENT_POSITION), self.table[OPERATING_MODE]
         self.table = bytearray(TABLE_SIZE)
+        self.table[OPERATING_MODE] = mode
         self.shut_down = 0
         self.put(GOAL_POSITION, steps)
         self.put(PRESENT_POSITION, steps)
@@ -93,8 +98,10 @@ class FakeServo:
             return bytes([error]) + self.table[address : address + size]
         if instruction != WRITE or address + len(parameters) - 2 > TABLE_SIZE:
             return bytes([error | ACCESS_ERROR])
+        if address == OPERATING_MODE and self.torque:
+            return bytes([error | ACCESS_ERROR])
         self.table[address : address + len(parameters) - 2] = parameters[2:]
-        if self.torque and not self.shut_down:
+        if self.torque and not self.shut_down and self.table[OPERATING_MODE] == 3:
             self.put(PRESENT_POSITION, self.get(GOAL_POSITION))
         return bytes([error])
 
@@ -108,6 +115,9 @@ class FakeServos:
     Attributes:
         servos: Them, by id; take one out and it is silent.
         written: The packets that came for them: id, instruction, parameters.
+        delay: How long each turn of the wire takes, in seconds: 0.016 is the latency
+            that a USB adapter of FTDI comes with.
+        turns: How often the wire was turned, from asking to answering.
     """
 
     def __init__(self, servos: dict[int, FakeServo] | Iterable[int] = (1,)) -> None:
@@ -118,6 +128,8 @@ class FakeServos:
         )
         self.written: list[tuple[int, int, bytes]] = []
         self.plugged = True
+        self.delay = 0.0
+        self.turns = 0
         self._garble = 0
         self._stalled = False
         self._rest = b""
@@ -176,7 +188,26 @@ class FakeServos:
         if _crc(0, request, len(request) - 2) != int.from_bytes(request[-2:], "little"):
             return b""
         self.written.append((number, instruction, parameters))
-        if self._stalled or number not in self.servos:
+        if self._stalled:
+            return b""
+        if instruction == SYNC_WRITE:
+            place, size = parameters[:2], int.from_bytes(parameters[2:4], "little")
+            for begin in range(4, len(parameters), size + 1):
+                one, *data = parameters[begin : begin + size + 1]
+                if one in self.servos:
+                    self.servos[one].obey(WRITE, place + bytes(data))
+            return b""
+        if instruction != SYNC_READ:
+            return self._status(number, instruction, parameters)
+        answers = b""
+        for one in parameters[4:]:
+            if one not in self.servos:
+                break  # those after it wait for its answer
+            answers += self._status(one, READ, parameters[:4])
+        return answers
+
+    def _status(self, number: int, instruction: int, parameters: bytes) -> bytes:
+        if number not in self.servos:
             return b""
         answer = packet(
             number, STATUS, self.servos[number].obey(instruction, parameters)
@@ -193,21 +224,30 @@ class _MemoryLink:
     def __init__(self, servos: FakeServos) -> None:
         self._servos = servos
         self._answers = b""
+        self._late = 0.0
         self._never = threading.Event()
 
     def write(self, data: bytes, seconds: float) -> None:
         self._servos.check()
-        self._answers += self._servos.heard(data)
+        answers = self._servos.heard(data)
+        if answers:
+            self._servos.turns += 1
+            self._late = time.monotonic() + self._servos.delay
+        self._answers += answers
 
     def read(self, size: int, seconds: float) -> bytes:
         self._servos.check()
-        if not self._answers:
-            self._never.wait(seconds)  # as a line on which nothing comes
+        early = self._late - time.monotonic()
+        if not self._answers or early > 0:
+            self._never.wait(min(seconds, early) if self._answers else seconds)
+        if time.monotonic() < self._late:
+            return b""
         data, self._answers = self._answers[:size], self._answers[size:]
         return data
 
     def discard(self) -> None:
-        self._answers = b""
+        if time.monotonic() >= self._late:
+            self._answers = b""
 
     def close(self) -> None:
         """Have nothing to let go."""

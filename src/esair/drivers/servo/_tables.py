@@ -1,0 +1,100 @@
+"""Where servos keep what they are told, by their makers."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+
+class Entry(NamedTuple):
+    """A number in a servo's control table.
+
+    Attributes:
+        address: Its first byte.
+        size: How many bytes it has.
+        has_sign_bit: Whether its highest bit is its sign; else it is a two's complement.
+    """
+
+    address: int
+    size: int
+    has_sign_bit: bool = False
+
+    def pack(self, number: int) -> int:
+        """Return a number as the table has it.
+
+        Raises:
+            OverflowError: It is too large.
+        """
+        bits = 8 * self.size
+        if not self.has_sign_bit:
+            return number & (1 << bits) - 1
+        if abs(number) >> (bits - 1):
+            raise OverflowError(f"{number} has more than {bits - 1} bits")
+        return abs(number) | (number < 0) << (bits - 1)
+
+    def unpack(self, raw: int) -> int:
+        """Return the number that the table has."""
+        sign = 1 << (8 * self.size - 1)
+        if self.has_sign_bit:
+            return -(raw & ~sign) if raw & sign else raw
+        return raw - 2 * sign if raw & sign else raw
+
+
+class Table(NamedTuple):
+    """The entries of a servo's control table that are used here.
+
+    Attributes:
+        torque: Whether it holds its goal; what follows in the next byte is its light.
+        mode: Its mode of operation.
+        modes: The values of that for a current, a velocity and a position; None if it
+            has no such mode.
+        goal: Where it goes.
+        position: Where it is.
+        velocity: How fast it turns in velocity mode.
+        speed: How fast it goes to its goal.
+        velocity_unit: The unit of both in rad/s.
+        errors: The bits of why it has shut down.
+        light: Its light, which a restart puts out; None if it has none.
+        lock: What keeps its mode from being changed; None if nothing does.
+    """
+
+    torque: int
+    mode: int
+    modes: tuple[int | None, int, int]
+    goal: Entry
+    position: Entry
+    velocity: Entry
+    speed: Entry
+    velocity_unit: float
+    errors: int
+    light: int | None = None
+    lock: int | None = None
+
+
+DYNAMIXEL_X: Final = Table(
+    torque=64,
+    mode=11,
+    modes=(0, 1, 3),
+    goal=Entry(116, 4),
+    position=Entry(132, 4),
+    velocity=Entry(104, 4),
+    speed=Entry(112, 4),
+    velocity_unit=0.229 * math.tau / 60,
+    errors=70,
+    light=65,
+)
+"""The X series of ROBOTIS: the control table of the XL430-W250."""
+
+FEETECH_STS: Final = Table(
+    torque=40,
+    mode=33,
+    modes=(None, 1, 0),
+    goal=Entry(42, 2, has_sign_bit=True),
+    position=Entry(56, 2, has_sign_bit=True),
+    velocity=Entry(46, 2, has_sign_bit=True),
+    speed=Entry(46, 2, has_sign_bit=True),
+    velocity_unit=math.tau / 4096,
+    errors=65,
+    lock=55,
+)
+"""The STS and SMS series of Feetech: the memory table of the STS3215."""

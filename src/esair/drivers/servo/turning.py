@@ -1,0 +1,125 @@
+"""Dynamixel servos that turn without an end, or push: velocity and current mode.
+
+::
+
+    [actuator.wheel]
+    driver = "esair.drivers.servo.turning:ServoVelocity"
+    bus = "arm"
+    id = 4
+
+The mode is in the servo's memory: it is changed at the opening if it is another, without
+torque. Source: see `esair.drivers.servo`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from esair.drivers.servo._servo import (
+    CURRENT,
+    GOAL_CURRENT,
+    VELOCITY,
+    Torqued,
+)
+from esair.drivers.servo._tables import Entry
+from esair.exceptions import ConfigError
+from esair.watchdog import SafeFrames
+
+__all__ = ["ServoCurrent", "ServoVelocity"]
+
+
+class _Turned(Torqued[float]):
+    """A servo that is told a number; 0 is at rest, and needs no torque to begin with."""
+
+    safe = 0.0
+
+    @property
+    def _entry(self) -> Entry:
+        raise NotImplementedError
+
+    def _units(self, command: float) -> int:
+        raise NotImplementedError
+
+    def safe_frames(self) -> SafeFrames:
+        """The number that is safe."""
+        entry = self._entry
+        return SafeFrames([self.bus.packet(self.id, entry.address, 0, entry.size)])
+
+    async def write(self, command: float) -> None:
+        """Tell the servo, with torque from the first command that is not safe.
+
+        Raises:
+            DeviceFaultError: It does not answer, or has shut down.
+            DeviceLostError: It has restarted, its torque is off: nothing was sent.
+        """
+        await self._check_set_up()
+        entry = self._entry
+        told = self.id, entry.address, entry.size, entry.pack(self._units(command))
+        await self.bus.write(*told)
+        if command != self.safe and not self._torque:
+            await self._begin()
+            await self.bus.write(*told)
+            self._torque = True
+
+
+class ServoVelocity(_Turned):
+    """A servo that turns at a velocity in rad/s, without an end; 0 holds it.
+
+    Args:
+        id: The servo's id, 0 to 252; they come with 1.
+        limits: Least and greatest velocity, in rad/s.
+    """
+
+    mode = VELOCITY
+
+    def __init__(
+        self,
+        *,
+        id: int = 1,  # noqa: A002 - the maker's word
+        limits: tuple[float, float] = (-6.0, 6.0),
+        **keywords: Any,
+    ) -> None:
+        super().__init__(id=id, **keywords)
+        self.limits = limits
+
+    @property
+    def _entry(self) -> Entry:
+        return self.bus.table.velocity
+
+    def _units(self, command: float) -> int:
+        return round(command / self.bus.table.velocity_unit)
+
+
+class ServoCurrent(_Turned):
+    """A servo that pushes with a current in A, which is a torque; 0 lets it go.
+
+    The XL430 has no such mode; the XL330, XM and XH have.
+
+    Args:
+        id: The servo's id, 0 to 252; they come with 1.
+        unit: The current of one unit of its table, in A: 0.00269 for XM and XH, 0.001
+            for the XL330.
+        limits: Least and greatest current, in A.
+    """
+
+    mode = CURRENT
+    _entry = Entry(GOAL_CURRENT, 2)
+
+    def __init__(
+        self,
+        *,
+        id: int = 1,  # noqa: A002 - the maker's word
+        unit: float = 0.00269,
+        limits: tuple[float, float] = (-0.5, 0.5),
+        **keywords: Any,
+    ) -> None:
+        super().__init__(id=id, **keywords)
+        if not 0 < unit < 1:
+            raise ConfigError(self.name, "unit", f"expected A, above 0, not {unit!r}")
+        if max(map(abs, limits)) > unit * 0x7FFF:
+            raise ConfigError(self.name, "limits", f"a servo has less than {limits!r}")
+        self.unit = unit
+        self.limits = limits
+
+    def _units(self, command: float) -> int:
+        return round(command / self.unit)
