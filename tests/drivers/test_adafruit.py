@@ -51,8 +51,18 @@ def chips() -> dict[int, Any]:
 class Unplugged:
     """How the devices of this file are unplugged."""
 
+    silent_for = 1.0
+
     async def unplug(self, device: Any) -> None:
         device.bus.unplug(noticed=False)
+
+    async def silence(self, device: Any) -> None:
+        for address in device.bus.chips:
+            device.bus.silent(address)
+
+    async def speak(self, device: Any) -> None:
+        for address in device.bus.chips:
+            device.bus.silent(address, silent=False)
 
 
 @pytest.mark.real_clock

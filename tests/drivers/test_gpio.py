@@ -18,25 +18,37 @@ from esair.testing import ActuatorContract, SensorContract
 pytestmark = pytest.mark.virtual_clock
 
 
-class TestInput(SensorContract):
-    def make(self) -> DigitalInput:
-        self.chip = FakeGpioChip()
-        return DigitalInput(chip="fake", line=3, opener=self.chip.request)
+class OnChip:
+    """How a chip is pulled, and what it is without power."""
+
+    chip: FakeGpioChip
 
     async def unplug(self, _device: Any) -> None:
         self.chip.unplug()
 
+    async def silence(self, _device: Any) -> None:
+        self.chip.unplug()
 
-class TestOutput(ActuatorContract):
+    async def speak(self, _device: Any) -> None:
+        self.chip.plug()
+
+    async def power_cycle(self, _device: Any) -> None:
+        self.chip.power_cycle()
+
+
+class TestInput(OnChip, SensorContract):
+    def make(self) -> DigitalInput:
+        self.chip = FakeGpioChip()
+        return DigitalInput(chip="fake", line=3, opener=self.chip.request)
+
+
+class TestOutput(OnChip, ActuatorContract):
     def make(self) -> DigitalOutput:
         self.chip = FakeGpioChip()
         return DigitalOutput(chip="fake", line=4, opener=self.chip.request)
 
     def commands(self) -> list[Any]:
         return [True, False, True]
-
-    async def unplug(self, _device: Any) -> None:
-        self.chip.unplug()
 
 
 @pytest.fixture

@@ -50,15 +50,24 @@ def make(**options: Any) -> tuple[Gps, FakeSerial, FakeGps]:
 
 class TestGps(SensorContract):
     def make(self) -> Gps:
-        return make()[0]
+        device, _, self.part = make()
+        return device
 
     async def unplug(self, device: Gps) -> None:
         device.bus.unplug()
+
+    async def silence(self, device: Gps) -> None:
+        self.part.silent = True
+
+    async def speak(self, device: Gps) -> None:
+        self.part.silent = False
 
 
 @pytest.mark.real_clock
 class TestGpsOnATerminal(TestGps):
     """The same, through the kernel."""
+
+    silent_for = 1.0
 
 
 # The codec.

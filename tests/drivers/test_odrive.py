@@ -51,11 +51,20 @@ class Wired:
 
     def axis_on_bus(self) -> Any:
         self.wire = self.fake_can("drive")
-        FakeOdrive(self.wire, node=3)
+        self.far = FakeOdrive(self.wire, node=3)
         return self.wire
 
     async def unplug(self, _device: Any) -> None:
         self.wire.unplug()
+
+    async def silence(self, _device: Any) -> None:
+        self.far.stop()
+
+    async def speak(self, _device: Any) -> None:
+        self.far.start()
+
+    async def power_cycle(self, _device: Any) -> None:
+        self.far.power_cycle()
 
 
 class TestAxis(Wired, ActuatorContract):
@@ -77,6 +86,14 @@ class TestAxisThatIdles(Wired, ActuatorContract):
 class TestPosition(Wired, ActuatorContract):
     def make(self) -> OdriveAxis:
         return OdriveAxis(node=3, control="position", safe=1.0, bus=self.axis_on_bus())
+
+    def commands(self) -> list[Any]:
+        return [0.0, 100.0]
+
+
+class TestPositionThatStays(Wired, ActuatorContract):
+    def make(self) -> OdriveAxis:
+        return OdriveAxis(node=3, control="position", bus=self.axis_on_bus())
 
     def commands(self) -> list[Any]:
         return [0.0, 100.0]
@@ -340,7 +357,6 @@ async def test_the_sensor_gives_estimates_with_state_and_errors(rig: Any) -> Non
     [
         ({"node": 63}, "node: expected 0 to 62, not 63"),
         ({"node": 0, "control": "speed"}, "control: expected 'velocity'"),
-        ({"node": 0, "control": "position"}, "safe: expected the position"),
         (
             {"node": 0, "control": "position", "safe": 0.0, "idle": True},
             "idle: expected false",
@@ -361,3 +377,31 @@ async def test_it_needs_a_can_bus() -> None:
     """On another bus the mistake is named before anything is sent."""
     with pytest.raises(ConfigError, match="expected a CanBus"):
         await OdriveAxis(node=0, bus=SerialBus(name="s", port="x")).open()
+
+
+@pytest.mark.promise("PRO-12")
+@pytest.mark.parametrize("safe", [None, 0.5])
+async def test_an_axis_that_is_protected_stays_where_it_is(
+    fake_can: Callable[..., Any], safe: float | None
+) -> None:
+    """`esair.HOLD` sends it nowhere, and the next position is the next that it goes to."""
+    wire = fake_can()
+    fake = FakeOdrive(wire, node=0)
+    axis = OdriveAxis(node=0, bus=wire, control="position", safe=safe)
+    await wire.open()
+    await axis.open()
+    await axis.write(2.0)
+    await asyncio.sleep(0.05)
+    assert fake.position == pytest.approx(2.0)
+    fake.position = 1.7  # it is on its way
+    await axis.write(esair.HOLD)
+    await asyncio.sleep(0.05)
+    assert (fake.mode, fake.velocity) == (ControlMode.VELOCITY, 0.0)
+    assert fake.position == 1.7
+    await axis.write(3.0)
+    await asyncio.sleep(0.05)
+    assert fake.mode is ControlMode.POSITION
+    assert fake.position == pytest.approx(3.0)
+    assert axis.safe_moves is (safe is not None)
+    await axis.close()
+    await wire.close()

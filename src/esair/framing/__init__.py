@@ -7,6 +7,7 @@ from esair.framing._cobs import Cobs
 from esair.framing._framing import Framing
 from esair.framing._length_crc import LengthCrc
 from esair.framing._lines import Lines
+from esair.framing._modbus import ModbusRtu, ModbusTcp
 from esair.framing._nmea import (
     SentenceError,
     Sentences,
@@ -22,6 +23,8 @@ __all__ = [
     "Framing",
     "LengthCrc",
     "Lines",
+    "ModbusRtu",
+    "ModbusTcp",
     "Raw",
     "SentenceError",
     "Sentences",
@@ -36,5 +39,7 @@ FRAMINGS: dict[str, type[Framing]] = {
     "cobs": Cobs,
     "length-crc": LengthCrc,
     "raw": Raw,
+    "modbus-rtu": ModbusRtu,
+    "modbus-tcp": ModbusTcp,
 }
 """The framings by the names that a configuration uses."""

@@ -11,10 +11,13 @@ from __future__ import annotations
 
 import functools
 import operator
+import re
 from typing import Self
 
 from esair.exceptions import BadValueError
 from esair.framing._framing import Framing
+
+_ENDING = re.compile(rb"\*([0-9A-Fa-f]{2})\r*\n")
 
 _FORBIDDEN = frozenset("$*,\r\n!\\^~")
 
@@ -88,51 +91,40 @@ class Sentences(Framing):
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take the bytes that arrived; return the payloads that are complete now."""
-        payloads: list[bytes] = []
-        if not self._buffer:  # nothing before the first $ is of interest
-            begin = data.find(b"$")
-            self.discarded += len(data) if begin < 0 else begin
-            if begin < 0:
-                return payloads
-            data = data[begin:]
-        *ended, rest = bytes(data).split(b"\n")
-        for piece in ended:
-            self._extend(piece + b"\n")
-            if self._buffer:
-                self._finish(payloads)
-        self._extend(rest)
+        data = bytes(self._buffer + data)
+        self._buffer.clear()
+        end = data.rfind(b"\n") + 1
+        payloads, used = self._found(data[:end])
+        begin = data.rfind(b"$", end)  # what began before was cut off
+        begun = data.count(b"$") - (begin >= 0)
+        self.bad_frames += begun - len(payloads)
+        rest = data[begin:] if begin >= 0 else b""
+        if len(rest) > self._max_frame:
+            self.bad_frames += 1
+            rest = b""
+        self.discarded += len(data) - used - len(rest)
+        self._buffer += rest
         return payloads
 
-    def _extend(self, piece: bytes) -> None:
-        buffer = self._buffer
-        begin = piece.rfind(b"$")
-        if begin >= 0:  # what began before was cut off
-            self.bad_frames += piece.count(b"$") - 1 + bool(buffer)
-            self.discarded += len(buffer) + begin
-            buffer[:] = piece[begin:]
-        elif buffer:
-            buffer += piece
-        else:
-            self.discarded += len(piece)
-        if len(buffer) > self._max_frame:
-            self._drop()
-
-    def _finish(self, payloads: list[bytes]) -> None:
-        try:
-            body = _body(bytes(self._buffer))
-        except SentenceError:
-            self._drop()
-            return
-        if len(body) > self.max_length:
-            self._drop()
-        else:
-            payloads.append(body)
-            self._buffer.clear()
-
-    def _drop(self) -> None:
-        self.bad_frames += 1
-        self.discarded += len(self._buffer)
-        self._buffer.clear()
+    def _found(self, lines: bytes) -> tuple[list[bytes], int]:
+        """Return the payloads of whole lines, and how many bytes their frames have."""
+        payloads: list[bytes] = []
+        used = past = 0
+        for ending in _ENDING.finditer(lines):
+            begin = lines.rfind(b"$", past, ending.start())
+            size, past = ending.end() - begin, ending.end()
+            if begin < 0 or size > self._max_frame:
+                continue
+            body = lines[begin + 1 : ending.start()]
+            if (
+                b"\n" not in body
+                and len(body) <= self.max_length
+                and body.isascii()
+                and int(ending[1], 16) == checksum(body)
+            ):
+                payloads.append(body)
+                used += size
+        return payloads, used
 
     def encode(self, payload: bytes) -> bytes:
         r"""Return ``$``, the payload, ``*``, the checksum and ``\r\n``.

@@ -155,6 +155,11 @@ class _OnLine:
         if line is not None:
             line.close()
 
+    def is_set_up(self) -> bool:
+        """Tell whether the line is still there; its chip may have been pulled."""
+        self._open.get()
+        return True
+
     @property
     def _open(self) -> Line:
         if self._line is None:

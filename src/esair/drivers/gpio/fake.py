@@ -86,6 +86,14 @@ class FakeGpioChip:
         """Bring the chip back."""
         self._plugged = True
 
+    def power_cycle(self) -> None:
+        """Be gone for a moment: what was requested before is worth nothing."""
+        self.unplug()
+        for line in self._requested.values():
+            line.is_stale = True
+        self._requested.clear()
+        self.plug()
+
     def check(self) -> None:
         """Raise what the kernel says of a chip that is gone."""
         if not self._plugged:
@@ -108,37 +116,45 @@ class _FakeLine:
         self._steady = chip.level(number) if request.output is None else None
         """What an input was last, for longer than it may bounce."""
         self._pending: asyncio.TimerHandle | None = None
+        self.is_stale = False
+        """Whether the chip was away since it was requested."""
         self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         if request.output is not None:
             self.set(request.output)
+
+    def _check(self) -> None:
+        if self.is_stale:
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+        self._chip.check()
 
     def fileno(self) -> int:
         return self._event
 
     def get(self) -> bool:
-        self._chip.check()
+        self._check()
         return self._chip.level(self._number) is not self.request.active_low
 
     def set(self, value: bool) -> None:
-        self._chip.check()
+        self._check()
         self._chip.levels[self._number].append(value is not self.request.active_low)
 
     def edges(self) -> list[Edge]:
-        self._chip.check()
+        self._check()
         os.eventfd_read(self._event)
         edges = list(self._edges)
         self._edges.clear()
         return edges
 
     def debounce(self, seconds: float) -> None:
-        self._chip.check()
+        self._check()
         self._steady_for = seconds
 
     def close(self) -> None:
         if self._event >= 0:
             os.close(self._event)
             self._event = -1
-        self._chip.release(self._number)
+        if not self.is_stale:
+            self._chip.release(self._number)
 
     def changed(self, level: bool) -> None:
         if self._pending is not None:

@@ -23,6 +23,7 @@ class FakeGps:
     Attributes:
         fix: What it says next; change it to move.
         moments: How often it has said where it is.
+        silent: Whether it says nothing, as without power.
     """
 
     def __init__(
@@ -30,12 +31,15 @@ class FakeGps:
     ) -> None:
         self.fix = fix or Fix(48.1173, 11.516667, altitude=545.4, quality=1)
         self.moments = 0
+        self.silent = False
         self._start = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
         self._period = datetime.timedelta(seconds=period)
         line.repeat(self.next, period)
 
     def next(self) -> bytes:
         """Return the sentences of the next moment."""
+        if self.silent:
+            return b""
         moment = self._start + self.moments * self._period
         self.moments += 1
         return encode_fix(attrs.evolve(self.fix, time=moment))

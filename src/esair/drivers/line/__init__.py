@@ -23,10 +23,12 @@ import re
 from collections.abc import AsyncIterator
 from typing import Any
 
-from esair.buses import SerialBus
+from esair.buses import Inbox, SerialBus
+from esair.drivers._silence import hear_first, heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Raw
 from esair.resources import Actuator, Sensor
+from esair.values import check_seconds
 from esair.watchdog import SafeFrames
 
 __all__ = ["LineActuator", "LineSensor"]
@@ -120,6 +122,8 @@ class LineSensor(_LineDevice, Sensor[float]):
         key: Its name on the wire; the sensor's own name unless given.
         ask: Ask the board for each value, at the sensor's ``rate``, instead of waiting
             for those that it pushes.
+        silent_after: After how many seconds without a value a board that pushes is
+            lost; it may be silent for ever if None.
 
     Attributes:
         bad_lines: How many values were no number.
@@ -128,11 +132,19 @@ class LineSensor(_LineDevice, Sensor[float]):
     bus: SerialBus
 
     def __init__(
-        self, *, key: str | None = None, ask: bool = False, **keywords: Any
+        self,
+        *,
+        key: str | None = None,
+        ask: bool = False,
+        silent_after: float | None = None,
+        **keywords: Any,
     ) -> None:
         super().__init__(**keywords)
         self.key = self._check(key)
         self.ask = ask
+        self.silent_after = silent_after
+        if silent_after is not None:
+            check_seconds(self.name, "silent_after", silent_after)
         self.bad_lines = 0
 
     @property
@@ -144,6 +156,13 @@ class LineSensor(_LineDevice, Sensor[float]):
     def pushes(self) -> bool:
         """Whether the board pushes values."""
         return not self.ask
+
+    async def open(self) -> None:
+        """Make sure that the board says something, if it has to."""
+        if self.ask:
+            await self.read()
+        else:
+            await hear_first(self, self._lines(), self.silent_after)
 
     async def read(self) -> float:
         """Ask for the value.
@@ -163,15 +182,17 @@ class LineSensor(_LineDevice, Sensor[float]):
 
     async def stream(self) -> AsyncIterator[float]:
         """Yield each value that comes; what is no number is counted and left out."""
-        prefix = f"{self.key}=".encode("ascii")
-        with contextlib.closing(self.bus.frames(prefix)) as lines:
-            async for line in lines:
+        with contextlib.closing(self._lines()) as lines:
+            async for line in heard(self, lines, self.silent_after):
                 try:
                     _, value = decode_value(line)
                 except LineError:
                     self.bad_lines += 1
                 else:
                     yield value
+
+    def _lines(self) -> Inbox[bytes]:
+        return self.bus.frames(f"{self.key}=".encode("ascii"))
 
 
 class LineActuator(_LineDevice, Actuator[float]):

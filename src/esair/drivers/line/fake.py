@@ -22,6 +22,7 @@ class FakeBoard:
     Attributes:
         values: What it measures now; change it.
         commands: What it was told last.
+        silent: Whether it says and obeys nothing, as without power.
         refuse: Called with the name and the value of a command; the text that it
             returns is why the board refuses it, None lets it pass.
     """
@@ -40,6 +41,7 @@ class FakeBoard:
         self.commands = commands or {}
         self.name = name
         self.ack = ack
+        self.silent = False
         self.refuse: Callable[[str, float], str | None] = lambda _key, _value: None
         line.on_frame = self.heard
         if period:
@@ -47,12 +49,16 @@ class FakeBoard:
 
     def report(self) -> bytes:
         """Return a line for each value."""
+        if self.silent:
+            return b""
         return b"".join(
             encode_value(key, value) + b"\r\n" for key, value in self.values.items()
         )
 
     def heard(self, line: bytes) -> bytes | None:
         """Obey a line; return the answer."""
+        if self.silent:
+            return None
         if line.strip() == b"who?":
             return b"who=" + self.name.encode()
         if line.endswith(b"?"):

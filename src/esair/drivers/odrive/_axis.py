@@ -36,12 +36,18 @@ from esair.drivers.odrive._codec import (
     frame_id,
 )
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
-from esair.resources import Actuator, Sensor
+from esair.resources import HOLD, Actuator, Sensor
 from esair.values import check_seconds
 from esair.watchdog import SafeFrames, can_frame
 
 ARM_TIMEOUT = 0.5
 """How long an axis may take to enter closed loop control, in seconds."""
+
+_HELD = (
+    (Message.SET_CONTROLLER_MODE, encode_mode(ControlMode.VELOCITY)),
+    encode_input(ControlMode.VELOCITY, 0.0),
+)
+"""What keeps an axis where it is, wherever that is."""
 
 
 @attrs.frozen
@@ -143,8 +149,9 @@ class OdriveAxis(Actuator[float]):
     Args:
         node: The node id of the axis.
         control: What commands are: ``"velocity"``, ``"position"`` or ``"torque"``.
-        safe: The safe command; 0 for a velocity or torque. For a position there is no
-            default, because the axis moves there.
+        safe: The safe command; 0 for a velocity or torque, `esair.HOLD` for a position:
+            the axis stays where it is, at velocity 0. A position that it moves to is for
+            the stop alone; whoever protects the axis has it stay (``safe_moves``).
         idle: Whether the safe command also takes the power from the motor, so that it
             turns freely. An axis that holds a position cannot be let go like that.
         heartbeat_timeout: In seconds.
@@ -173,34 +180,34 @@ class OdriveAxis(Actuator[float]):
             )
         self.control = ControlMode[control.upper()]
         self.claim = f"node {self.node}"
-        if safe is None:
-            if self.control is ControlMode.POSITION:
-                raise ConfigError(
-                    self.name,
-                    "safe",
-                    "expected the position in rad that is safe to move to",
-                )
-            safe = 0.0
-        if idle and self.control is ControlMode.POSITION:
+        goes = self.control is ControlMode.POSITION
+        if idle and goes:
             raise ConfigError(
                 self.name,
                 "idle",
                 "expected false: an axis without power does not hold its safe position",
             )
+        if safe is None:
+            safe = HOLD if goes else 0.0
         self.safe = safe
+        self.safe_moves = goes and safe is not HOLD
         self.idle = idle
         self.heartbeat_timeout = check_seconds(
             self.name, "heartbeat_timeout", heartbeat_timeout
         )
         self._armed_at: float | None = None
         """When it was told to enter closed loop control; None if it was not."""
+        self._holds = False
+        """Whether it is kept where it is, at velocity 0 instead of at a position."""
         self._confirmed = False
         self._watching: asyncio.Task[None] | None = None
 
     def safe_frames(self) -> SafeFrames:
         """The safe input, which arms nothing; then no power, if that is asked for."""
-        message, data = encode_input(self.control, self.safe)
-        frames = [can_frame(frame_id(self.node, message), data)]
+        told = _HELD if self.safe is HOLD else (encode_input(self.control, self.safe),)
+        frames = [
+            can_frame(frame_id(self.node, message), data) for message, data in told
+        ]
         if self.idle:
             idle = frame_id(self.node, Message.SET_AXIS_STATE)
             frames.append(can_frame(idle, encode_state(AxisState.IDLE)))
@@ -219,18 +226,25 @@ class OdriveAxis(Actuator[float]):
             if heartbeat.errors:
                 await self._send(Message.CLEAR_ERRORS, b"\0")
                 heartbeat = await self._cleared(inbox, heartbeat)
-            await self._send(Message.SET_CONTROLLER_MODE, encode_mode(self.control))
+            # One that was left armed is: its safe command is the next thing that it gets.
+            was_armed = heartbeat.state is AxisState.CLOSED_LOOP_CONTROL
+            if was_armed and self.control is ControlMode.POSITION:
+                await self._hold()  # its mode would have it go where it was to go last
+            else:
+                await self._send(Message.SET_CONTROLLER_MODE, encode_mode(self.control))
         except BaseException:
             inbox.close()
             raise
-        # One that was left armed is: its safe command is the next thing that it gets.
-        was_armed = heartbeat.state is AxisState.CLOSED_LOOP_CONTROL
         loop = asyncio.get_running_loop()
         self._armed_at = loop.time() if was_armed else None
         self._confirmed = was_armed
         self._watching = loop.create_task(
             self._watch(inbox), name=f"{self.name} heartbeat"
         )
+
+    async def is_set_up(self) -> bool:
+        """Tell whether it has been heard all the time: it starts anew in silence."""
+        return self._watching is not None and not self._watching.done()
 
     async def close(self) -> None:
         """Watch it no more."""
@@ -241,23 +255,41 @@ class OdriveAxis(Actuator[float]):
 
     async def write(self, command: float) -> None:
         """Tell the axis its input, and arm it if that is no safe command."""
+        if command is HOLD:
+            await self._hold()  # means nothing to one that is not armed
+            return
         message, data = encode_input(self.control, command)
         if command == self.safe:
             await self._send(message, data)
+            await self._let_go()
             if self.idle:
                 self._armed_at = None
                 await self._send(Message.SET_AXIS_STATE, encode_state(AxisState.IDLE))
             return
         if self._armed_at is None:
+            # With its mode: it may have started anew more quickly than is noticed.
+            await self._send(Message.SET_CONTROLLER_MODE, encode_mode(self.control))
             await self._send(
                 Message.SET_AXIS_STATE, encode_state(AxisState.CLOSED_LOOP_CONTROL)
             )
             self._armed_at = asyncio.get_running_loop().time()
-            self._confirmed = False
+            self._confirmed = self._holds = False
         await self._send(message, data)
+        await self._let_go()
+
+    async def _hold(self) -> None:
+        self._holds = True
+        for message, data in _HELD:
+            await self._send(message, data)
+
+    async def _let_go(self) -> None:
+        """Have it go to its position, after that was told: not to the one before."""
+        if self._holds:
+            await self._send(Message.SET_CONTROLLER_MODE, encode_mode(self.control))
+            self._holds = False
 
     async def _send(self, message: Message, data: bytes) -> None:
-        await can_bus(self).send(frame_id(self.node, message), data)
+        await can_bus(self).send(frame_id(self.node, message), data, replaces=True)
 
     async def _cleared(self, inbox: Inbox[CanFrame], heartbeat: Heartbeat) -> Heartbeat:
         """Wait for a heartbeat without errors, which may be the second one."""

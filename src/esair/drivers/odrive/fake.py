@@ -21,6 +21,9 @@ from esair.drivers.odrive import (
     frame_id,
 )
 
+BOOT_TIME = 1.0
+"""How long it is silent when it starts anew, in seconds."""
+
 
 class FakeOdrive:
     """One axis. It begins to tell how it is when it is made, until `stop`.
@@ -66,7 +69,7 @@ class FakeOdrive:
         self.refuses_to_arm = False
         self.inputs: list[float] = []
         self.requests: list[AxisState] = []
-        self.position = 0.0
+        self.position = self._goal = 0.0
         self.velocity = 0.0
         self.cleared = 0
         self.bad_frames = 0
@@ -97,6 +100,14 @@ class FakeOdrive:
         for name, timer in self._timers.items():
             if what in {None, name}:
                 timer.cancel()
+
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: it starts anew, which takes a second."""
+        self.stop()
+        self.state, self.mode = AxisState.IDLE, ControlMode.POSITION
+        self.errors = self.permanent
+        self.velocity = 0.0
+        self._timers["boot"] = self._loop.call_later(BOOT_TIME, self.start)
 
     def fail(self, errors: AxisError, *, permanent: bool = False) -> None:
         """Let it disarm itself because of errors."""
@@ -130,6 +141,7 @@ class FakeOdrive:
             self.velocity = 0.0
         elif message is Message.SET_CONTROLLER_MODE:
             self.mode = ControlMode(decode_mode(data)[0])
+            self._go()
         elif message is Message.CLEAR_ERRORS:
             self.cleared += 1
             self.errors = self.permanent
@@ -141,9 +153,15 @@ class FakeOdrive:
             if not self.is_armed:
                 return
             if message is Message.SET_INPUT_POS:
-                self.position = self.inputs[-1]
+                self._goal = self.inputs[-1]
             elif message is Message.SET_INPUT_VEL:
                 self.velocity = self.inputs[-1]
+            self._go()
+
+    def _go(self) -> None:
+        """Be where it is to go, in the mode in which it goes somewhere."""
+        if self.is_armed and self.mode is ControlMode.POSITION:
+            self.position = self._goal
 
     def _beat(self) -> None:
         self._timers["heartbeat"] = self._loop.call_later(

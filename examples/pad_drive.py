@@ -1,0 +1,52 @@
+"""Drive two wheels with a gamepad: the left stick steers while the left shoulder is held.
+
+The wheels are drives of CiA 402 on a CAN bus; any actuators of rad/s will do. Who puts the
+pad down, lets the shoulder go or pulls its cable stops the robot::
+
+    python examples/pad_drive.py can0 usb:045e:028e
+"""
+
+import sys
+
+import esair
+from esair.buses import CanBus
+from esair.drivers.canopen.drive import Drive
+from esair.drivers.gamepad import Gamepad, Pad
+
+FASTEST = 10.0  # rad/s of a wheel
+UNIT = 0.001  # rad/s for one unit of a drive
+
+
+class Steer(esair.Reaction):
+    """Forward and turn, as the stick says."""
+
+    pad = esair.reads(Pad, max_age=0.2)
+    left = esair.writes(float)
+    right = esair.writes(float)
+    rate = 20.0
+
+    def react(self, pad: Pad) -> dict[str, float]:
+        forward, turn = pad.axis("y"), 0.5 * pad.axis("x")
+        return {
+            "left": FASTEST * max(-1.0, min(1.0, forward + turn)),
+            "right": -FASTEST * max(-1.0, min(1.0, forward - turn)),  # it is mirrored
+        }
+
+
+def make_robot(bus: CanBus, pad: Gamepad) -> esair.Robot:
+    """Return the robot."""
+    wheels = [
+        Drive(name=name, bus=bus, node=node, factor=UNIT, limits=(-FASTEST, FASTEST))
+        for name, node in (("left", 5), ("right", 6))
+    ]
+    return esair.Robot(resources=[pad, *wheels], behaviors=[Steer()])
+
+
+channel, device = sys.argv[1:3] if __name__ == "__main__" else ("can0", "usb:045e:028e")
+robot = make_robot(
+    CanBus(name="drive", channel=channel),
+    Gamepad(name="pad", device=device, dead_man="tl"),
+)
+
+if __name__ == "__main__":
+    esair.run(robot)

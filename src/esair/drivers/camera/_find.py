@@ -1,0 +1,76 @@
+"""Cameras that are plugged in, by what ``/sys`` says of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from esair.buses.finding import (
+    ROOT,
+    Device,
+    entries,
+    identity_of,
+    permission,
+    pick,
+    quoted,
+    read,
+    usb_device,
+)
+
+
+def devices(root: Path = ROOT) -> list[Device]:
+    """Return the cameras that are there, by their numbers.
+
+    Of the files of one camera the first is its pictures; the others are of no use here.
+    """
+    places = sorted(
+        (
+            place
+            for place in entries(root / "sys/class/video4linux")
+            if place.name.removeprefix("video").isdecimal()
+            and read(place / "index") in {"", "0"}
+        ),
+        key=lambda place: int(place.name.removeprefix("video")),
+    )
+    return [_camera(place, root) for place in places]
+
+
+def toml(device: Device, name: str) -> list[str]:
+    """Return the lines of a robot.toml for a camera."""
+    return [
+        f"[sensor.{name}]",
+        'driver = "camera"',
+        f"device = {quoted(device.address)}",
+        "width = 640",
+        "height = 480",
+    ]
+
+
+def find_camera(wanted: str, root: Path = ROOT) -> str:
+    """Return the path of a camera.
+
+    Args:
+        wanted: A path, ``usb:VID:PID[:SERIAL]``, the beginning of its name, or nothing
+            for the only one that is there.
+        root: Where ``/sys`` is.
+
+    Raises:
+        FileNotFoundError: It is not there, or several are.
+    """
+    if wanted.startswith("/"):
+        return wanted
+    return pick(wanted, devices(root), "camera")
+
+
+def _camera(place: Path, root: Path) -> Device:
+    usb = usb_device(place / "device", root)
+    identity = None if usb is None else identity_of(usb)
+    path = f"/dev/{place.name}"
+    name = read(place / "name")
+    return Device(
+        kind="camera",
+        path=path,
+        address=str(identity) if identity else name or path,
+        description=name,
+        identity=None if identity is None else str(identity),
+        state=permission(root / path.removeprefix("/")),
+    )

@@ -1,0 +1,83 @@
+"""A camera that plays pictures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from esair.drivers.camera import CameraRequest
+
+Picture = np.ndarray[Any, Any]
+
+
+class FakeCamera:
+    """Plays pictures again and again; ``open`` is the opener of a `Camera`.
+
+    Args:
+        pictures: Arrays of ``uint8`` with the shape (height, width, 3), blue, green and
+            red; or files of ``numpy.save`` with one.
+        fps: How many it takes in a second.
+
+    Attributes:
+        pictures: What it plays now; change it.
+        taken: How many pictures it has taken.
+        silent: Whether it takes none, as one that hangs.
+    """
+
+    def __init__(
+        self, pictures: Iterable[Picture | str | os.PathLike[str]], *, fps: float = 30.0
+    ) -> None:
+        self.pictures = [
+            each if isinstance(each, np.ndarray) else np.load(each) for each in pictures
+        ]
+        self.fps = fps
+        self.taken = 0
+        self.silent = False
+        self._plugged = True
+
+    def open(self, request: CameraRequest) -> _FakeLink:
+        """Open it.
+
+        Raises:
+            OSError: It is unplugged.
+        """
+        if not self._plugged:
+            raise FileNotFoundError(f"no camera is {request.device!r}")
+        return _FakeLink(self)
+
+    @property
+    def plugged(self) -> bool:
+        """Whether it is there."""
+        return self._plugged
+
+    def unplug(self) -> None:
+        """Be gone, from this moment on."""
+        self._plugged = False
+
+    def plug(self) -> None:
+        """Be there again."""
+        self._plugged = True
+
+
+class _FakeLink:
+    def __init__(self, camera: FakeCamera) -> None:
+        self.pace = 1.0 / camera.fps
+        self._camera = camera
+        self._picture: Picture | None = None
+
+    def grab(self) -> bool:
+        if not self._camera.plugged or self._camera.silent:
+            return False
+        pictures = self._camera.pictures
+        self._picture = pictures[self._camera.taken % len(pictures)]
+        self._camera.taken += 1
+        return True
+
+    def retrieve(self) -> Picture | None:
+        return self._picture
+
+    def close(self) -> None:
+        self._picture = None

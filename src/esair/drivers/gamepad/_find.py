@@ -1,0 +1,93 @@
+"""Gamepads that are plugged in, by what ``/sys`` says of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from esair.buses.finding import (
+    ROOT,
+    Device,
+    UsbIdentity,
+    entries,
+    permission,
+    pick,
+    quoted,
+    read,
+)
+
+_GAMEPAD, _JOYSTICK = 0x130, 0x120
+"""A pad has the first of these buttons, and a joystick the second."""
+
+
+def devices(root: Path = ROOT) -> list[Device]:
+    """Return the pads that are there, by the numbers of their events."""
+    places = sorted(
+        (
+            place
+            for place in entries(root / "sys/class/input")
+            if place.name.removeprefix("event").isdecimal() and _is_pad(place)
+        ),
+        key=lambda place: int(place.name.removeprefix("event")),
+    )
+    return [_pad(place, root) for place in places]
+
+
+def toml(device: Device, name: str) -> list[str]:
+    """Return the lines of a robot.toml for a pad."""
+    return [
+        f"[sensor.{name}]",
+        'driver = "gamepad"',
+        f"device = {quoted(device.address)}",
+        'dead_man = "tl"',
+    ]
+
+
+def find_pad(wanted: str, root: Path = ROOT) -> str:
+    """Return the path of a pad.
+
+    Args:
+        wanted: A path, ``usb:VID:PID[:SERIAL]``, the beginning of its name, or nothing
+            for the only one that is there.
+        root: Where ``/sys`` is.
+
+    Raises:
+        FileNotFoundError: It is not there, or several are.
+    """
+    if wanted.startswith("/"):
+        return wanted
+    return pick(wanted, devices(root), "pad")
+
+
+def _is_pad(place: Path) -> bool:
+    # The bits of the buttons, the highest word first, in hexadecimal.
+    bits, size = 0, 64
+    for word in read(place / "device/capabilities/key").split():
+        try:
+            bits = bits << size | int(word, 16)
+        except ValueError:
+            return False
+    return bool(bits >> _GAMEPAD & 1 or bits >> _JOYSTICK & 1)
+
+
+def _pad(place: Path, root: Path) -> Device:
+    path = f"/dev/input/{place.name}"
+    name = read(place / "device/name")
+    identity = None
+    if read(place / "device/id/bustype") == "0003":  # USB
+        try:
+            found = UsbIdentity(
+                int(read(place / "device/id/vendor"), 16),
+                int(read(place / "device/id/product"), 16),
+                read(place / "device/uniq"),
+            )
+            identity = str(found)
+        except ValueError:  # it is just being unplugged
+            identity = None
+    return Device(
+        kind="gamepad",
+        path=path,
+        address=identity or name or path,
+        description=name,
+        identity=identity,
+        state=permission(root / path.removeprefix("/")),
+    )

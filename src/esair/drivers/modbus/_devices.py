@@ -1,0 +1,321 @@
+"""One value of a unit: in a register, in several, or in a coil."""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal
+
+from pymodbus.client.mixin import ModbusClientMixin
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu.bit_message import (
+    ReadCoilsRequest,
+    ReadDiscreteInputsRequest,
+    WriteSingleCoilRequest,
+)
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadInputRegistersRequest,
+    WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
+)
+
+from esair.buses import SerialBus
+from esair.exceptions import ConfigError, DeviceFaultError, describe
+from esair.framing import ModbusRtu, ModbusTcp
+from esair.resources import Actuator, Resource, Sensor
+from esair.values import check_seconds
+from esair.watchdog import SafeFrames
+
+Table = Literal["holding", "input", "coil", "discrete"]
+"""Registers that can be written and those that cannot; bits of both kinds."""
+
+Kind = Literal[
+    "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"
+]
+"""What one or several registers are."""
+
+_READS: Final[dict[str, Any]] = {
+    "holding": ReadHoldingRegistersRequest,
+    "input": ReadInputRegistersRequest,
+    "coil": ReadCoilsRequest,
+    "discrete": ReadDiscreteInputsRequest,
+}
+_KINDS: Final = {kind.name.lower(): kind for kind in ModbusClientMixin.DATATYPE}
+_NUMBERS: Final = frozenset(Kind.__args__)  # type: ignore[attr-defined]
+_FAULTS: Final = {
+    1: "it does not know the function",
+    2: "it has no such register",
+    3: "it does not take the value",
+    4: "it has failed",
+    6: "it is busy",
+    10: "the gateway has no way to it",
+    11: "behind the gateway it does not answer",
+}
+
+
+class _OnUnit(Resource):
+    """What the sensor and the actuator have in common: a value of a unit."""
+
+    bus: SerialBus
+
+    def _describe(
+        self,
+        unit: int,
+        register: int,
+        table: Table,
+        kind: Kind,
+        word_order: Literal["big", "little"],
+        factor: float,
+        timeout: float,
+    ) -> None:
+        framing = getattr(self.bus, "framing", None)
+        if not isinstance(framing, ModbusRtu | ModbusTcp):
+            raise ConfigError(
+                self.name,
+                "bus",
+                "expected a SerialBus with framing='modbus-rtu' or 'modbus-tcp', "
+                f"not {self.bus!r}",
+            )
+        if type(unit) is not int or not 0 <= unit <= 255:
+            raise ConfigError(self.name, "unit", f"expected 0 to 255, not {unit!r:.80}")
+        if type(register) is not int or not 0 <= register <= 0xFFFF:
+            raise ConfigError(
+                self.name, "register", f"expected 0 to 65535, not {register!r:.80}"
+            )
+        if table not in _READS:
+            raise ConfigError(
+                self.name,
+                "table",
+                f"expected one of {', '.join(_READS)}, not {table!r}",
+            )
+        if kind not in _NUMBERS:
+            known = ", ".join(sorted(_NUMBERS))
+            raise ConfigError(
+                self.name, "type", f"expected one of {known}, not {kind!r:.80}"
+            )
+        if word_order not in {"big", "little"}:
+            raise ConfigError(
+                self.name,
+                "word_order",
+                f"expected 'big' or 'little', not {word_order!r}",
+            )
+        if not factor:
+            raise ConfigError(self.name, "factor", "expected a factor that is not 0")
+        self.unit, self.register, self.table = unit, register, table
+        self.kind, self.word_order, self.factor = kind, word_order, factor
+        self.timeout = check_seconds(self.name, "timeout", timeout)
+        self.is_bit = table in {"coil", "discrete"}
+        self._type = _KINDS[kind]
+        self._decoder = DecodePDU(False)
+
+    @property
+    def _size(self) -> int:
+        return 1 if self.is_bit else int(self._type.value[1])
+
+    def _message(self, request: ModbusPDU) -> bytes:
+        """Return a request as its payload; with a number if the wire has them."""
+        framing = self.bus.framing
+        number = framing.number() if isinstance(framing, ModbusTcp) else b""
+        head: bytes = number + bytes([self.unit, request.function_code])
+        return head + bytes(request.encode())
+
+    async def _ask(self, request: ModbusPDU) -> ModbusPDU:
+        """Make a request and return the answer of the unit.
+
+        Raises:
+            DeviceFaultError: It refuses, or answers something else.
+            DeviceLostError: The wire is gone.
+            DriverStuckError: It does not answer.
+        """
+        message = self._message(request)
+        head = message[: len(message) - len(request.encode())]
+        refused = head[:-1] + bytes([head[-1] | 0x80])
+        answer = await self.bus.ask(
+            message, prefix=(head, refused), timeout=self.timeout
+        )
+        try:
+            decoded = self._decoder.decode(answer[len(head) - 1 :])
+        except Exception as error:  # bytes of a stranger
+            raise DeviceFaultError(
+                self.name, f"its answer: {describe(error)}"
+            ) from error
+        if decoded is None:
+            raise DeviceFaultError(self.name, f"its answer is none: {answer.hex()}")
+        if isinstance(decoded, ExceptionResponse):
+            code = decoded.exception_code
+            why = _FAULTS.get(code, f"exception {code}")
+            raise DeviceFaultError(
+                self.name, f"unit {self.unit}, {self.table} {self.register}: {why}"
+            )
+        return decoded
+
+    async def _get(self) -> Any:
+        request = _READS[self.table](address=self.register, count=self._size)
+        answer = await self._ask(request)
+        if self.is_bit:
+            if not answer.bits:
+                raise DeviceFaultError(self.name, "its answer has no bit")
+            return bool(answer.bits[0])
+        if len(answer.registers) != self._size:
+            raise DeviceFaultError(
+                self.name,
+                f"its answer has {len(answer.registers)} registers, not {self._size}",
+            )
+        number: Any = ModbusClientMixin.convert_from_registers(
+            answer.registers, self._type, word_order=self.word_order
+        )
+        return number * self.factor
+
+
+class ModbusSensor(_OnUnit, Sensor[Any]):
+    """A value that a unit is asked for: a float, or a bool in a bit.
+
+    Args:
+        unit: The number of the unit; 1 to 247 on a serial line.
+        register: The first register, as it is on the wire: from 0, without the digit
+            that some manuals put before it for the table.
+        table: ``"holding"``, ``"input"``, ``"coil"`` or ``"discrete"``.
+        type: What the registers are, such as ``"int16"`` or ``"float32"``.
+        word_order: Which register of several comes first: that of the high word with
+            ``"big"``.
+        factor: What the number is multiplied with, to come to its unit.
+        timeout: How long the unit may take to answer, in seconds.
+    """
+
+    bus: SerialBus
+
+    def __init__(
+        self,
+        *,
+        unit: int = 1,
+        register: int,
+        table: Table = "holding",
+        type: Kind = "int16",  # noqa: A002 - what everybody calls it
+        word_order: Literal["big", "little"] = "big",
+        factor: float = 1.0,
+        timeout: float = 0.5,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self._describe(unit, register, table, type, word_order, factor, timeout)
+
+    @property
+    def value_type(self) -> Any:
+        """A bool in a bit, else a float."""
+        return bool if self.is_bit else float
+
+    async def open(self) -> None:
+        """Make sure that the unit answers."""
+        await self._get()
+
+    async def read(self) -> Any:
+        """Ask for the value; errors as those of the bus, and a fault if it refuses."""
+        return await self._get()
+
+
+class ModbusActuator(_OnUnit, Actuator[Any]):
+    """A value that a unit is told, and confirms: a float, or a bool in a coil.
+
+    Args:
+        safe: The value that makes it safe.
+        unit: The number of the unit; 1 to 247 on a serial line.
+        register: The first register, as it is on the wire: from 0.
+        table: ``"holding"`` or ``"coil"``.
+        type: What the registers are, such as ``"int16"`` or ``"float32"``.
+        word_order: Which register of several comes first.
+        factor: What the number on the wire is multiplied with, to come to its unit.
+        limits: Narrower limits than those of its type.
+        timeout: How long the unit may take to answer, in seconds.
+        own_timeout: After how many seconds without a command the unit itself stops.
+    """
+
+    bus: SerialBus
+
+    def __init__(
+        self,
+        *,
+        safe: float | bool,
+        unit: int = 1,
+        register: int,
+        table: Literal["holding", "coil"] = "holding",
+        type: Kind = "int16",  # noqa: A002 - what everybody calls it
+        word_order: Literal["big", "little"] = "big",
+        factor: float = 1.0,
+        limits: tuple[float, float] | None = None,
+        timeout: float = 0.5,
+        own_timeout: float | None = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self._describe(unit, register, table, type, word_order, factor, timeout)
+        if table not in {"holding", "coil"}:
+            raise ConfigError(
+                self.name, "table", f"expected 'holding' or 'coil', not {table!r}"
+            )
+        self.own_timeout = own_timeout
+        self.claim = f"{table} {register} of unit {unit}"
+        if self.is_bit:
+            if not isinstance(safe, bool):
+                raise ConfigError(self.name, "safe", f"expected a bool, not {safe!r}")
+            self.safe = safe
+            return
+        self.safe = float(safe)
+        allowed = self._bounds()
+        self.limits = allowed if limits is None else limits
+        low, high = self.limits
+        if not allowed[0] <= low <= self.safe <= high <= allowed[1]:
+            raise ConfigError(
+                self.name,
+                "limits",
+                f"expected {self.safe:g} within, and {allowed[0]:g} to {allowed[1]:g} at "
+                f"most, not {self.limits!r:.80}",
+            )
+
+    @property
+    def value_type(self) -> Any:
+        """A bool in a coil, else a float."""
+        return bool if self.is_bit else float
+
+    def safe_frames(self) -> SafeFrames:
+        """The safe value, as bytes of a serial line."""
+        message = self._message(self._request(self.safe))
+        # A framing of its own: this may be asked for while an answer comes.
+        return SafeFrames([self.bus.framing.fresh().encode(message)])
+
+    async def open(self) -> None:
+        """Make sure that the unit answers; that it cannot be read is well."""
+        try:
+            await self._get()
+        except DeviceFaultError as fault:
+            if fault.errno is not None:
+                raise
+
+    async def write(self, command: Any) -> None:
+        """Tell the value, and wait until the unit has confirmed it."""
+        await self._ask(self._request(command))
+
+    def _request(self, command: Any) -> ModbusPDU:
+        if self.is_bit:
+            return WriteSingleCoilRequest(address=self.register, bits=[bool(command)])
+        number = command / self.factor
+        registers = ModbusClientMixin.convert_to_registers(
+            number if self.kind.startswith("float") else round(number),
+            self._type,
+            word_order=self.word_order,
+        )
+        make: Any = WriteMultipleRegistersRequest
+        if len(registers) == 1:
+            make = WriteSingleRegisterRequest
+        request: ModbusPDU = make(address=self.register, registers=registers)
+        return request
+
+    def _bounds(self) -> tuple[float, float]:
+        if self.kind.startswith("float"):
+            most = 3.4e38 if self.kind == "float32" else 1.7e308
+            least = -most
+        else:
+            bits = 16 * self._size
+            signed = self.kind.startswith("int")
+            most = float((1 << bits - signed) - 1)
+            least = -float(1 << bits - 1) if signed else 0.0
+        low, high = sorted((least * self.factor, most * self.factor))
+        return low, high

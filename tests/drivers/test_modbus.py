@@ -1,0 +1,277 @@
+"""Modbus units, by RTU and TCP: codec, framing, sensor, actuator."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import hypothesis
+import pytest
+from hypothesis import strategies as st
+
+from esair.buses import SerialBus
+from esair.exceptions import ConfigError, DeviceFaultError, DriverStuckError
+from esair.framing import ModbusRtu, ModbusTcp
+from esair.testing import ActuatorContract, BusContract, FakeSerial, SensorContract
+
+pytest.importorskip("pymodbus", reason="the extra 'modbus' is not installed")
+
+from esair.drivers.modbus import ModbusActuator, ModbusSensor
+from esair.drivers.modbus.fake import FakeModbus
+
+RTU, TCP = "modbus-rtu", "modbus-tcp"
+
+pytestmark = pytest.mark.virtual_clock
+
+
+def make(framing: str = RTU) -> tuple[FakeSerial, FakeModbus]:
+    line = FakeSerial("plc", framing=framing)
+    unit = FakeModbus(
+        line,
+        {8: 0, 9: 0, 20: 0x4148, 21: 0},
+        inputs={0: 0xFFFE},
+        coils={3: False},
+        discretes={4: True},
+        unit=3,
+    )
+    return line, unit
+
+
+class Powered:
+    framing = RTU
+    unit: FakeModbus
+
+    def wire(self) -> FakeSerial:
+        line, self.unit = make(self.framing)
+        return line
+
+    async def unplug(self, device: Any) -> None:
+        device.bus.unplug()
+
+    async def silence(self, _device: Any) -> None:
+        self.unit.silent = True
+
+    async def speak(self, _device: Any) -> None:
+        self.unit.silent = False
+
+
+class TestSensor(Powered, SensorContract):
+    def make(self) -> Any:
+        return ModbusSensor(unit=3, register=20, type="float32", bus=self.wire())
+
+
+class TestBit(Powered, SensorContract):
+    framing = TCP
+
+    def make(self) -> Any:
+        return ModbusSensor(unit=3, register=4, table="discrete", bus=self.wire())
+
+
+class TestActuator(Powered, ActuatorContract):
+    def make(self) -> Any:
+        return ModbusActuator(
+            unit=3, register=8, type="int32", factor=0.1, safe=0.0, bus=self.wire()
+        )
+
+    def commands(self) -> list[Any]:
+        return [12.5, -1000.0]
+
+
+class TestCoil(Powered, ActuatorContract):
+    framing = TCP
+
+    def make(self) -> Any:
+        return ModbusActuator(
+            unit=3, register=3, table="coil", safe=False, bus=self.wire()
+        )
+
+    def commands(self) -> list[Any]:
+        return [True]
+
+
+class TestLine(BusContract):
+    """Whose an answer is: two reads of one function cannot be told apart on RTU."""
+
+    framing = RTU
+
+    def make(self) -> FakeSerial:
+        line, self.unit = make(self.framing)
+        line.late_limit = 0.2
+        self.unit.inputs = {n: n for n in range(256)}
+        return line
+
+    async def use(self, bus: Any) -> None:
+        assert await self.ask(bus, 7) == 7
+
+    async def ask(self, bus: Any, number: int) -> int:
+        device = ModbusSensor(
+            unit=3, register=number, table="input", bus=bus, timeout=1.0
+        )
+        return int(await device.read())
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+
+        def answer(message: bytes) -> None:
+            said = self.unit.hear(message)
+            assert said is not None
+            loop.call_later(seconds, bus.say, said)
+
+        bus.on_frame = answer
+
+
+class TestTcpLine(TestLine):
+    framing = TCP
+
+
+@pytest.mark.parametrize("framing", [RTU, TCP])
+async def test_values_are_read_and_told_in_their_type(framing: str) -> None:
+    """Each table, one register or several, in both orders of the words."""
+    line, unit = make(framing)
+    await line.open()
+    read = lambda **options: ModbusSensor(unit=3, bus=line, **options).read()  # noqa: E731
+    assert await read(register=20, type="float32") == 12.5
+    assert await read(register=0, table="input") == -2
+    assert await read(register=0, table="input", type="uint16") == 65534
+    assert await read(register=0, table="input", factor=0.5) == -1.0
+    assert await read(register=4, table="discrete") is True
+    assert await read(register=3, table="coil") is False
+    tell = ModbusActuator(
+        unit=3, register=8, type="int32", word_order="little", safe=0, bus=line
+    )
+    await tell.write(-2.0)
+    assert (unit.holding[8], unit.holding[9]) == (0xFFFE, 0xFFFF)
+    one = ModbusActuator(unit=3, register=9, safe=0, factor=0.1, bus=line)
+    await one.write(1.25)
+    assert unit.holding[9] == 12
+    assert [request[0] for request in unit.heard[-2:]] == [16, 6]
+    await line.close()
+
+
+@pytest.mark.fault("D26")
+async def test_a_refusal_is_a_fault_and_a_stranger_is_no_answer() -> None:
+    """In words; another unit's answer, or one of the wrong size, is not taken."""
+    line, unit = make()
+    await line.open()
+    device = ModbusSensor(unit=3, register=99, bus=line)
+    with pytest.raises(DeviceFaultError, match="holding 99: it has no such register"):
+        await device.read()
+    unit.refuse = lambda _function, _address: 6
+    with pytest.raises(DeviceFaultError, match="it is busy"):
+        await device.read()
+    line.on_frame = lambda _message: b"\x04\x03\x02\x00\x07"
+    with pytest.raises(DriverStuckError):
+        await device.read()
+    line.on_frame = lambda _message: b"\x03\x03\x04\x00\x07\x00\x08"
+    await asyncio.sleep(1.0)
+    with pytest.raises(DeviceFaultError, match="2 registers, not 1"):
+        await device.read()
+    await line.close()
+
+
+async def test_the_watchdogs_bytes_make_it_safe() -> None:
+    """On a serial line."""
+    line, unit = make()
+    device = ModbusActuator(unit=3, register=8, safe=5.0, bus=line)
+    (frame,) = device.safe_frames().frames
+    assert ModbusRtu().feed(frame) == [b"\x03\x06\x00\x08\x00\x05"]
+    assert unit.hear(b"\x03\x06\x00\x08\x00\x05") == b"\x03\x06\x00\x08\x00\x05"
+
+
+@hypothesis.given(st.lists(st.binary(max_size=12), max_size=6), st.data())
+@pytest.mark.fault("D08", "D09")
+def test_a_message_is_found_behind_some_garbage(
+    garbage: list[bytes], data: st.DataObject
+) -> None:
+    """However it is cut, once a request has been sent; no bytes break the search."""
+    for framing, message in [
+        (ModbusRtu(), b"\x03\x03\x04\x00\x07\x00\x08"),
+        (ModbusTcp(), b"\x00\x01\x03\x03\x04\x00\x07\x00\x08"),
+    ]:
+        for each in garbage:
+            framing.feed(each)
+        wire = framing.encode(message)
+        framing.reset()
+        cut = data.draw(st.integers(0, len(wire)))
+        assert framing.feed(wire[:cut]) + framing.feed(wire[cut:]) == [message]
+
+
+def test_garbage_costs_little() -> None:
+    """50 ms of CPU for a megabyte, in chunks as a line brings them."""
+    for chunk in (bytes([3, 3, 250]) * 85, bytes(range(256)), b"\xff" * 64):
+        for framing in (ModbusRtu(), ModbusTcp()):
+            begin = time.process_time()
+            for _ in range(200_000 // len(chunk)):
+                framing.feed(chunk)
+            assert time.process_time() - begin < 0.2 * 0.05 * 5, "five times a bad day"
+
+
+class Server:
+    """A unit that listens on this computer, for one client after the other."""
+
+    def __init__(self) -> None:
+        self.socket = socket.create_server(("127.0.0.1", 0))
+        self.port = self.socket.getsockname()[1]
+        _, self.unit = make(TCP)
+        threading.Thread(target=self.serve, daemon=True).start()
+
+    def serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self.socket.accept()
+            except OSError:
+                return
+            framing = ModbusTcp()
+            while data := connection.recv(4096):
+                for message in framing.feed(data):
+                    answer = self.unit.hear(message)
+                    assert answer is not None
+                    connection.sendall(framing.encode(answer))
+            connection.close()
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    server = Server()
+    yield server
+    server.socket.shutdown(socket.SHUT_RDWR)
+    server.socket.close()
+
+
+@pytest.mark.real_clock
+async def test_it_works_by_tcp(server: Server) -> None:
+    """Through pyserial's own way to a socket."""
+    line = SerialBus(
+        name="plc", port=f"socket://127.0.0.1:{server.port}", framing="modbus-tcp"
+    )
+    await line.open()
+    sensor = ModbusSensor(unit=3, register=20, type="float32", bus=line, timeout=5.0)
+    assert await sensor.read() == 12.5
+    await line.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "keywords", "told"),
+    [
+        (ModbusSensor, {"unit": 256}, "unit: expected 0 to 255"),
+        (ModbusSensor, {"register": -1}, "register: expected 0 to 65535"),
+        (ModbusSensor, {"table": "coils"}, "table: expected one of"),
+        (ModbusSensor, {"type": "float"}, "type: expected one of"),
+        (ModbusSensor, {"factor": 0}, "factor: expected"),
+        (ModbusSensor, {"word_order": "up"}, "word_order: expected"),
+        (ModbusSensor, {"bus": FakeSerial("x")}, "bus: expected a SerialBus with"),
+        (ModbusActuator, {"safe": 0, "table": "input"}, "table: expected 'holding'"),
+        (ModbusActuator, {"safe": 0, "table": "coil"}, "safe: expected a bool"),
+        (ModbusActuator, {"safe": 40000}, "limits: expected"),
+    ],
+)
+def test_mistakes_are_told_when_the_device_is_made(
+    kind: Any, keywords: dict[str, Any], told: str
+) -> None:
+    """With the field."""
+    with pytest.raises(ConfigError, match=told):
+        kind(**{"register": 1, "bus": FakeSerial("plc", framing=RTU), **keywords})
