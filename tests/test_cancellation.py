@@ -213,28 +213,28 @@ class World:
         await behaviors.remove("actor")
         self.actor = Actor(name="actor")
         await behaviors.add(self.actor)
-        while self.robot.behaviors._members["peer"].inbox:
+        while self.robot._behaviors.members["peer"].inbox:
             await self.peer.receive()
 
     def check(self) -> None:
         """Nothing is lost, doubled or left over (INV1, INV2)."""
         robot = self.robot
-        mediator = robot.behaviors.mediator
-        assert mediator._pending == 0
-        assert mediator._of_asker == {}
+        mediator = robot._behaviors.mediator
+        assert mediator.pending.count == 0
+        assert mediator.pending.of_asker == {}
         assert mediator._gets == {}
-        members = robot.behaviors._members
+        members = robot._behaviors.members
         for member in members.values():
             assert member.senders.count == member.askers.count == 0
             assert member.provider is None
             assert member.takers is None
-            assert member.performs == []
+            assert member.steps.now == []
             assert member.state in {
                 esair.BehaviorState.RUNNING,
                 esair.BehaviorState.PARKED,
             }, member.state
-        assert robot.behaviors._coming == []
-        assert robot.behaviors._ending == []
+        assert robot._behaviors.coming == []
+        assert robot._behaviors.ending == []
         waiting = esair.SupervisorPhase.WAIT_REQUEST
         assert (robot.behaviors.phase, robot.resources.phase) == (waiting, waiting)
         held = {each.number for m in members.values() for each in m.uses()}
@@ -244,7 +244,7 @@ class World:
             for each in m.uses()
             if each.resource in robot.resources.names() and each.reason is None
         }
-        live = set(robot.resources._registrations.live)
+        live = set(robot._resources.registrations.live)
         assert live <= held, "a ghost: nobody has this registration"
         assert there <= live, "a registration was lost"
 
@@ -325,7 +325,7 @@ async def replace_resource(world: World) -> None:
 async def receive(world: World) -> None:
     asyncio.get_running_loop().call_later(
         0.01,
-        lambda: world.robot.behaviors.mediator.hand("data", "user", "peer", 1.0),
+        lambda: world.robot._behaviors.mediator.hand("data", "user", "peer", 1.0),
     )
     async with asyncio.timeout(2.0):
         await world.peer.receive()

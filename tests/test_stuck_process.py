@@ -165,6 +165,29 @@ async def test_each_of_two_robots_ends_safe_on_a_signal(
     assert [line for line in told if line.startswith("wheels")][-1] == "wheels=0.0"
 
 
+@pytest.mark.promise("ROB-5", "SUP-3")
+@pytest.mark.parametrize("runner", ["asyncio", "anyio"])
+@pytest.mark.parametrize("stuck", ["swallow", "deaf"])
+async def test_no_runner_waits_for_what_would_not_end(
+    tmp_path: Path, stuck: str, runner: str
+) -> None:
+    """`asyncio.run` cancels every task that it finds, and waits: not for these."""
+    main = f"""
+    async def main():
+        async with robot:
+            await asyncio.sleep(0.3)
+    {runner}.run(main())
+    """.replace("anyio.run(main())", "anyio.run(main)")
+    returned, told, errors, seconds = await live(
+        tmp_path / "log", stuck=STUCK[stuck], main=main
+    )
+
+    assert returned == 0, errors
+    assert told[-1] == "wheels=0.0"
+    assert "left behind, they would not end: drive" in errors
+    assert seconds < 8.0
+
+
 @pytest.mark.promise("ROB-5")
 @pytest.mark.fault("X10")
 @pytest.mark.parametrize(

@@ -173,6 +173,30 @@ def make_sensor(rng: random.Random, seed: int, name: str) -> Any:
     return (Instant if kind == "instant" else Threaded)(name, values, rate)
 
 
+class Sum(esair.Derived[float]):
+    """The sum of two readings, each of a sensor or of another sum."""
+
+    def __init__(self, name: str, one: str, other: str) -> None:
+        super().__init__(
+            name=name,
+            reads={
+                "one": esair.reads(float, name=one),
+                "other": esair.reads(float, name=other, optional=True),
+            },
+        )
+
+    def compute(self, one: float, other: float | None) -> float:
+        return one + (other or 0.0)
+
+
+def make_sums(rng: random.Random, sensors: list[str]) -> list[Sum]:
+    sums: list[Sum] = []
+    for i in range(rng.randint(0, 2)):
+        one, other = rng.sample([*sensors, *(each.name for each in sums)], 2)
+        sums.append(Sum(f"a{i}" if rng.random() < 0.5 else f"z{i}", one, other))
+    return sums
+
+
 def make_motor(rng: random.Random, name: str, told: Told) -> Motor:
     kind = rng.choice(["instant", "slow", "threaded"])
     if kind == "threaded":
@@ -212,9 +236,11 @@ def make(
     rng = random.Random(seed)
     sensors = [make_sensor(rng, seed, f"s{i}") for i in range(rng.randint(2, 5))]
     motors = [make_motor(rng, f"m{i}", told) for i in range(rng.randint(1, 3))]
-    names = [each.name for each in sensors], [each.name for each in motors]
+    sums = make_sums(rng, [each.name for each in sensors])
+    readable = [each.name for each in (*sensors, *sums)]
+    names = readable, [each.name for each in motors]
     behaviors = [make_behavior(rng, f"b{i}", *names) for i in range(rng.randint(2, 6))]
-    resources = [*sensors, *motors]
+    resources = [*sensors, *sums, *motors]
     if shuffled is not None:
         shuffled.shuffle(resources)
         shuffled.shuffle(behaviors)

@@ -1,15 +1,21 @@
 """What the one event loop needs: a scheduler for time, threads for blocking code."""
 
-from esair.loop._budget import WRITE_COST, Budget
+from esair.loop._budget import PUT_COST, SPENDABLE, WRITE_COST, Budget
+from esair.loop._dead_man import DeadMan
 from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._door import Door, Entry
-from esair.loop._end_of_loop import run_and_end, threads_that_keep_the_process
+from esair.loop._end_of_loop import (
+    leave_behind,
+    run_and_end,
+    threads_that_keep_the_process,
+)
 from esair.loop._ending import Ending
 from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._garbage import Gaps, collector
-from esair.loop._light_task import WAITS, FirstSteps, LightTask
+from esair.loop._light_task import ENDED, WAITS, FirstSteps, LightTask, current_tasks
 from esair.loop._now import now, works_for
+from esair.loop._outside import News, ask_outside, outside
 from esair.loop._ownership import (
     OwnedTasks,
     Owner,
@@ -19,25 +25,31 @@ from esair.loop._ownership import (
     speaks_for_nobody,
 )
 from esair.loop._portal import Portal, portal
-from esair.loop._random import ComponentRandom, Stream, stepping
-from esair.loop._rate_group import Job, OneShot, Order, Step
+from esair.loop._random import ComponentRandom, Stepping, Stream
+from esair.loop._rate_group import DerivedJob, Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
 from esair.loop._signals import ProcessWatch, SignalWatch
 from esair.loop._stall import StallWatch
 from esair.loop._suspend import GLANCE, SuspendWatch
-from esair.loop._tape import First, Player, Recorder, Tape
-from esair.loop._timer import clock_of
+from esair.loop._tape import SPOILED, First, Player, TapeWriter
+from esair.loop._timer import clock_beside, clock_of
 from esair.loop._turn_loop import TurnLoop
 
 __all__ = [
+    "ENDED",
     "GLANCE",
+    "PUT_COST",
+    "SPENDABLE",
+    "SPOILED",
     "WAITS",
     "WRITE_COST",
     "Budget",
     "CallRefused",
     "ComponentRandom",
+    "DeadMan",
     "Deadline",
     "Deadlines",
+    "DerivedJob",
     "Door",
     "Ending",
     "Entry",
@@ -48,6 +60,7 @@ __all__ = [
     "Gaps",
     "Job",
     "LightTask",
+    "News",
     "OneShot",
     "Order",
     "OwnedTasks",
@@ -55,26 +68,30 @@ __all__ = [
     "Player",
     "Portal",
     "ProcessWatch",
-    "Recorder",
     "Scheduler",
     "SignalWatch",
     "StallWatch",
     "Step",
+    "Stepping",
     "Stream",
     "SuspendWatch",
-    "Tape",
+    "TapeWriter",
     "TurnLoop",
+    "ask_outside",
+    "clock_beside",
     "clock_of",
     "collector",
     "current_owner",
+    "current_tasks",
     "every",
+    "leave_behind",
     "now",
+    "outside",
     "portal",
     "run_and_end",
     "script_context",
     "spawn",
     "speaks_for_nobody",
-    "stepping",
     "threads_that_keep_the_process",
     "works_for",
 ]

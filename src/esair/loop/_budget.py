@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import weakref
+from collections.abc import Callable
 
 from esair.loop._of_loop import of_loop
+from esair.loop._ownership import is_outside
 
-SPENDABLE = 24
-"""How many awaits of esair may end without a wait; a task gives way by the second time."""
+SPENDABLE = 48
+"""What a task may spend on awaits that end without a wait: it gives way by twice this."""
 
+WRITE_COST = 3
+"""What a write costs: it takes about three times as long as a read, which costs 1."""
 
-WRITE_COST = 2
-"""How many of them a write counts for: it takes longer than the others."""
+PUT_COST = 2
+"""What handing data over costs."""
 
 
 class Budget:
@@ -31,7 +36,7 @@ class Budget:
 
     def __init__(self, _loop: asyncio.AbstractEventLoop) -> None:
         self.left = SPENDABLE
-        self._spender = 0
+        self._spender: Callable[[], object] = _nobody
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Budget:
@@ -41,7 +46,9 @@ class Budget:
     @classmethod
     async def spend(cls, cost: int = 1) -> None:
         """Count one await of the running loop, and give way if all is spent."""
-        budget = cls.of(asyncio.get_running_loop())
+        loop = asyncio.get_running_loop()
+        # What is outside of the robot may not change who of it gives way.
+        budget = of_loop(loop, _BudgetBeside) if is_outside() else cls.of(loop)
         budget.left -= cost
         if budget.left < 0:
             await budget.give_way()
@@ -53,8 +60,20 @@ class Budget:
         the one who spent it. If it finds it spent twice in a row, it was.
         """
         self.left = SPENDABLE
-        task = id(asyncio.current_task())
-        if task != self._spender:
-            self._spender = task
+        task = asyncio.current_task()
+        if self._spender() is not task:
+            # Not its id: another task may get that, and the run would not repeat.
+            self._spender = _nobody if task is None else weakref.ref(task)
             return
+        self._spender = _nobody
         await asyncio.sleep(0)
+
+
+class _BudgetBeside(Budget):
+    """The budget of what is outside of the robot."""
+
+    __slots__ = ()
+
+
+def _nobody() -> object:
+    return Budget  # what no task is

@@ -60,6 +60,13 @@ class Deadlines:
         """Return those of a loop."""
         return of_loop(loop, cls)
 
+    @classmethod
+    def beside(cls, loop: asyncio.AbstractEventLoop) -> Deadlines:
+        """Return those of what is outside of the robot; see `Scheduler.beside`."""
+        if getattr(loop, "wakes_scheduler", False):
+            return of_loop(loop, _DeadlinesBeside)
+        return cls.of(loop)
+
     def after(
         self, seconds: float, function: Callable[..., object], *arguments: Any
     ) -> Deadline:
@@ -94,6 +101,10 @@ class Deadlines:
             earliest = min((each.when for each in self._waiting), default=math.inf)
             if earliest < self._looks_at:
                 self._look_at(earliest)
+
+
+class _DeadlinesBeside(Deadlines):
+    """The deadlines of what is outside of the robot."""
 
 
 def _by_moment(deadline: Deadline) -> float:

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from esair.loop._of_loop import of_loop
-from esair.loop._tape import Player, Recorder
+from esair.loop._tape import Player, TapeWriter
 from esair.loop._timer import clock_of
 
 _log = logging.getLogger("esair")
@@ -61,16 +61,26 @@ class Door:
         self._loop = loop
         self._time = clock_of(loop)
         self._is_taken: bool = getattr(loop, "takes_entries", False)
+        self.has_border: bool = getattr(loop, "wakes_scheduler", False)
+        """Whether the turns of the loop have a border, where what comes in takes effect."""
+        self.player: Player | None = getattr(loop, "player", None)
+        """What repeats a run on this loop, sooner or later."""
         self._holds: bool = getattr(loop, "holds_work", False)
-        self.tape: Recorder | Player | None = None
+        self.tape: TapeWriter | Player | None = None
         """What keeps or gives what comes in, on a `TurnLoop`."""
         self.divert: Callable[[Entry], object] | None = None
         """Gets the entries of threads in a replay, which lets them wait."""
         self._lock = threading.Lock()
         self._entries: collections.deque[Entry] = collections.deque()
-        self._held: collections.deque[tuple[int, Callable[[int], None]]] = (
+        self._held: collections.deque[tuple[int, Callable[[int], None], object]] = (
             collections.deque()
         )
+        self._lanes: dict[int, object] = {}
+        """Which thread has each work, where work is held."""
+        self._resting: set[object] = set()
+        """The threads that wait for time to pass, or for the outside."""
+        self._outside: set[object] = set()
+        """The threads whose work is to wait for the outside."""
         self._wakes = False
         self._works = itertools.count(1)
         self.number = 0
@@ -93,16 +103,26 @@ class Door:
         """Whether work was given out that has not begun."""
         return bool(self._held)
 
-    def give_out(self, begin: Callable[[int], None]) -> None:
+    def give_out(
+        self,
+        begin: Callable[[int], None],
+        lane: threading.Thread | None = None,
+        *,
+        outside: bool = False,
+    ) -> None:
         """Let a thread begin with a work; its end comes back by `post`.
 
         Args:
             begin: Called in the loop with the number of the work, at once or, on a
                 virtual clock, when nothing else is ready; must not raise.
+            lane: The thread, if its works wait for one another.
+            outside: It waits for something to happen outside, for as long as it takes.
         """
         work = next(self._works)
         if self._holds:
-            self._held.append((work, begin))
+            if outside:
+                self._outside.add(lane)
+            self._held.append((work, begin, lane))
         else:
             self.at_work += 1
             begin(work)
@@ -110,10 +130,50 @@ class Door:
     def let_go(self) -> None:
         """Let the threads begin whose work was held."""
         while self._held:
-            work, begin = self._held.popleft()
+            work, begin, lane = self._held.popleft()
             with self._lock:
-                self.at_work += 1
+                self._lanes[work] = lane
+                if lane not in self._resting:
+                    self.at_work += 1
             begin(work)
+
+    def begun(self, work: int) -> None:
+        """Take note, in a thread, that it has a work which any thread could have taken."""
+        with self._lock:
+            self._lanes[work] = threading.current_thread()
+
+    def at_hand(self) -> list[tuple[threading.Thread, bool, bool]]:
+        """Return the threads that have work, where work is held.
+
+        Returns:
+            Each thread; whether it works for the outside; whether it holds time up.
+        """
+        with self._lock:
+            lanes = dict.fromkeys(self._lanes.values())
+            return [
+                (lane, lane in self._outside, lane not in self._resting)
+                for lane in lanes
+                if isinstance(lane, threading.Thread)
+            ]
+
+    def rest(self, lane: threading.Thread) -> None:
+        """Take note that a thread waits for time to pass, or the outside, where work is held.
+
+        What it has in hand, and what waits behind that, holds time up no more.
+        """
+        with self._lock:
+            self._resting.add(lane)
+            self.at_work -= self._given_to(lane)
+
+    def go_on(self, lane: threading.Thread) -> None:
+        """Take note, in the loop, that its thread goes on."""
+        with self._lock:
+            if lane in self._resting:
+                self._resting.discard(lane)
+                self.at_work += self._given_to(lane)
+
+    def _given_to(self, lane: object) -> int:
+        return sum(each is lane for each in self._lanes.values())
 
     def post(
         self, work: int, tag: Tag, function: Callable[..., object], *arguments: Any
@@ -125,14 +185,31 @@ class Door:
         """
         with self._lock:
             if work:
-                self.at_work -= 1
+                lane = self._lanes.pop(work, None)
+                if lane is not None and lane in self._resting:
+                    # It has waited for the outside, which it has heard from.
+                    self._resting.discard(lane)
+                    self.at_work += self._given_to(lane)
+                else:
+                    self.at_work -= 1
             self.number += 1
             entry = Entry(self.number, self._time(), work, tag, function, arguments)
-            if self.divert is not None and tag[0] == "thread":
-                self.divert(entry)
-                return
-            if self.divert is not None and not work:
-                return  # news of a device: in a replay they come from the tape
+            divert = self.divert
+        if divert is None:
+            self.bring(entry)
+        elif tag[0] == "thread":
+            divert(entry)
+        elif work:
+            self.bring(entry)
+        # Else it is news from outside: in a replay they come from the tape.
+
+    def bring(self, entry: Entry) -> None:
+        """Bring in an entry, from any thread.
+
+        Raises:
+            RuntimeError: The loop is closed.
+        """
+        with self._lock:
             self._entries.append(entry)
             if self._wakes:
                 return
@@ -153,7 +230,7 @@ class Door:
         It takes effect at the beginning of the next turn where turns have a border,
         and at once where they have none.
         """
-        if self.tape is None:
+        if not self.has_border:
             function(*arguments)
             return
         if self.divert is not None:
@@ -182,8 +259,8 @@ class Door:
                 self._entries.clear()
         while entries:
             entry = entries.popleft()
-            if entry.tag[0] == "thread" and isinstance(self.tape, Recorder):
-                self.tape.arrived(entry.tag)
+            if entry.tag[0] == "thread" and isinstance(self.tape, TapeWriter):
+                self.tape.arrived(entry.tag, number=1)
             try:
                 entry.function(*entry.arguments)
             except Exception:

@@ -6,7 +6,7 @@ import asyncio
 import ctypes
 import logging
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable
 from typing import Any
 
 PATIENCE = 0.3
@@ -43,17 +43,27 @@ def _end_tasks(loop: asyncio.AbstractEventLoop) -> None:
         task.cancel()
     if left:
         loop.run_until_complete(asyncio.wait(left, timeout=PATIENCE))
-    alive = sorted(task.get_name() for task in left if not task.done())
-    if alive:
-        _log.warning("left behind, they would not end: %s", ", ".join(alive))
-    for task in left:
-        if not task.done():
-            _keep_for_ever(task)
+    leave_behind([task for task in left if not task.done()])
     for task in left:
         if task.done() and not task.cancelled() and (error := task.exception()):
             _log.warning("%s: it ended with %r", task.get_name(), error)
     generators = loop.create_task(loop.shutdown_asyncgens())
     loop.run_until_complete(asyncio.wait({generators}, timeout=PATIENCE))
+
+
+def leave_behind(tasks: Iterable[asyncio.Task[Any]]) -> None:
+    """Have nobody wait for tasks that would not end.
+
+    Who ends an event loop cancels all of its tasks and waits for them, `asyncio.run` for
+    ever: it must not find these.
+    """
+    names = []
+    for task in tasks:
+        names.append(task.get_name())
+        _keep_for_ever(task)
+        asyncio._unregister_task(task)  # noqa: SLF001 - documented for other kinds of tasks
+    if names:
+        _log.warning("left behind, they would not end: %s", ", ".join(sorted(names)))
 
 
 def _keep_for_ever(task: asyncio.Task[Any]) -> None:

@@ -172,6 +172,8 @@ def break_out(frame: FrameType | None, *, forced: bool) -> None:
         CancelledError: In code of a component, which a removal cancels likewise.
         LoopHeldError: In code that nobody owns, such as a step of a reaction.
     """
+    if asyncio._get_running_loop() is None:  # noqa: SLF001 - public, but for its name
+        return  # nobody holds it: it has ended, or is being ended
     module = "" if frame is None else str(frame.f_globals.get("__name__", ""))
     if module.startswith(_INSIDE) and not forced:
         return

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Iterator
 
 from esair.exceptions import BadValueError
 from esair.loop._budget import Budget
+from esair.loop._ownership import is_outside
 from esair.loop._portal import portal
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
@@ -51,7 +52,7 @@ class Every:
                 if not woken.done():
                     woken.set_result(None)
 
-            scheduler = Scheduler.of(loop)
+            scheduler = Scheduler.beside(loop) if is_outside() else Scheduler.of(loop)
             one_shot = scheduler.at(due, wake)
             try:
                 await woken

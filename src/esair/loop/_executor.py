@@ -111,10 +111,19 @@ class Executor:
         """
         loop = asyncio.get_running_loop()
         future: asyncio.Future[T] = loop.create_future()
-        self.submit(loop, future, function, *args, guard=guard, bounded=bounded)
-        if timeout == math.inf:
+        outside = timeout == math.inf
+        self.submit(
+            loop,
+            future,
+            function,
+            *args,
+            guard=guard,
+            bounded=bounded,
+            outside=outside,
+        )
+        if outside:
             return await future
-        deadline = Deadlines.of(loop).after(
+        deadline = Deadlines.beside(loop).after(
             timeout, self._expire, future, function, timeout
         )
         try:
@@ -130,6 +139,7 @@ class Executor:
         *args: Any,
         guard: Callable[[], bool] | None = None,
         bounded: bool = True,
+        outside: bool = False,
     ) -> None:
         """Have a blocking function called; its outcome comes in the loop, however late.
 
@@ -142,12 +152,18 @@ class Executor:
             )
         jobs = self._start(loop)
         call = Call(function, args, guard, outcome)
+        results = self._results
+        assert results is not None
+        results.held += 1
 
         def begin(work: int) -> None:
             call.work = work
             jobs.put(call)
+            results.held -= 1
+            if results.is_over and not results.held:
+                jobs.put(None)
 
-        Door.of(loop).give_out(begin)
+        Door.of(loop).give_out(begin, self._thread, outside=outside)
 
     def expired(self) -> None:
         """Take note that a call has not returned within its deadline."""
@@ -156,8 +172,10 @@ class Executor:
 
     def close(self) -> None:
         """End the thread once the calls that it has are done."""
-        if self._thread is not None:
-            self._jobs.put(None)
+        if self._thread is not None and self._results is not None:
+            self._results.is_over = True
+            if not self._results.held:
+                self._jobs.put(None)
             self._thread = None
 
     async def join(self, timeout: float) -> bool:
@@ -225,6 +243,10 @@ class Results:
         self._tag = (executor.name,)
         self._door = Door.of(loop)
         self.loop = loop
+        self.held = 0
+        """How many calls it was given that have not come to its thread: see `Door`."""
+        self.is_over = False
+        """Whether the thread ends after them."""
 
     def add(self, call: Call, result: Any, error: BaseException | None) -> None:
         """Hand over a result, from the thread."""

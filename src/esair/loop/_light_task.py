@@ -11,12 +11,13 @@ import asyncio
 import contextvars
 import enum
 import sys
+import types
 from asyncio import tasks
 from asyncio.tasks import (
     _enter_task,  # noqa: PLC2701 - documented, for third-party tasks
     _leave_task,  # noqa: PLC2701 - documented, for third-party tasks
 )
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Generator
 from typing import Any, Final
 
 from esair.loop._of_loop import of_loop
@@ -24,10 +25,14 @@ from esair.loop._of_loop import of_loop
 
 class _Mark(enum.Enum):
     WAITS = enum.auto()
+    ENDED = enum.auto()
 
 
 WAITS: Final = _Mark.WAITS
 """What `LightTask.begin` returns for a coroutine that has not ended yet."""
+
+ENDED: Final = _Mark.ENDED
+"""What comes out of a light task when a coroutine has ended, in place of a wait."""
 
 
 class _CurrentTasks(dict[asyncio.AbstractEventLoop, Any]):
@@ -43,11 +48,24 @@ class _CurrentTasks(dict[asyncio.AbstractEventLoop, Any]):
         self[loop] = None
 
 
-_current_tasks: dict[asyncio.AbstractEventLoop, Any] = (
+current_tasks: dict[asyncio.AbstractEventLoop, Any] = (
     tasks._current_tasks  # type: ignore[attr-defined] # noqa: SLF001 - half of a call's cost by the functions
     if sys.version_info < (3, 14)
     else _CurrentTasks()
 )
+
+
+@types.coroutine
+def _run_all(light: LightTask) -> Generator[Any, Any, None]:
+    """Run what is sent in, one after the other, and keep what each returns.
+
+    A coroutine that another one awaits ends without a StopIteration, which costs more
+    than most calls of a driver.
+    """
+    coroutine = yield ENDED
+    while True:
+        light.value = yield from coroutine
+        coroutine = yield ENDED
 
 
 class LightTask(asyncio.Future[None]):
@@ -67,19 +85,22 @@ class LightTask(asyncio.Future[None]):
     def __init__(self, loop: asyncio.AbstractEventLoop, name: str) -> None:
         super().__init__(loop=loop)
         self._running_on = loop
-        self._name = name
-        self._context = contextvars.Context()
+        self.name = name
+        self.context = contextvars.Context()
         self._coroutine: Coroutine[Any, Any, Any] | None = None
         self._ended: Callable[[Any, BaseException | None], None] | None = None
+        self._runs = runs = _run_all(self)
+        runs.send(None)
+        self.send = runs.send
+        """Runs a coroutine to its end or its first wait; `ENDED` says that it ended."""
+        self.value: Any = None
+        """What the last coroutine has returned."""
         # These three have the names that anyio looks at.
         self._fut_waiter: asyncio.Future[Any] | None = None
         self._must_cancel = False
         self._num_cancels_requested = 0
 
-    def begin(
-        self,
-        coroutine: Coroutine[Any, Any, Any],
-    ) -> Any:
+    def begin(self, coroutine: Coroutine[Any, Any, Any]) -> Any:
         """Run a coroutine to its end or its first wait, now.
 
         Returns:
@@ -89,18 +110,18 @@ class LightTask(asyncio.Future[None]):
             BaseException: Whatever the coroutine raises in its first step.
         """
         loop = self._running_on
-        current = _current_tasks
+        current = current_tasks
         caller = current.get(loop)
         current[loop] = self
         try:
-            waits_for = self._context.run(coroutine.send, None)
-        except StopIteration as stop:
-            return stop.value
+            waits_for = self.context.run(self.send, coroutine)
         finally:
             if caller is None:
                 del current[loop]
             else:
                 current[loop] = caller
+        if waits_for is ENDED:
+            return self.value
         self.goes_on(coroutine, waits_for)
         return WAITS
 
@@ -112,16 +133,6 @@ class LightTask(asyncio.Future[None]):
     def then(self, ended: Callable[[Any, BaseException | None], None]) -> None:
         """Say what gets the result or the error of the coroutine, in the loop."""
         self._ended = ended
-
-    @property
-    def is_spent(self) -> bool:
-        """Whether it cannot run another coroutine."""
-        return (
-            self._coroutine is not None
-            or self.done()
-            or self._must_cancel
-            or self._num_cancels_requested > 0
-        )
 
     # What a task has.
 
@@ -150,11 +161,11 @@ class LightTask(asyncio.Future[None]):
 
     def get_name(self) -> str:
         """Return the name."""
-        return self._name
+        return self.name
 
     def set_name(self, value: object) -> None:
         """Change the name."""
-        self._name = str(value)
+        self.name = str(value)
 
     def get_coro(self) -> Coroutine[Any, Any, Any] | None:
         """Return the coroutine; None while the first step runs."""
@@ -162,34 +173,33 @@ class LightTask(asyncio.Future[None]):
 
     def get_context(self) -> contextvars.Context:
         """Return the context that the coroutine runs in."""
-        return self._context
+        return self.context
 
     # Steps after the first one.
 
     def _step(self, error: BaseException | None = None) -> None:
-        coroutine, loop = self._coroutine, self._running_on
-        assert coroutine is not None
+        loop = self._running_on
         if self._must_cancel:
             self._must_cancel = False
             if not isinstance(error, asyncio.CancelledError):
                 message = self._cancel_message
                 error = asyncio.CancelledError(*(() if message is None else (message,)))
         self._fut_waiter = None
+        end: tuple[Any, BaseException | None]
         _enter_task(loop, self)  # type: ignore[arg-type]
         try:
-            waits_for = (
-                coroutine.send(None) if error is None else coroutine.throw(error)
-            )
-        except StopIteration as stop:
-            end: tuple[Any, BaseException | None] = (stop.value, None)
+            waits_for = self.send(None) if error is None else self._runs.throw(error)
+            end = (self.value, None)
         except BaseException as raised:  # contained: it is the coroutine's own
+            waits_for = ENDED
             end = (None, raised)
-        else:
-            self._wait_for(waits_for)
-            return
         finally:
             _leave_task(loop, self)  # type: ignore[arg-type]
+        if waits_for is not ENDED:
+            self._wait_for(waits_for)
+            return
         self._coroutine = None
+        self._runs.close()  # the two refer to each other
         self.set_result(None)
         ended, self._ended = self._ended, None
         assert ended is not None
@@ -197,18 +207,18 @@ class LightTask(asyncio.Future[None]):
 
     def _wait_for(self, waits_for: Any) -> None:
         if waits_for is None:  # ``sleep(0)``
-            self._running_on.call_soon(self._step, context=self._context)
+            self._running_on.call_soon(self._step, context=self.context)
         elif getattr(waits_for, "_asyncio_future_blocking", None):
             waits_for._asyncio_future_blocking = False  # noqa: SLF001 - the protocol of tasks
-            waits_for.add_done_callback(self._wake_up, context=self._context)
+            waits_for.add_done_callback(self._wake_up, context=self.context)
             self._fut_waiter = waits_for
             if self._must_cancel and waits_for.cancel(self._cancel_message):
                 self._must_cancel = False
         else:
             error = RuntimeError(
-                f"{self._name} waits for {waits_for!r:.80}, which is nothing of asyncio"
+                f"{self.name} waits for {waits_for!r:.80}, which is nothing of asyncio"
             )
-            self._running_on.call_soon(self._step, error, context=self._context)
+            self._running_on.call_soon(self._step, error, context=self.context)
 
     def _wake_up(self, future: asyncio.Future[Any]) -> None:
         try:
@@ -226,11 +236,12 @@ class FirstSteps:
         loop: The event loop.
     """
 
-    __slots__ = ("_loop", "_spare")
+    __slots__ = ("_loop", "spare")
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._spare: LightTask | None = LightTask(loop, "driver")
+        self.spare: LightTask | None = LightTask(loop, "driver")
+        """Runs the next first step; None while one runs."""
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> FirstSteps:
@@ -257,30 +268,22 @@ class FirstSteps:
         Raises:
             BaseException: Whatever the coroutine raises in its first step.
         """
-        # The same as `LightTask.begin`, in one call: each driver call is one of these.
-        light = self._spare
+        light = self.spare
         if light is None:  # one begins another: each has a task and a context
             light = LightTask(self._loop, name)
-            value = light.begin(coroutine)
-            return light if value is WAITS else value
-        self._spare = None
-        light._name = name  # noqa: SLF001
-        light._context = context  # noqa: SLF001
-        current, loop = _current_tasks, self._loop
-        caller = current.get(loop)
-        current[loop] = light
+        else:
+            self.spare = None
+            light.name = name
+            light.context = context
+        value: Any = WAITS
         try:
-            waits_for = context.run(coroutine.send, None)
-        except StopIteration as stop:
-            if light._num_cancels_requested == 0:  # noqa: SLF001
-                self._spare = light
-            return stop.value
+            value = light.begin(coroutine)
         finally:
-            if caller is None:
-                del current[loop]
-            else:
-                current[loop] = caller
-            if self._spare is None:
-                self._spare = LightTask(loop, name)
-        light.goes_on(coroutine, waits_for)
-        return light
+            self.take_back(light, can_be_used=value is not WAITS)
+        return light if value is WAITS else value
+
+    def take_back(self, light: LightTask, *, can_be_used: bool) -> None:
+        """Have a light task run the next first step, unless it is used up."""
+        if not can_be_used or light.cancelling():
+            light = LightTask(self._loop, "driver")
+        self.spare = light

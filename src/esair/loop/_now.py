@@ -7,7 +7,7 @@ import threading
 import time
 
 from esair.loop._portal import portal
-from esair.loop._timer import clock_of
+from esair.loop._timer import clock_beside, clock_of
 
 _thread = threading.local()
 
@@ -25,9 +25,16 @@ def now() -> float:
     ``time``. In a thread that esair knows nothing of it is `time.monotonic`.
     """
     loop = asyncio._get_running_loop()  # noqa: SLF001 - it does not raise
-    if loop is None:
-        own = portal.get(None)
-        loop = getattr(_thread, "loop", None) if own is None else own.loop
-        if loop is None:
-            return time.monotonic()
-    return clock_of(loop)()
+    if loop is not None:
+        return clock_of(loop)()
+    own = portal.get(None)
+    if own is not None:
+        if getattr(own.loop, "wakes_scheduler", False):
+            return own.call(_moment)  # by the door: so it is the same in a replay
+        return clock_of(own.loop)()
+    loop = getattr(_thread, "loop", None)
+    return time.monotonic() if loop is None else clock_beside(loop)()
+
+
+async def _moment() -> float:
+    return asyncio.get_running_loop().time()

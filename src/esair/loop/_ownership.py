@@ -50,7 +50,12 @@ class Owner:
         return sorted(tasks, key=lambda task: task.get_name())
 
 
-_owner: contextvars.ContextVar[Owner | None] = contextvars.ContextVar("esair_owner")
+_owner: contextvars.ContextVar[Owner | None] = contextvars.ContextVar(
+    "esair_owner", default=None
+)
+
+_OUTSIDE = Owner()
+"""Of code in whose context nobody was ever the owner."""
 
 
 def spawn(
@@ -79,14 +84,18 @@ def spawn(
     return task
 
 
-def current_owner() -> Owner | None:
-    """Return the owner of the code that runs now; None if it is nobody's."""
-    return _owner.get(None)
+current_owner = _owner.get
+"""Return the owner of the code that runs now; None if it is nobody's."""
+
+
+def is_outside() -> bool:
+    """Tell whether the code that runs now is no part of a robot: a driver, a bus."""
+    return _owner.get(_OUTSIDE) is _OUTSIDE
 
 
 def speaks_for_nobody() -> bool:
     """Tell whether the code that runs now belongs to a run that has ended."""
-    owner = _owner.get(None)
+    owner = _owner.get()
     return owner is not None and owner.over
 
 
@@ -189,7 +198,7 @@ class _Factory:
         owner = None
         if not self.over:
             context = options.get("context")
-            owner = _owner.get(None) if context is None else context.get(_owner)
+            owner = _owner.get() if context is None else context.get(_owner)
         if owner is not None:
             coroutine = Contained(coroutine)
         task: asyncio.Task[Any]

@@ -54,7 +54,7 @@ class Portal:
             if error is None:
                 ended.set_result(None)
             else:
-                ended.set_exception(_raisable(error))
+                ended.set_exception(raisable(error))
 
         go: concurrent.futures.Future[int] = concurrent.futures.Future()
 
@@ -76,7 +76,7 @@ class Portal:
             target=context.run, args=(work,), name=f"esair-{self.name}", daemon=True
         )
         thread.start()
-        self._door.give_out(go.set_result)
+        self._door.give_out(go.set_result, thread)
         owner.threads = (*owner.threads, thread)
         try:
             await asyncio.shield(ended)
@@ -112,6 +112,7 @@ class Portal:
         outcome: concurrent.futures.Future[T] = concurrent.futures.Future()
         context = contextvars.copy_context()  # what the thread does it for
         counted = getattr(_work, "number", 0)
+        thread = threading.current_thread()
 
         def go_on(settle: Callable[[Any], None], what: Any) -> None:
             def begin(work: int) -> None:
@@ -119,7 +120,7 @@ class Portal:
                 settle(what)
 
             if counted:
-                self._door.give_out(begin)
+                self._door.give_out(begin, thread)
             else:  # a thread that the door knows nothing of
                 settle(what)
 
@@ -171,7 +172,8 @@ class Portal:
             call.cancel()
 
 
-def _raisable(error: BaseException) -> BaseException:
+def raisable(error: BaseException) -> BaseException:
+    """Make an error that may be raised in any task of what a thread has raised."""
     if isinstance(error, StopIteration | KeyboardInterrupt | SystemExit):
         wrapped = RuntimeError(f"the behavior raised {type(error).__name__}")
         wrapped.__cause__ = error

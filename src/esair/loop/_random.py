@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import asyncio
 import random
-import threading
 from typing import Any
 
+from esair.loop._of_loop import of_loop
 from esair.loop._ownership import Owner, current_owner
 
 _outside = random.Random()
 """For code that belongs to no component."""
 
 
-class _Stepping(threading.local):
-    owner: Owner | None = None
-    """Whose reaction decides now, in this thread."""
+class Stepping:
+    """Whose reaction decides now, in one event loop."""
 
+    __slots__ = ("owner",)
 
-stepping = _Stepping()
+    def __init__(self, _loop: asyncio.AbstractEventLoop | None = None) -> None:
+        self.owner: Owner | None = None
+
+    @classmethod
+    def of(cls, loop: asyncio.AbstractEventLoop) -> Stepping:
+        """Return that of a loop."""
+        return of_loop(loop, cls)
 
 
 class Stream:
@@ -61,7 +68,8 @@ class ComponentRandom(random.Random):
 
     @property
     def _own(self) -> random.Random:
-        owner = stepping.owner or current_owner()
+        loop = asyncio._get_running_loop()  # noqa: SLF001 - None in a thread, no error
+        owner = (loop and Stepping.of(loop).owner) or current_owner()
         if owner is None or owner.stream is None:
             return _outside
         return owner.stream()

@@ -51,6 +51,9 @@ class Queue(Protocol):
     def queue(self, job: Job) -> None:
         """Call the step of a job in the next turn."""
 
+    def derive(self, job: DerivedJob) -> None:
+        """Call a job before the steps of a turn."""
+
     def drop(self, group: RateGroup) -> None:
         """Call nothing of a group any more."""
 
@@ -117,12 +120,6 @@ class Job:
         return self.group.moment / SECOND if self.group is not None else 0.0
 
     @property
-    def lateness(self) -> float:
-        """How late the steps have been on average, in seconds."""
-        group = self.group
-        return group.late / group.turns if group is not None and group.turns else 0.0
-
-    @property
     def rank(self) -> tuple[int, str, int]:
         """Its place among the jobs of one instant: no matter when each was made."""
         return (self.order, self.name, self._number)
@@ -141,6 +138,33 @@ class Job:
             group.jobs = tuple(job for job in group.jobs if job is not self)
             if not group.jobs:
                 self.scheduler.drop(group)
+
+
+class DerivedJob(Job):
+    """A step that computes something of new readings, before others decide on it.
+
+    Attributes:
+        depth: How many of its kind are computed before it, one of the other.
+    """
+
+    __slots__ = ("depth",)
+
+    def __init__(self, scheduler: Queue, function: Step, name: str, depth: int) -> None:
+        super().__init__(
+            scheduler, function, None, order=Order.STEP, name=name, number=0
+        )
+        self.depth = depth
+
+    def soon(self) -> None:
+        """Have it called before any step of the turn decides, once."""
+        if not self.queued:
+            self.queued = True
+            self.scheduler.derive(self)
+
+    def taken(self) -> bool:
+        """Take it out of the queue; tells whether it is still to be called."""
+        queued, self.queued = self.queued, False
+        return queued
 
 
 class RateGroup:
@@ -175,8 +199,6 @@ class RateGroup:
         self.rank = (float(period), phase)
         self.jobs: tuple[Job, ...] = ()
         self.skipped = 0
-        self.late = 0.0
-        self.turns = 0
         self._numerator = period.numerator
         self._denominator = period.denominator
         self._phase = phase
@@ -201,9 +223,6 @@ class RateGroup:
         """Move on to the next moment that has not passed; return whom to call."""
         self.moment = self.due
         behind = now - self.due
-        if behind > 0:
-            self.late += behind / SECOND
-        self.turns += 1
         missed = (behind + EARLY) * self._denominator // self._numerator
         if missed > 0:
             self.skipped += missed

@@ -7,7 +7,11 @@ that rest, and a new task goes on turning (the *leader and followers* pattern), 
 that whatever the step began stays in the task that began it.
 
 In a turn everything that is due is called in one order (`Order`): sensors are asked,
-steps decide, what was decided leaves, then those go on who waited for the moment.
+what is derived of them is computed, steps decide, what was decided leaves, then those
+go on who waited for the moment.
+
+Where turns have a border the task is woken there and nowhere else, by what was asked for
+before it: so what is called in a turn depends on nobody who happens to keep it awake.
 """
 
 from __future__ import annotations
@@ -27,6 +31,7 @@ from esair.loop._rate_group import (
     EARLY,
     SECOND,
     Callee,
+    DerivedJob,
     Job,
     OneShot,
     Order,
@@ -55,6 +60,14 @@ class Scheduler:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
+        self._has_border: bool = getattr(loop, "wakes_scheduler", False)
+        """The loop calls `look` at the beginning of each turn."""
+        self._needs_no_timer = getattr(loop, "player", None) is not None
+        self._in_turn = False
+        self._later: list[Job] = []
+        """What is asked for when the turn has begun: for the next one."""
+        self._decided_later: list[Callee] = []
+        self._derived_later: list[DerivedJob] = []
         self._time = clock_of(loop)
         self.suspends = SuspendWatch(loop)
         """Looked at each time the scheduler begins to turn after a sleep."""
@@ -69,6 +82,7 @@ class Scheduler:
         self._groups: dict[tuple[Order, Fraction, int], RateGroup] = {}
         self._phases = 1
         self._queue: list[Job] = []
+        self._derived: list[DerivedJob] = []
         self._decided: list[Callee] = []
         self._turn: Iterator[Iterable[Callee]] = iter(())
         self._calls: Iterator[Callee] = iter(())
@@ -83,6 +97,17 @@ class Scheduler:
     def of(cls, loop: asyncio.AbstractEventLoop) -> Scheduler:
         """Return the scheduler of a loop."""
         return of_loop(loop, cls)
+
+    @classmethod
+    def beside(cls, loop: asyncio.AbstractEventLoop) -> Scheduler:
+        """Return the one for what is outside of the robot: drivers, a simulation.
+
+        A replay has none of that, and where the robot's own turns can be repeated
+        nobody else may share them. On any other loop it is that of the robot.
+        """
+        if getattr(loop, "wakes_scheduler", False):
+            return of_loop(loop, _SchedulerBeside)
+        return cls.of(loop)
 
     def expect(self, components: int) -> None:
         """Prepare for a number of components: a crowd is spread over phases.
@@ -131,6 +156,16 @@ class Scheduler:
         """Return a step that is called only when its ``soon`` is."""
         return self._job(function, None, Order.STEP, name)
 
+    def derived(self, function: Step, *, name: str, depth: int) -> DerivedJob:
+        """Return a step that computes something of new readings before others decide.
+
+        Args:
+            function: What to call.
+            name: Its place among those of the same depth.
+            depth: How many of its kind are computed before it, one of the other.
+        """
+        return DerivedJob(self, function, name, depth)
+
     def _job(
         self, function: Step, group: RateGroup | None, order: Order, name: str
     ) -> Job:
@@ -160,33 +195,60 @@ class Scheduler:
 
     def gap(self) -> float:
         """Tell for how long nothing is due, in seconds."""
-        if self._queue or self._decided:
+        if self._queue or self._derived or self._decided or self._has_later:
             return 0.0
         due = self._heap[0][0] / SECOND if self._heap else math.inf
         return due - self._time()
 
     def queue(self, job: Job) -> None:
         """Call the step of a job in the next turn."""
+        if self._has_border and not self._in_turn:
+            self._later.append(job)
+            return
         self._queue.append(job)
+        self._wake()
+
+    def derive(self, job: DerivedJob) -> None:
+        """Call a job when the sensors of the turn are asked, before any step decides."""
+        if self._has_border and not self._in_turn:
+            self._derived_later.append(job)
+            return
+        self._derived.append(job)
         self._wake()
 
     def decide(self, decision: Callee) -> None:
         """Call something when all steps of the turn have decided."""
+        if self._has_border and not self._in_turn:
+            self._decided_later.append(decision)
+            return
         self._decided.append(decision)
-        self._wake()
+        if self._sleep is not None or not self._turning:
+            self._wake()
 
     def is_due(self, now: float) -> bool:
-        """Tell whether it sleeps though something is due at a moment."""
-        return (
-            self._sleep is not None
-            and bool(self._heap)
-            and self._heap[0][0] <= round(now * SECOND) + EARLY
-        )
+        """Tell whether it has to be woken at a moment."""
+        if self._has_later:
+            return True
+        if not self._turning:
+            return bool(self._heap)
+        if self._sleep is None:
+            return False
+        return not self._heap or self._heap[0][0] <= round(now * SECOND) + EARLY
+
+    @property
+    def _has_later(self) -> bool:
+        return bool(self._later or self._decided_later or self._derived_later)
 
     def look(self, now: float) -> None:
         """Begin to turn if something is due: called by a loop whose turns have a border."""
-        if self.is_due(now):
-            self._wake()
+        if not self.is_due(now):
+            return
+        self.suspends.look()
+        self._queue += self._later
+        self._decided += self._decided_later
+        self._derived += self._derived_later
+        self._later, self._decided_later, self._derived_later = [], [], []
+        self._begin()
 
     def drop(self, group: RateGroup) -> None:
         """Call nothing of a group any more."""
@@ -221,8 +283,13 @@ class Scheduler:
             self._set_timer(due)
 
     def _wake(self) -> None:
+        if not self._has_border:
+            self._begin()
+
+    def _begin(self) -> None:
         if not self._turning:
-            self.suspends.look()
+            if not self._has_border:
+                self.suspends.look()
             self._turn = self._batches()
             self._lead_on()
         elif self._sleep is not None and not self._sleep.done():
@@ -247,11 +314,15 @@ class Scheduler:
                         self._lead_on()
                         await rest
                         return
+                self._in_turn = True
                 calls = next(self._turn, None)
                 if calls is None:
+                    self._in_turn = False
                     if self._cancelled >= len(self._heap) > 0:
                         self._forget(None)
-                    if not (self._heap or self._queue or self._decided):
+                    if not (
+                        self._heap or self._queue or self._derived or self._decided
+                    ):
                         return
                     await self._wait()
                     self._turn = self._batches()
@@ -260,7 +331,7 @@ class Scheduler:
         finally:
             if self._leader is me:
                 self._leader = None
-                self._turning = False
+                self._turning = self._in_turn = False
                 if self._timer is not None:
                     self._timer.close()
                     self._timer = None
@@ -291,6 +362,8 @@ class Scheduler:
                 yield jobs
             else:
                 steps.append(jobs)
+        while self._derived:
+            yield self._shallowest()
         if self._queue:
             yield from self._queued(Order.STEP)
         yield from steps
@@ -309,6 +382,14 @@ class Scheduler:
             job.queued = False
         yield queue
 
+    def _shallowest(self) -> Iterable[Callee]:
+        """Take those that wait for none of the others: each is called once a turn."""
+        depth = min(job.depth for job in self._derived)
+        first = [job for job in self._derived if job.depth == depth]
+        self._derived = [job for job in self._derived if job.depth > depth]
+        first.sort(key=_name)
+        return [job for job in first if job.taken()]
+
     def _fired(self, one_shot: OneShot) -> Iterable[Callee]:
         if one_shot.function is idle:
             return ()
@@ -317,35 +398,49 @@ class Scheduler:
         return (fired,)
 
     async def _wait(self) -> None:
-        if (
+        if not self._has_border and (
             self._queue
+            or self._derived
             or self._decided
             or self._heap[0][0] <= self._nanoseconds() + EARLY
         ):
             # Steps that take longer than their period must not starve everybody else.
             await asyncio.sleep(0)
             return
-        self._set_timer(self._heap[0][0])
+        if self._heap:
+            self._set_timer(self._heap[0][0])
         self._sleep = self._loop.create_future()
         try:
             await self._sleep
         finally:
             self._sleep = None
             self._timer_due = -1
-        self.suspends.look()
+        if not self._has_border:
+            self.suspends.look()
 
     def _set_timer(self, due: int) -> None:
+        if self._needs_no_timer:
+            return
         if self._timer is None:
             # A loop with a border looks by itself; its timer only wakes the selector.
-            border = getattr(self._loop, "wakes_scheduler", False)
-            self._timer = timer_for(self._loop, _nothing if border else self._wake)
+            self._timer = timer_for(
+                self._loop, _nothing if self._has_border else self._wake
+            )
         if due != self._timer_due:
             self._timer_due = due
             self._timer.set(due)
 
 
+class _SchedulerBeside(Scheduler):
+    """The scheduler of what is outside of the robot."""
+
+
 def _rank(job: Job) -> Any:
     return job.rank
+
+
+def _name(job: DerivedJob) -> str:
+    return job.name
 
 
 def _nothing() -> None:

@@ -7,11 +7,16 @@ import logging
 import time
 from collections.abc import Callable
 
+from esair.loop._door import Door
+from esair.loop._tape import TapeWriter
+
 JUMP = 0.1
 """From how many seconds of sleep on everything that is known counts as old."""
 
 GLANCE = 0.25
 """How often a robot looks whether the computer slept, if nothing else is due, in s."""
+
+_TAG = ("computer", "slept")
 
 _log = logging.getLogger("esair")
 
@@ -29,6 +34,9 @@ class SuspendWatch:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._slept = _slept_of(loop)
+        self._door = Door.of(loop)
+        if self._door.player is not None:
+            self._door.player.listen(_TAG, self._woke)
         self._before = max(self._slept() for _ in range(3))
         self._listeners: tuple[Callable[[float], None], ...] = ()
 
@@ -46,10 +54,15 @@ class SuspendWatch:
         if slept <= 0.0:
             return  # a pause between the readings makes it smaller, never larger
         self._before += slept
-        if slept > JUMP:
-            _log.warning("the computer slept for %.1f s: all readings are old", slept)
-            for listener in self._listeners:
-                listener(slept)
+        if slept > JUMP and self._door.player is None:
+            if isinstance(self._door.tape, TapeWriter):
+                self._door.tape.arrived(_TAG, slept)
+            self._woke(slept)
+
+    def _woke(self, slept: float) -> None:
+        _log.warning("the computer slept for %.1f s: all readings are old", slept)
+        for listener in self._listeners:
+            listener(slept)
 
 
 def _slept_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:

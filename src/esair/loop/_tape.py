@@ -1,24 +1,44 @@
-"""What comes into a run, kept so that the run can be repeated without its devices."""
+"""What comes into a run, kept so that the run can be repeated without its devices.
+
+A tape is one list in the order of the run: the moment at which each turn began, what a
+call of a driver gave without a wait, and what came in. A `TapeWriter` makes it, wherever
+it is kept; a `Player` gives it to a robot again.
+"""
 
 from __future__ import annotations
 
 import collections
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from esair.exceptions import DeviceLostError
 
 if TYPE_CHECKING:
     from esair.loop._door import Door, Entry
 
-PATIENCE = 30.0
+PATIENCE = 10.0
 """How long a replay waits for a thread of the robot's own, in seconds."""
+
+IMPATIENT = 0.2
+"""How long it waits for one when it has waited in vain before."""
 
 Tag = tuple[str, ...]
 
+SPOILED: Tag = ("spoiled",)
+"""The tag of what makes a run one that cannot be repeated from there on."""
+
 
 class Arrived(NamedTuple):
-    """What has taken effect at the beginning of a turn."""
+    """What has taken effect at the beginning of a turn.
+
+    Attributes:
+        turn: The number of the turn.
+        tag: Whose end or news it is.
+        number: Which of the calls with this tag has ended.
+        payload: What came.
+    """
 
     turn: int
     tag: Tag
@@ -34,71 +54,43 @@ class First(NamedTuple):
     error: BaseException | None
 
 
-class Tape:
-    """A recorded run.
+WAITS = First(waits=True, value=None, error=None)
 
-    Attributes:
-        moments: When each turn began, the beginning of the loop first.
-        arrived: What has come in, in its order.
-        firsts: What calls gave without a wait, by their tags, in their order.
+
+class TapeWriter:
+    """Writes what comes into a run on a tape.
+
+    Args:
+        put: Keeps one item: a moment (float), or a tuple of a tag and what came.
     """
 
-    def __init__(self) -> None:
-        self.moments: list[float] = []
-        self.arrived: list[Arrived] = []
-        self.firsts: dict[Tag, list[First]] = {}
+    def __init__(self, put: Callable[[Any], object]) -> None:
+        self._put = put
+        self.turn: Callable[[float], object] = put
+        """Called with the moment at which a turn begins, that of the first one too."""
+        self._arrivals: collections.Counter[Tag] = collections.Counter()
+        self._calls: collections.Counter[Tag] = collections.Counter()
 
-    def dump(self) -> bytes:
-        """Return it as bytes.
+    def close(self) -> None:
+        """Keep nothing any more."""
+        self._put = self.turn = _keep_nothing
 
-        Raises:
-            PicklingError: A driver has given something that cannot be kept.
-        """
-        import pickle  # only for the runs that are recorded
-
-        return pickle.dumps((self.moments, self.arrived, self.firsts))
-
-    @classmethod
-    def load(cls, data: bytes) -> Tape:
-        """Return the tape of some bytes, which must come from `dump`."""
-        tape = cls()
-        import pickle
-
-        tape.moments, tape.arrived, tape.firsts = pickle.loads(data)
-        return tape
-
-
-class Recorder:
-    """Writes what comes into a run on a tape."""
-
-    is_replay = False
-
-    def __init__(self, tape: Tape) -> None:
-        self._tape = tape
-        self._turn = 0
-        self._counts: collections.Counter[Tag] = collections.Counter()
-
-    def begin(self, now: float) -> None:
-        """The loop begins."""
-        self._tape.moments.append(now)
-
-    def turn(self, number: int, now: float) -> None:
-        """A turn begins."""
-        self._turn = number
-        self._tape.moments.append(now)
+    def spoil(self, why: str) -> None:
+        """Something happens that cannot be repeated."""
+        self._put((SPOILED, 0, why))
 
     def arrived(self, tag: Tag, payload: Any = None, *, number: int = 0) -> None:
         """Something takes effect."""
         if not number:
-            self._counts[tag] += 1
-            number = self._counts[tag]
-        self._tape.arrived.append(Arrived(self._turn, tag, number, payload))
+            self._arrivals[tag] += 1
+            number = self._arrivals[tag]
+        self._put((tag, number, payload))
 
     def first(self, tag: Tag, first: First) -> int:
         """A call has had its first step; return its number among those of its tag."""
-        firsts = self._tape.firsts.setdefault(tag, [])
-        firsts.append(first)
-        return len(firsts)
+        self._calls[tag] += 1
+        self._put((tag, first))
+        return self._calls[tag]
 
 
 class Player:
@@ -106,62 +98,96 @@ class Player:
 
     Threads of the robot's own (plain behaviors) run for real: what they ask for waits
     for the turn in which it came in, and the replay waits for a thread that is late.
+
+    When the tape is over every call is answered with `DeviceLostError`, so that the
+    robot can stop.
+
+    Args:
+        items: What a `TapeWriter` has put.
+        over: Called in the loop once, when the tape is over.
     """
 
-    is_replay = True
-
-    def __init__(self, tape: Tape) -> None:
-        self._tape = tape
-        self._place = 0
+    def __init__(
+        self, items: Iterable[Any], over: Callable[[], object] | None = None
+    ) -> None:
+        self.moments: list[float] = []
+        """When each turn began."""
+        self._arrived: collections.deque[Arrived] = collections.deque()
+        self._firsts: dict[Tag, collections.deque[First]] = {}
+        for item in items:
+            if type(item) is float:
+                self.moments.append(item)
+            elif len(item) == 3:
+                self._arrived.append(Arrived(len(self.moments) - 1, *item))
+            else:
+                tag, first = item
+                self._firsts.setdefault(tag, collections.deque()).append(First(*first))
+        if not self.moments:
+            self.moments.append(0.0)
+        self.on_over = over
+        self.is_over = False
+        self._door: Door | None = None
         self._counts: collections.Counter[Tag] = collections.Counter()
-        self._taken: collections.Counter[Tag] = collections.Counter()
         self._ends: dict[tuple[Tag, int], Callable[[Any], object]] = {}
         self._listeners: dict[Tag, Callable[[Any], object]] = {}
         self._came: dict[Tag, collections.deque[Entry]] = {}
         self._news = threading.Condition()
-        self._over = 0.0
+        self._patience = PATIENCE
         self.missed: list[Arrived] = []
         """What came in when the run was recorded, and nobody waited for now."""
 
-    @property
-    def ended(self) -> bool:
-        """Whether the tape is over."""
-        return self._place >= len(self._tape.arrived)
-
-    def begin(self, door: Door) -> float:
-        """The loop begins; return the time."""
+    def begin(self, door: Door) -> None:
+        """The recorded part of the run begins."""
+        self._door = door
         door.divert = self._come
-        return self._tape.moments[0]
-
-    def moment(self, turn: int) -> float:
-        """Return when a turn began; when the tape is over time passes."""
-        moments = self._tape.moments
-        if turn < len(moments):
-            return moments[turn]
-        if not self._over:
-            self._over = time.monotonic()
-        return moments[-1] + time.monotonic() - self._over
 
     def take(self, turn: int) -> None:
         """Let what came in take effect again in a turn."""
-        arrived = self._tape.arrived
-        while self._place < len(arrived) and arrived[self._place].turn <= turn:
-            entry = arrived[self._place]
-            self._place += 1
-            self._apply(entry)
+        arrived = self._arrived
+        while arrived and arrived[0].turn <= turn:
+            self._apply(arrived.popleft())
+
+    def end(self) -> None:
+        """The tape is over, or nobody wants the rest of it."""
+        if self.is_over:
+            return
+        self.is_over = True
+        door = self._door
+        assert door is not None
+        door.divert = None
+        with self._news:
+            came, self._came = self._came, {}
+        for entries in came.values():
+            for entry in entries:
+                door.bring(entry)
+        ends, self._ends = self._ends, {}
+        for (tag, _), end in ends.items():
+            end((None, _lost(tag)))
+        if self.on_over is not None:
+            self.on_over()
 
     def first(self, tag: Tag) -> tuple[int, First]:
         """Return what the next call of a tag gave without a wait, and its number."""
         self._counts[tag] += 1
         number = self._counts[tag]
-        firsts = self._tape.firsts.get(tag, [])
-        if number > len(firsts):  # the recording was over
-            return number, First(waits=True, value=None, error=None)
-        return number, firsts[number - 1]
+        firsts = self._firsts.get(tag)
+        if firsts:
+            return number, firsts.popleft()
+        if self.is_over:
+            return number, First(waits=False, value=None, error=_lost(tag))
+        return number, WAITS
 
     def expect(self, tag: Tag, number: int, end: Callable[[Any], object]) -> None:
-        """Call a function with the end of a call when it comes."""
+        """Call a function with the end of a call, as (value, error), when it comes."""
         self._ends[tag, number] = end
+        if self.is_over:
+            assert self._door is not None
+            self._door.end(tag, self._end_now, tag, number)
+
+    def _end_now(self, tag: Tag, number: int) -> None:
+        end = self._ends.pop((tag, number), None)
+        if end is not None:
+            end((None, _lost(tag)))
 
     def listen(self, tag: Tag, function: Callable[[Any], object]) -> None:
         """Call a function with each thing that comes with a tag."""
@@ -187,9 +213,19 @@ class Player:
             self.missed.append(arrived)
 
     def _wait_for(self, tag: Tag) -> Entry | None:
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + self._patience
         with self._news:
             while not self._came.get(tag):
                 if not self._news.wait(max(0.0, end - time.monotonic())):
+                    self._patience = IMPATIENT
                     return None
             return self._came[tag].popleft()
+
+
+def _keep_nothing(_item: Any) -> None:
+    """The tape is closed."""
+
+
+def _lost(tag: Tag) -> DeviceLostError:
+    name = tag[1] if tag[0] == "call" else tag[0]
+    return DeviceLostError(name, "the recording is over")

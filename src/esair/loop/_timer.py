@@ -89,6 +89,17 @@ def clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
     return loop.time
 
 
+def clock_beside(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
+    """Return what reads a loop's clock amid a turn too, in any thread.
+
+    That of the robot may stand still while a turn lasts. What this reads may not
+    decide anything in a robot, or it has to be kept: it is another in a replay.
+    """
+    if getattr(loop, "wakes_scheduler", False):
+        return time.monotonic
+    return clock_of(loop)
+
+
 def timer_for(loop: asyncio.AbstractEventLoop, function: Callable[[], None]) -> Timer:
     """Return the most exact timer that a loop can have.
 

@@ -9,15 +9,19 @@ from the time of the turn and from its entries alone, and a run can be replayed.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
+import math
 import selectors
 import time
 from collections.abc import Callable
 from typing import Any
 
 from esair.loop._door import Door
+from esair.loop._ownership import current_owner
+from esair.loop._portal import raisable
 from esair.loop._scheduler import Scheduler
-from esair.loop._tape import Player, Recorder
+from esair.loop._tape import Player, TapeWriter
 
 
 class When(float):
@@ -49,36 +53,53 @@ class TurnSelector(selectors.DefaultSelector):
 
 
 class TurnLoop(asyncio.SelectorEventLoop):
-    """The event loop of runs that are recorded, and of their replays.
+    """The event loop of `esair.run`: what happens in it can be kept and repeated.
 
     Args:
-        recorder: Gets everything that a replay needs.
-        player: Gives the clock and the entries of a recorded run.
+        player: Repeats a run that was kept, from `begin` on; what is before it is not
+            part of the run.
     """
 
     takes_entries = True
     wakes_scheduler = True
 
-    def __init__(
-        self, *, recorder: Recorder | None = None, player: Player | None = None
-    ) -> None:
+    def __init__(self, *, player: Player | None = None) -> None:
         self.turn = 0
-        """The number of this turn."""
-        self._now = time.monotonic()
+        """The number of this turn, since the run began that is kept or repeated."""
+        self.player = player
+        self._plays = False
+        self._tape: TapeWriter | None = None
+        self._shift = 0.0
+        if player is not None:
+            self._shift = player.moments[0] - time.monotonic()
+        self._now = time.monotonic() + self._shift
         self._timers = itertools.count()
-        self._recorder = recorder
-        self._player = player
+        self._works = itertools.count(1)
         selector = TurnSelector()
         super().__init__(selector)
-        self.tape = player or recorder
-        door = self._door = Door.of(self)
-        door.tape = self.tape
+        self._door = Door.of(self)
         self._scheduler = Scheduler.of(self)
-        if player is not None:
-            self._now = player.begin(door)
-        elif recorder is not None:
-            recorder.begin(self._now)
+        self._beside = Scheduler.beside(self)
         selector.border = self._border
+
+    def keep(self, tape: TapeWriter | None) -> None:
+        """Begin to keep what comes in, on a tape; None ends that."""
+        if self._tape is not None:
+            self._tape.close()
+        self._tape = self._door.tape = tape
+        if tape is not None:
+            self.turn = 0
+            tape.turn(self._now)
+
+    def play(self) -> None:
+        """Begin to repeat the run, in the turn in which its keeping began."""
+        player = self.player
+        assert player is not None
+        self._plays = True
+        self.turn = 0
+        self._now = player.moments[0]
+        self._door.tape = player
+        player.begin(self._door)
 
     def time(self) -> float:
         """Return when this turn began, in seconds of the monotonic clock."""
@@ -92,35 +113,90 @@ class TurnLoop(asyncio.SelectorEventLoop):
         moment.number = next(self._timers)
         return super().call_at(moment, callback, *args, context=context)
 
+    def run_in_executor(  # type: ignore[override]
+        self, executor: Any, func: Callable[..., Any], *args: Any
+    ) -> asyncio.Future[Any]:
+        """Run a function in a thread; if a component asks, its end comes by the door."""
+        if current_owner() is None:
+            return super().run_in_executor(executor, func, *args)
+        future: asyncio.Future[Any] = self.create_future()
+        tag = ("thread", f"work {next(self._works)}")
+
+        def settle(result: Any, error: BaseException | None) -> None:
+            if future.done():
+                return
+            if error is None:
+                future.set_result(result)
+            else:
+                future.set_exception(raisable(error))
+
+        def work() -> None:
+            result: Any = None
+            error: BaseException | None = None
+            try:
+                result = func(*args)
+            except BaseException as raised:  # contained, as in a task
+                error = raised
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self._door.post(0, tag, settle, result, error)
+
+        inner = super().run_in_executor(executor, work)
+        future.add_done_callback(lambda done: done.cancelled() and inner.cancel())
+        return future
+
     def _border(
         self, timeout: float | None, select: Callable[[float | None], Any]
     ) -> Any:
-        if self._player is not None:
-            return self._replay(self._player, select)
-        if self._door.waiting:
+        if self._plays:
+            return self._replay(timeout, select)
+        door, scheduler, beside = self._door, self._scheduler, self._beside
+        if door.waiting:
             timeout = 0.0
         elif timeout is None or timeout > 0.0:
-            now = time.monotonic()
-            if self._scheduler.is_due(now):
+            now = time.monotonic() + self._shift
+            if scheduler.is_due(now) or beside.is_due(now):
                 timeout = 0.0
             elif timeout is not None:  # asyncio counts from the beginning of the turn
                 timeout = max(0.0, timeout - (now - self._now))
         events = select(timeout)
         self.turn += 1
-        self._now = time.monotonic()
-        if self._recorder is not None:
-            self._recorder.turn(self.turn, self._now)
-        if self._door.waiting:
-            self._door.take()
-        self._scheduler.look(self._now)
+        now = self._now = time.monotonic() + self._shift
+        if self._tape is not None:
+            self._tape.turn(now)
+        if door.waiting:
+            door.take()
+        scheduler.look(now)
+        beside.look(now)
         return events
 
-    def _replay(self, player: Player, select: Callable[[float | None], Any]) -> Any:
+    def _replay(
+        self, timeout: float | None, select: Callable[[float | None], Any]
+    ) -> Any:
+        player = self.player
+        assert player is not None
         events = select(0.0)
         self.turn += 1
-        self._now = player.moment(self.turn)
-        player.take(self.turn)
+        if self.turn < len(player.moments) and not player.is_over:
+            self._now = player.moments[self.turn]
+            player.take(self.turn)
+        else:
+            player.end()
+            events = [*events, *self._hurry(timeout, select)]
         if self._door.waiting:
             self._door.take()
         self._scheduler.look(self._now)
+        self._beside.look(self._now)
+        return events
+
+    def _hurry(
+        self, timeout: float | None, select: Callable[[float | None], Any]
+    ) -> Any:
+        """Nothing is repeated any more: time goes to what is next, without a wait."""
+        gap = min(self._scheduler.gap(), self._beside.gap())
+        gap = max(0.0, min(gap, math.inf if timeout is None else timeout))
+        if self._door.waiting or gap == 0.0:
+            return ()
+        events = select(0.001)  # what threads still do
+        if not (events or self._door.waiting) and gap < math.inf:
+            self._now += gap
         return events

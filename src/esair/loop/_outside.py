@@ -1,0 +1,136 @@
+"""What a robot asks of the world beside its drivers: kept, and answered from the tape."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+from esair.loop._door import Door, Tag
+from esair.loop._tape import WAITS, First, Player, TapeWriter
+
+T = TypeVar("T")
+
+
+def ask_outside(tag: Tag, look: Callable[[], T]) -> T:
+    """Look at something outside of the robot, now; a replay does not look.
+
+    Args:
+        tag: What is looked at.
+        look: Returns what it is like.
+    """
+    tape = Door.of(asyncio.get_running_loop()).tape
+    if isinstance(tape, Player):
+        _, first = tape.first(tag)
+        if not tape.is_over:
+            value: T = first.value
+            return value
+    value = look()
+    if isinstance(tape, TapeWriter):
+        tape.first(tag, First(waits=False, value=value, error=None))
+    return value
+
+
+async def outside(tag: Tag, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
+    """Await work outside of the robot; in a replay only its outcome comes again.
+
+    On a loop whose turns have a border the outcome takes effect at one.
+
+    Args:
+        tag: Whose work it is.
+        work: A coroutine function.
+
+    Raises:
+        Exception: Whatever the work raises.
+    """
+    loop = asyncio.get_running_loop()
+    door = Door.of(loop)
+    if not door.has_border:
+        return await work()
+    tape = door.tape
+    outcome: asyncio.Future[T] = loop.create_future()
+    number = 0
+
+    def over(end: tuple[Any, BaseException | None]) -> None:
+        if isinstance(tape, TapeWriter):
+            tape.arrived(tag, end, number=number)
+        if outcome.done():
+            return
+        value, error = end
+        if error is not None and not (isinstance(tape, Player) and tape.is_over):
+            outcome.set_exception(error)
+        else:
+            outcome.set_result(value)
+
+    if isinstance(tape, Player):
+        if tape.is_over:  # the robot stops: nothing outside is left that could fail
+            await asyncio.sleep(0)
+            return None  # type: ignore[return-value]
+        number, _ = tape.first(tag)
+        tape.expect(tag, number, over)
+        return await outcome
+    if isinstance(tape, TapeWriter):
+        number = tape.first(tag, WAITS)
+    # A context of nobody: what it starts is no part of the robot.
+    task = asyncio.Task(work(), loop=loop, name=" ".join(tag), context=_nobodys())
+    task.add_done_callback(lambda done: door.end(tag, over, _end_of(done)))
+    try:
+        return await outcome
+    except asyncio.CancelledError:
+        task.cancel()
+        raise
+
+
+def _nobodys() -> contextvars.Context:
+    return contextvars.Context()
+
+
+def _end_of(task: asyncio.Task[Any]) -> tuple[Any, BaseException | None]:
+    if task.cancelled():
+        return None, asyncio.CancelledError()
+    error = task.exception()
+    return (None, error) if error is not None else (task.result(), None)
+
+
+class News:
+    """What is told from outside, in the loop or in a thread: kept, and told again.
+
+    Args:
+        loop: The event loop in which it takes effect.
+        tag: Whose news they are.
+        function: Called with each.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        tag: Tag,
+        function: Callable[..., object],
+    ) -> None:
+        self._loop = loop
+        self._door = Door.of(loop)
+        self._tag = tag
+        self._function = function
+        if self._door.player is not None:
+            self._door.player.listen(tag, lambda told: function(*told))
+
+    def tell(self, *told: Any) -> None:
+        """Tell it in the loop; where turns have a border it takes effect at one."""
+        self._door.end(self._tag, self._take, told)
+
+    def tell_from_thread(self, *told: Any) -> None:
+        """Tell it in any thread.
+
+        Raises:
+            RuntimeError: The loop is closed.
+        """
+        if self._door.has_border:
+            self._door.tell(self._tag, self._take, told)
+        else:
+            self._loop.call_soon_threadsafe(self._function, *told)
+
+    def _take(self, told: tuple[Any, ...]) -> None:
+        if isinstance(self._door.tape, TapeWriter):
+            self._door.tape.arrived(self._tag, told)
+        self._function(*told)
