@@ -335,6 +335,36 @@ async def test_the_life_of_a_replaced_device_leaves_its_successor_alone(
     assert "write 0.0" not in old.log
 
 
+@pytest.mark.promise("CALL-1")
+async def test_the_stream_of_a_replaced_sensor_is_not_heard(user_of: Any) -> None:
+    """It swallows its end and goes on; no value of it is taken for its successor's."""
+
+    class Bumper(esair.Sensor[int]):
+        def __init__(self, value: int, *, deaf: bool) -> None:
+            super().__init__(name="bumper")
+            self.value = value
+            self.deaf = deaf
+
+        async def stream(self) -> AsyncIterator[int]:
+            for _ in range(100):
+                with contextlib.suppress(
+                    asyncio.CancelledError if self.deaf else ZeroDivisionError
+                ):
+                    yield self.value
+                    await asyncio.sleep(0.05)
+
+    user = user_of("user", bumper=esair.reads(int))
+    async with esair.Robot(resources=[Bumper(1, deaf=True)], behaviors=[user]) as robot:
+        await asyncio.sleep(0.2)
+        assert await user.bumper.read() == 1
+        await robot.resources.replace("bumper", Bumper(2, deaf=False))
+        seen = []
+        for _ in range(20):
+            await asyncio.sleep(0.03)
+            seen += [reading.value for reading in user.bumper.history(10)]
+        assert set(seen) == {2}
+
+
 @pytest.mark.promise("CALL-1", "CALL-2")
 async def test_a_replaced_actuator_that_heard_nothing_has_not_answered(
     fake_actuator: Any,

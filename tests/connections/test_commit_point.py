@@ -114,7 +114,7 @@ async def test_a_latched_actuator_takes_no_writes(fake_actuator: Any) -> None:
     wheels = fake_actuator("wheels", safe=0.0)
     user = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
     async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
-        robot.resources.latch()
+        robot._resources.latch()
         late = await robot.resources.register("user", "wheels", esair.Access.WRITE)
         with pytest.raises(esair.StoppingError):
             await robot.actuators.write(late, 1.0)

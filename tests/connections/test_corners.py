@@ -230,7 +230,7 @@ async def test_a_suspend_leaves_lost_actuators_alone():
     async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
         wheels.unplug()
         await asyncio.sleep(0.01)
-        robot.resources.resumed(10.0)
+        robot._resources.resumed(10.0)
 
         assert robot.sensors.channel("sonar").newest is None
         assert robot.resources.query("wheels").state is esair.ResourceState.LOST
@@ -272,7 +272,7 @@ async def test_an_exclusive_actuator_may_be_read_about_by_others():
 @pytest.mark.fault("M11")
 async def test_all_requests_together_are_bounded(monkeypatch: pytest.MonkeyPatch):
     """Over the bound of the whole robot a request is refused at once."""
-    monkeypatch.setattr("esair.supervisors._mediator.REQUESTS", 1)
+    monkeypatch.setattr("esair.supervisors._pending.REQUESTS", 1)
 
     class Quiet(esair.Behavior):
         inbox_size = 1

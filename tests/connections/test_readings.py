@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import attrs
+import numpy as np
 import pytest
 
 import esair
@@ -172,3 +174,105 @@ async def test_what_a_device_answers_while_it_is_lost_is_no_reading(
             await user.odd.read()
         assert robot.resources.query("odd").state is ResourceState.LOST
         assert robot.sensors.channels["odd"].newest is None
+
+
+class Pose(NamedTuple):
+    """A structured value, as the parts of another one."""
+
+    x: float
+    y: float
+
+
+@dataclasses.dataclass
+class Scan:
+    """A structured value with rows."""
+
+    ranges: Any
+    pose: Any = None
+
+
+class Hostile:
+    """Raises when it is compared."""
+
+    def __le__(self, other: object) -> bool:
+        raise RuntimeError("no order")
+
+    __ge__ = __le__
+
+
+@pytest.mark.promise("SC-3")
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ({"left": {"speed": math.nan}}, "left.speed = nan"),
+        ({"left": {"speed": math.inf}}, "left.speed = inf"),
+        (Scan([1.0, math.nan]), "NaN in ranges"),
+        (Scan([Pose(0.0, 0.0), Pose(0.0, math.nan)]), r"ranges\[1\].y = nan"),
+        (Scan(["start", math.nan]), r"ranges\[1\] = nan"),
+        (Scan([], Pose(math.nan, 0.0)), "pose.x = nan"),
+        (np.array([1.0, math.nan]), "NaN in an array"),
+        ({"image": np.array([math.nan])}, "NaN in image"),
+    ],
+)
+async def test_a_number_that_is_none_is_found_wherever_it_is(
+    value: Any, told: str
+) -> None:
+    """In fields, rows, dictionaries and arrays; the error says where."""
+    lidar = FakeSensor("lidar", value, rate=10.0)
+    user: Any = esair.Behavior(name="user", reads={"lidar": esair.reads(object)})
+    async with esair.Robot(resources=[lidar], behaviors=[user]):
+        with pytest.raises(esair.DeviceFaultError, match=told):
+            await user.lidar.read(fresh=True)
+
+
+@pytest.mark.promise("SC-3")
+@pytest.mark.parametrize(
+    "value",
+    [
+        Scan([1.0, math.inf], Pose(0.0, 0.0)),
+        ["start", 1.0, b"raw", None],
+        np.array([1, 2, 3]),
+        {"deep": {"deep": {"deep": {"deep": math.nan}}}},  # nobody looks so far
+        object(),
+    ],
+)
+async def test_what_may_be_in_a_reading_passes(value: Any) -> None:
+    """In a row infinity stands for "nothing in reach"."""
+    lidar = FakeSensor("lidar", value, rate=10.0)
+    user: Any = esair.Behavior(name="user", reads={"lidar": esair.reads(object)})
+    async with esair.Robot(resources=[lidar], behaviors=[user]):
+        assert await user.lidar.read(fresh=True) is value
+
+
+@pytest.mark.promise("SC-3")
+async def test_a_reading_that_cannot_be_checked_is_a_fault() -> None:
+    """It may be an object of any class; the error of its check is contained."""
+
+    class Strange(FakeSensor[Any]):
+        limits = (0.0, 1.0)
+
+    user: Any = esair.Behavior(name="user", reads={"strange": esair.reads(object)})
+    strange: Any = Strange("strange", Hostile())
+    async with esair.Robot(resources=[strange], behaviors=[user]):
+        with pytest.raises(
+            esair.DeviceFaultError, match=r"cannot be checked.*no order"
+        ):
+            await user.strange.read(fresh=True)
+
+
+@pytest.mark.promise("SC-3")
+async def test_an_array_that_never_changes_is_frozen() -> None:
+    """Also values of which equality is an array, or raises."""
+
+    class Camera(FakeSensor[Any]):
+        max_repeat = 3
+
+    camera: Any = Camera("camera", np.zeros(4))
+    user: Any = esair.Behavior(name="user", reads={"camera": esair.reads(object)})
+    async with esair.Robot(resources=[camera], behaviors=[user]):
+        for _ in range(3):
+            await user.camera.read(fresh=True)
+        with pytest.raises(esair.DeviceFaultError, match="frozen"):
+            await user.camera.read(fresh=True)
+        camera.feed(np.zeros(5))  # of another shape: it cannot be compared
+        await user.camera.read(fresh=True)

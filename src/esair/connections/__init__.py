@@ -3,13 +3,18 @@
 from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
 from esair.connections._actuator_device import LastCommand
-from esair.connections._call import Call, Calls, End
+from esair.connections._applied_channel import Applied, AppliedChannel
+from esair.connections._call import Call, End
+from esair.connections._calls import Calls
 from esair.connections._command_check import CommandCheck, limits_by_field, part_of
+from esair.connections._derived_channel import DerivedChannel, Source
 from esair.connections._driver import Driver, Method, is_loss, translate
+from esair.connections._follower import Follower
 from esair.connections._halt import HALT, Halt, Halting, Stopped
+from esair.connections._ports import ActuatorPort, SensorPort
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._registrations import Registration, Registrations
-from esair.connections._sensor_channel import READ_TIMEOUT, Follower, SensorChannel
+from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.connections._sensor_connection import SensorConnection
 
 __all__ = [
@@ -19,9 +24,13 @@ __all__ = [
     "UNDECIDED",
     "ActuatorChannel",
     "ActuatorConnection",
+    "ActuatorPort",
+    "Applied",
+    "AppliedChannel",
     "Call",
     "Calls",
     "CommandCheck",
+    "DerivedChannel",
     "Driver",
     "End",
     "Follower",
@@ -35,6 +44,8 @@ __all__ = [
     "Registrations",
     "SensorChannel",
     "SensorConnection",
+    "SensorPort",
+    "Source",
     "Stopped",
     "is_loss",
     "limits_by_field",

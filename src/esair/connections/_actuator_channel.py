@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import copy
-import math
 from collections.abc import Callable, Generator
 from typing import Any
 
-from esair.connections._answers import rule_of, why, withdrawn
+from esair.connections._answers import why, withdrawn
 from esair.connections._call import Call, End
 from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
 from esair.connections._driver import Guard
-from esair.connections._halt import HALT, HALT_PRIORITY, Halt
-from esair.connections._operations import Operating, Operations
-from esair.connections._protected_device import ProtectedDevice
+from esair.connections._held_device import HeldDevice
 from esair.connections._registrations import Registration, Registrations
 from esair.connections._waiting_writes import Sent, WaitingWrites
 from esair.exceptions import (
-    AccessDeniedError,
     DeviceLostError,
     EsairError,
-    HaltedError,
     StoppingError,
 )
 from esair.journal import Kind
@@ -31,6 +26,10 @@ from esair.messages import Answer, Refused, ResourceState, Why, Written
 from esair.resources import HOLD, Actuator
 
 _EARLY = 1e-6  # timers may fire a hair early
+
+
+_SENT: Written[Any] = Written(None)
+"""The answer to who does not look at it."""
 
 
 class _Sending:
@@ -69,7 +68,7 @@ class _Sending:
         return self.channel.finish(self).__await__()
 
 
-class ActuatorChannel(ProtectedDevice):
+class ActuatorChannel(HeldDevice):
     """Sends the commands of whoever holds the actuator, and the safe command.
 
     Every check and the call of the driver happen in one block without an await
@@ -83,18 +82,10 @@ class ActuatorChannel(ProtectedDevice):
         "_blocks",
         "_check",
         "_checked",
-        "_dead_man",
         "_deadline",
-        "_halts",
-        "_last_write",
         "_slews",
         "_waiting",
         "decision",
-        "operations",
-        "refusals",
-        "since",
-        "timeouts",
-        "until",
         "writes",
     )
 
@@ -106,23 +97,11 @@ class ActuatorChannel(ProtectedDevice):
         on_error: Callable[[Exception], None],
         left: set[Call] | None = None,
     ) -> None:
-        self.holder: Registration | None = None
-        self.since = 0.0
-        self.until = 0.0
         self.writes = 0
-        self.refusals = 0
-        self.timeouts = 0
-        """How often the safe command was sent because nobody wrote."""
-        self._writer: Registration | None = None
-        self._last_write = 0.0
         self._accepts = False
         self._waiting = WaitingWrites(actuator.name, loop)
-        self._dead_man: asyncio.TimerHandle | None = None
-        self._halts = 0
-        """Grows with each halt: a command from before is never sent after it."""
         self.decision = Decision(self, loop)
         """What reactions want of it in this turn."""
-        self.operations = Operations(self, loop, on_error)
         super().__init__(actuator, registrations, loop, on_error, left)
 
     def attach(self, actuator: Actuator[Any]) -> None:
@@ -207,23 +186,25 @@ class ActuatorChannel(ProtectedDevice):
     def down(self, state: ResourceState, error: EsairError) -> None:
         """The device is gone: forget who held it and what it was told."""
         self._accepts = False
-        self._disarm()
         super().down(state, error)
-        self.operations.gone(error)
-
-    def _disarm(self) -> None:
-        self.holder = self._writer = None
-        if self._dead_man is not None:
-            self._dead_man.cancel()
-            self._dead_man = None
-        self._look_no_more()
 
     # The commit block.
 
     def begin(
-        self, registration: Registration, command: Any, hold: float | None
+        self,
+        registration: Registration,
+        command: Any,
+        hold: float | None,
+        *,
+        told: bool = True,
     ) -> Sent:
         """Check everything and send a command, without a wait if the driver has none.
+
+        Args:
+            registration: The right to write.
+            command: What to send.
+            hold: For how long it holds the actuator, in seconds; None for the usual.
+            told: Whether anybody looks at what was sent; making the answer takes time.
 
         Returns:
             The outcome, or what to await for it.
@@ -252,7 +233,7 @@ class ActuatorChannel(ProtectedDevice):
         if (
             holder is not registration
             and holder is not None
-            and now < self.until
+            and now + _EARLY < self.until
             and registration.priority <= holder.priority
             and holder.behavior != registration.behavior
         ):
@@ -281,10 +262,10 @@ class ActuatorChannel(ProtectedDevice):
         # A copy of its own: who has the answer may change what is in it.
         self._told = copy.deepcopy(command) if self._check.copies else command
         self._told_safe = False
-        if self._dead_man is None:
-            self._dead_man = self._loop.call_at(
-                now + self.command_timeout, self._nobody_wrote
-            )
+        if blind is not None:
+            self._keep_still()  # when this one holds it no longer
+        if not self._dead_man.armed:
+            self._dead_man.arm()
         self._busy = True
         if journal.heard:
             journal.publish(Kind.SENT, self.name, registration.behavior, command)
@@ -305,45 +286,20 @@ class ActuatorChannel(ProtectedDevice):
         self._busy = self._safe_task is not None
         self.writes += 1
         self._told_error = ""
-        if sent is None and not journal.heard:  # most drivers say nothing
-            return Written(command, asked, by)
+        if sent is None and self.applied is None and not journal.heard:
+            # Most drivers say nothing.
+            return Written(command, asked, by) if told else _SENT
+        self._took(command, sent)
         return self._applied(registration, command, sent, asked, by)
 
     def _slewed(self, command: Any, seconds: float) -> Any:
         before = self._base if self._told is HOLD else self._told
         if before is None or before is HOLD:
             return command  # nobody knows where it stays: its driver has not said
+        if command is HOLD:
+            self._base = before
+            return command
         return self._check.slewed(command, before, seconds)
-
-    def lost(
-        self, registration: Registration, command: Any, winner: Registration
-    ) -> Refused:
-        """Refuse a command that another one of the same turn has beaten."""
-        if self._journal.heard:
-            self._journal.publish(
-                Kind.COMMAND, self.name, registration.behavior, command
-            )
-        return self._refused(registration, self.holder or winner)
-
-    def _refused(self, registration: Registration, holder: Registration) -> Refused:
-        return self._refuse(
-            registration,
-            Refused(
-                holder.behavior,
-                holder.priority,
-                rule_of(holder),
-                self.since,
-                self.until,
-            ),
-        )
-
-    def _refuse(self, registration: Registration, refused: Refused) -> Refused:
-        self.refusals += 1
-        if self._journal.heard:
-            self._journal.publish(
-                Kind.REFUSED, self.name, registration.behavior, refused
-            )
-        return refused
 
     def _guard(self, registration: Registration) -> Guard:
         """Return the checks that a thread makes when the turn of a command comes."""
@@ -358,6 +314,7 @@ class ActuatorChannel(ProtectedDevice):
                 self._last_write = self._time()
             if not self._told_safe:
                 self._told_error = ""
+            self._took(call.args[0], end.value)
         elif not (call.cancelled or isinstance(end.error, CallRefused)):
             self._failed(end.error, "write")
         if call.ended is not None:  # else its driver still has the device
@@ -412,45 +369,6 @@ class ActuatorChannel(ProtectedDevice):
                 Kind.APPLIED, self.name, registration.behavior, applied
             )
         return Written(applied, asked, by)
-
-    def _turned_away(
-        self, registration: Registration, command: Any, halts: int | None = None
-    ) -> Refused:
-        """Answer a write that may not even be looked at.
-
-        Args:
-            registration: Who writes.
-            command: What.
-            halts: How many halts there were when the write began to wait.
-
-        Raises:
-            EsairError: It is not the halt that keeps it.
-        """
-        halt = self.registrations.halt
-        if halt is None and halts is not None and halts != self._halts:
-            halt = Halt("it was asked for before the robot was halted", self._time())
-        if halt is None or self.latched or not registration.usable:
-            raise self._refusal(registration) from None
-        self.refusals += 1
-        refused = Refused(HALT, HALT_PRIORITY, halt.reason, halt.since, math.inf)
-        if self._journal.heard:
-            self._journal.publish(
-                Kind.COMMAND, self.name, registration.behavior, command
-            )
-            self._journal.publish(
-                Kind.REFUSED, self.name, registration.behavior, refused
-            )
-        return refused
-
-    def _refusal(self, registration: Registration) -> EsairError:
-        """Make the error for a write that may not even be looked at."""
-        if not registration.usable:
-            return self.registrations.refusal(registration)
-        if self.latched:
-            return StoppingError(self.name, "stopping")
-        error = self.error or DeviceLostError(self.name, f"it is {self.state.value}")
-        # Anew: else each who asks would leave its frames in the traceback.
-        return error.with_traceback(None)
 
     async def _when_idle(
         self, registration: Registration, command: Any, hold: float | None
@@ -520,16 +438,9 @@ class ActuatorChannel(ProtectedDevice):
     # Giving back.
 
     def release(self, registration: Registration) -> None:
-        """Give the actuator back: lower priorities get through at once.
-
-        What it was told stays until somebody writes or the command times out. A
-        write of this registration that still waits for its turn is withdrawn.
-        """
+        """Give the actuator back; a write that still waits for its turn is withdrawn."""
         self._withdraw(registration)
-        if self.holder is registration:
-            self.holder = None
-            if self._blind is not None:
-                self._keep_still()
+        super().release(registration)
 
     def drop(self, registration: Registration) -> None:
         """Make the actuator safe if what it does now is this registration's will.
@@ -537,122 +448,7 @@ class ActuatorChannel(ProtectedDevice):
         Its writes that wait for their turn are withdrawn.
         """
         self._withdraw(registration)
-        self.operations.drop(registration)
-        if self._writer is registration:
-            self.make_safe()
-        elif self.holder is registration:
-            self.holder = None
-
-    # The safe command.
-
-    def make_safe(self, *, stay: bool = False) -> asyncio.Task[bool]:
-        """Send the safe command, before anything else; nobody holds it afterwards.
-
-        Args:
-            stay: Tell it to stay instead, if its safe command is a place to go.
-
-        Returns:
-            The sending; its result tells whether the device took it.
-        """
-        self._disarm()
-        if self.operations.running:
-            self.operations.end(self._safe_instead())
-        return super().make_safe(stay=stay)
-
-    def _nobody_wrote(self) -> None:
-        self._dead_man = None
-        due = self._last_write + self.command_timeout
-        if self._time() + _EARLY < due:
-            self._dead_man = self._loop.call_at(due, self._nobody_wrote)
-            return
-        holder, until = self.holder, self.until
-        self.timeouts += 1
-        self.make_safe()
-        if holder is not None and self._time() + _EARLY < until:
-            self.holder = holder  # a longer hold keeps lower priorities away
-
-    # Operations.
-
-    def review(self) -> None:
-        """Put what stands to the guards again; an operation is ended by a blind one."""
-        if not self.operations.running:
-            super().review()
-        elif any(guard.stops for guard in self._guards):
-            self.make_safe(stay=True)
-
-    def ready_for(self, operation: Operating) -> bool:
-        """Tell whether an operation may begin now: what moves is made safe first.
-
-        Raises:
-            AccessDeniedError: Somebody else holds the actuator, or is blind.
-            StoppingError: The robot is stopping.
-        """
-        right, now = operation.registration, self._time()
-        if self.latched:
-            raise StoppingError(self.name, "stopping")
-        rule = ""
-        holder, blind = self.holder, self._blind
-        if (
-            blind is not None
-            and right.priority <= blind.priority
-            and blind.is_against(right.behavior)
-        ):
-            rule = blind.rule
-        elif (stop := next((g for g in self._guards if g.stops), None)) is not None:
-            rule = stop.rule
-        elif (
-            holder is not None
-            and now < self.until
-            and right.priority <= holder.priority
-            and holder.behavior != right.behavior
-        ):
-            rule = rule_of(holder)
-        if rule:
-            raise AccessDeniedError(
-                right.behavior, self.name, f"operate ({operation.name})", rule
-            )
-        if self._busy:
-            return False
-        if self.moves:
-            self.make_safe(stay=True)
-            return False
-        if self.watch is not None and not self.watch.may_move():
-            raise StoppingError(self.name, "made safe by the watchdog")
-        return True
-
-    def operating(self, operation: Operating, call: Call) -> None:
-        """The device has begun with an operation: whoever asked for it holds it."""
-        self._lane, self._busy = call, True
-        self._told, self._told_safe = operation, False
-        self._told_error = "it has not answered yet"
-        self.holder = self._writer = operation.registration
-        self.since, self.until = self._time(), operation.until
-
-    def operated(self, call: Call | None) -> None:
-        """An operation has its outcome: nobody knows what moves, so it is made safe."""
-        if call is not None and call is self._lane and call.ended is not None:
-            self._lane = None
-        if self._safe_task is not None:
-            self._again = True
-        elif self.state is ResourceState.READY:
-            self.make_safe(stay=True)
-        self._idle()
-
-    def _safe_instead(self) -> EsairError:
-        """Make the error for an operation that the safe command has ended."""
-        halt = self.registrations.halt
-        if halt is not None:
-            return HaltedError(self.name, halt.reason)
-        if self.latched:
-            return StoppingError(self.name, "stopping")
-        right = self.operations.current
-        stops = self._blind or next((g for g in self._guards if g.stops), None)
-        return AccessDeniedError(
-            "" if right is None else right.registration.behavior,
-            self.name,
-            "operate",
-            "it was made safe meanwhile" if stops is None else stops.rule,
-        )
+        super().drop(registration)
 
     # What people ask.
 

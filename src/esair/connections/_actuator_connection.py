@@ -6,12 +6,11 @@ from typing import Any
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
+from esair.connections._ports import ActuatorPort, Control, way_of
 from esair.connections._protection import Protections
 from esair.connections._registrations import Registration
-from esair.exceptions import NotRegisteredError, UnknownNameError
-from esair.loop import WRITE_COST, Budget
-from esair.messages import Answer, Refused, Written
-from esair.values import check_duration
+from esair.exceptions import UnknownNameError
+from esair.messages import Refused, Written
 
 
 class ActuatorConnection(Connection):
@@ -20,6 +19,8 @@ class ActuatorConnection(Connection):
     def __init__(self) -> None:
         self.channels: dict[str, ActuatorChannel] = {}
         """The way to each actuator; the resource supervisor fills it."""
+        self.control: Control | None = None
+        """The control path of the ports; the resource supervisor's."""
         self.protections = Protections(self.channels)
         """Who keeps an actuator still, by component and name of the actuator."""
 
@@ -37,6 +38,16 @@ class ActuatorConnection(Connection):
             return self.channels[name]
         except KeyError:
             raise UnknownNameError("actuator", name, self.channels) from None
+
+    def port(self, registration: Registration) -> ActuatorPort[Any]:
+        """Hand out a port to whoever is registered.
+
+        Raises:
+            NotRegisteredError: The registration is not valid (any more).
+        """
+        channel = way_of(registration, self.channels, "actuator")
+        assert self.control is not None
+        return ActuatorPort(channel, registration, self.control)
 
     async def write(
         self, registration: Registration, command: Any, *, hold: float | None = None
@@ -58,18 +69,4 @@ class ActuatorConnection(Connection):
             DeviceLostError: The device is not there.
             DeviceFaultError: The device did not take it.
         """
-        await Budget.spend(WRITE_COST)
-        channel = self.channels.get(getattr(registration, "resource", ""))
-        if channel is None:
-            if not isinstance(registration, Registration):
-                raise NotRegisteredError(
-                    "?", "?", f"{registration!r:.80} is no registration"
-                )
-            if registration.reason is not None:
-                raise registration.reason()
-            raise UnknownNameError("actuator", registration.resource, self.channels)
-        channel.registrations.check(registration)
-        if hold is not None:
-            check_duration(channel.name, "hold", hold)
-        outcome = channel.begin(registration, command, hold)
-        return outcome if isinstance(outcome, Answer) else await outcome
+        return await self.port(registration).write(command, hold=hold)

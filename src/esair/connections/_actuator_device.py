@@ -9,8 +9,10 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from esair.connections._call import Call, Calls, End
-from esair.connections._driver import Driver, Method, translate
+from esair.connections._applied_channel import AppliedChannel
+from esair.connections._call import Call, End, given_up
+from esair.connections._calls import Calls
+from esair.connections._driver import Driver, Method, translate_call
 from esair.connections._registrations import Registrations
 from esair.exceptions import (
     DeviceLostError,
@@ -21,7 +23,7 @@ from esair.exceptions import (
 )
 from esair.journal import Kind
 from esair.loop import clock_of, spawn
-from esair.messages import ResourceState
+from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
 SAFE_TRIES = 3
@@ -95,6 +97,7 @@ class ActuatorDevice:
         "_told_safe",
         "_write",
         "actuator",
+        "applied",
         "calls",
         "command_timeout",
         "driver",
@@ -136,6 +139,8 @@ class ActuatorDevice:
         self.watch: Watched | None = None
         """Told when it moves and when it is safe, if there is a watchdog."""
         self.command_timeout = 0.0
+        self.applied: AppliedChannel | None = None
+        """Given each command that was applied, if somebody reads that."""
         self.attach(actuator)
 
     def attach(self, actuator: Actuator[Any]) -> None:
@@ -172,6 +177,8 @@ class ActuatorDevice:
         """The device is open and was told its safe command."""
         self.state = ResourceState.READY
         self.error = None
+        if self.applied is not None:
+            self.tell_applied(self.applied)
         if self._again:
             self.make_safe()
 
@@ -182,6 +189,8 @@ class ActuatorDevice:
         if self._told_error == "":
             self._told_error = f"it is {state.value}"
         self._lane = None
+        if self.applied is not None:
+            self.applied.down(state, error)
         self.calls.next_opening(error)
         self._idle()
 
@@ -193,6 +202,28 @@ class ActuatorDevice:
     def removed(self) -> None:
         """The user took the actuator away."""
         self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
+
+    def tell_applied(self, channel: AppliedChannel) -> None:
+        """Give each command that is applied to its readers from now on."""
+        self.applied = channel
+        if self.state is ResourceState.READY:
+            channel.up()
+            if not self._told_error:
+                self._took(self._told, None)
+        elif self.error is not None:
+            channel.down(self.state, self.error)
+
+    def _took(self, command: Any, answer: Any) -> None:
+        """Tell the readers what the device has applied."""
+        if self.applied is None or isinstance(answer, Refused):
+            return
+        if isinstance(answer, Written):
+            answer = answer.command
+        if answer is not None:
+            command = answer
+        elif command is HOLD:
+            command = self._base
+        self.applied.took(copy.deepcopy(command))  # who has the answer may change it
 
     def between(self, method: Method, told: Callable[[End], None]) -> bool:
         """Call the driver between two commands; tells whether the device was free."""
@@ -229,9 +260,7 @@ class ActuatorDevice:
         self._pulse()
 
     def _stuck(self, call: Call) -> None:
-        self._on_error(
-            DeviceLostError(self.name, f"{call} was given up and does not end")
-        )
+        self._on_error(given_up(call))
 
     def _lane_free(self, call: Call) -> None:
         if call is self._lane:
@@ -263,11 +292,7 @@ class ActuatorDevice:
         return translated
 
     def _translated(self, error: BaseException, kind: str = "write") -> EsairError:
-        if isinstance(error, TimeoutError) and not isinstance(error, EsairError):
-            stuck = DriverStuckError(self.name, kind, self.actuator.deadline)
-            stuck.__cause__ = error
-            return stuck
-        return translate(self.name, error)
+        return translate_call(self.name, kind, self.actuator.deadline, error)
 
     # The safe command.
 
@@ -393,6 +418,7 @@ class ActuatorDevice:
             self._told_error = ""
             if command is HOLD and applied is not None:
                 self._base = applied
+            self._took(command, applied)
             if self.watch is not None:
                 self.watch.is_safe()
             if self._journal.heard:

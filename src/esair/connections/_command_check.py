@@ -28,44 +28,68 @@ class CommandCheck:
         self._clamp = actuator.clamp
         overridden = type(actuator).check is not Actuator.check
         self._own_check = actuator.check if overridden else None
+        self._stays = actuator.safe is HOLD
         self._limits = limits_by_field(actuator.limits)
         self._slew = limits_by_field(actuator.slew)
         self._fields = _number_fields(actuator.safe)
-        self._get: Callable[[Any], Any] | None = None
-        if not _all_numbers(actuator.safe, self._fields):
-            pass  # what is no number may hide one: look at every part
-        elif len(self._fields) == 1:
-            self._get = lambda command, get=operator.attrgetter(*self._fields): (
-                get(command),
-            )
-        else:
-            self._get = operator.attrgetter(*self._fields)
+        get: Any = operator.attrgetter(*self._fields or [""])
+        self._get = (lambda command: (get(command),)) if len(self._fields) == 1 else get
         self.copies = not _is_frozen(self.wanted)
         """Whether somebody could change a command after its check."""
         self.slews = bool(self._slew)
         """Whether how fast a command changes is limited."""
-
-    def checked(self, command: Any) -> Any:
+        self.checked: Callable[[Any], Any] = self._quickest(actuator)
         """Return the command that may be sent.
 
         Raises:
             BadValueError: The type is wrong, a number is not finite, or it is
                 outside the limits.
         """
+
+    def _quickest(self, actuator: Actuator[Any]) -> Callable[[Any], Any]:
+        """Choose, once, the check for the kind of commands that it takes."""
+        if self._own_check is not None:
+            return self._any
+        if not self._limits:
+            if self.wanted is float:
+                return self._number
+            # What is no number may hide one: then each part is looked at.
+            plain = _all_numbers(actuator.safe, self._fields)
+            return self._numbers if plain else self._any
+        self._low, self._high = self._limits.get("", (math.nan, math.nan))
+        bounded = math.isfinite(self._low) and math.isfinite(self._high)
+        if bounded and (self.wanted is float or self.wanted is int):
+            return self._number_in_limits
+        return self._any
+
+    def _number(self, command: Any) -> Any:
+        """Check what is a number without limits: most commands end here."""
+        if type(command) is float and math.isfinite(command):
+            return command
+        return self._any(command)
+
+    def _number_in_limits(self, command: Any) -> Any:
+        """Check what is a number between two others, which NaN never is."""
+        if type(command) is self.wanted and self._low <= command <= self._high:
+            return command
+        return self._any(command)
+
+    def _numbers(self, command: Any) -> Any:
+        """Check a structure of numbers without limits."""
+        if type(command) is self.wanted:
+            if self.copies:
+                command = copy.copy(command)  # its parts are numbers
+            try:
+                if all(map(math.isfinite, self._get(command))):
+                    return command
+            except (TypeError, OverflowError):
+                pass  # a field is no number: it is named below
+        return self._any(command)
+
+    def _any(self, command: Any) -> Any:
+        if command is HOLD and self._stays:
+            return command
         wanted: Any = self.wanted
-        own_check = self._own_check
-        if own_check is None and not self._limits and type(command) is wanted:
-            # Most commands end here: a number, or a structure of numbers.
-            if wanted is float and math.isfinite(command):
-                return command
-            if self._get is not None:
-                if self.copies:
-                    command = copy.copy(command)  # its parts are numbers
-                try:
-                    if all(map(math.isfinite, self._get(command))):
-                        return command
-                except (TypeError, OverflowError):
-                    pass  # a field is no number: it is named below
         try:
             if wanted is not None and type(command) is not wanted:
                 command = self._accept(command, wanted)
@@ -74,8 +98,8 @@ class CommandCheck:
             self._check_finite("", command)
             if self._limits:
                 command = self._limited(command)
-            if own_check is not None and command is not HOLD:
-                own_check(command)
+            if self._own_check is not None and command is not HOLD:
+                self._own_check(command)
             return command
         except BadValueError:
             raise

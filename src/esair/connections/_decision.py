@@ -47,28 +47,31 @@ class Decision:
         loop: In whose turns it is decided.
     """
 
-    __slots__ = ("_channel", "_scheduler", "_wishes")
+    __slots__ = ("_channel", "_others", "_scheduler", "_wish")
 
     def __init__(
         self, channel: ActuatorChannel, loop: asyncio.AbstractEventLoop
     ) -> None:
         self._channel = channel
         self._scheduler = Scheduler.of(loop)
-        self._wishes: list[Wish] = []
+        self._wish: Wish | None = None
+        self._others: list[Wish] = []
 
     def add(self, wish: Wish) -> None:
         """Take part in the decision of this turn; the wish commits at its end."""
-        if not self._wishes:
+        if self._wish is None:
+            self._wish = wish
             self._scheduler.decide(self)
-        self._wishes.append(wish)
+        else:
+            self._others.append(wish)
 
     def function(self, _now: float) -> Awaitable[object] | None:
         """Decide. Called by the scheduler when all steps of the turn have run."""
-        wishes = self._wishes
-        if len(wishes) == 1:
-            wish = wishes.pop()
+        wish, self._wish = self._wish, None
+        assert wish is not None
+        if not self._others:
             return wish.commit()[1]
-        self._wishes = []
+        wishes, self._others = [wish, *self._others], []
         wishes.sort(key=self._rank)
         winner: Wish | None = None
         rest: Awaitable[object] | None = None

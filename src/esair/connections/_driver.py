@@ -6,8 +6,10 @@ import asyncio
 import errno
 import functools
 import inspect
-from collections.abc import Callable, Coroutine
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
+
+import attrs
 
 from esair.exceptions import (
     DeviceFaultError,
@@ -26,24 +28,32 @@ _GONE = frozenset(
 Guard = Callable[[], bool]
 
 
-class Method(NamedTuple):
+@attrs.frozen
+class Method:
     """A method of a driver, and where it is called.
 
     Attributes:
-        function: What is called; a coroutine function if there is no executor.
+        function: What is called: a coroutine function, unless there is an executor or
+            it is plain.
         executor: Returns the thread that calls it; None if it is called in the loop.
         name: Its name.
+        is_plain: It is a plain function that is called in the loop.
+        is_usual: It is a coroutine function, as most are.
     """
 
     function: Callable[..., Any]
     executor: Callable[[], Executor] | None
     name: str = ""
+    is_plain: bool = False
+    is_usual: bool = attrs.field(init=False)
+
+    @is_usual.default
+    def _find_usual(self) -> bool:
+        return self.executor is None and not self.is_plain
 
     def bound(self, **options: Any) -> Method:
         """Return the same with keyword arguments."""
-        return Method(
-            functools.partial(self.function, **options), self.executor, self.name
-        )
+        return attrs.evolve(self, function=functools.partial(self.function, **options))
 
 
 class Driver:
@@ -103,61 +113,36 @@ class Driver:
         return all(ended)
 
     def blocks(self, method: str) -> bool:
-        """Tell whether a method is a plain function, which may block."""
+        """Tell whether a method is a plain function that may block."""
+        return self.resource.blocking and self._is_plain(method)
+
+    def _is_plain(self, method: str) -> bool:
         return not inspect.iscoroutinefunction(getattr(self.resource, method))
 
     def method(self, name: str) -> Method:
         """Return a method, to be called where it belongs."""
         function = getattr(self.resource, name)
-        executor = self._get_executor if self.blocks(name) else None
-        return Method(function, executor, name)
+        if self.blocks(name):
+            return Method(function, self._get_executor, name)
+        return Method(function, None, name, self._is_plain(name))
 
     def _get_executor(self) -> Executor:
         return self.executor
 
-    def call(
-        self, method: str, *, timeout: float | None = None
-    ) -> Callable[..., Coroutine[Any, Any, Any]]:
-        """Return a coroutine function that calls a method where it belongs.
-
-        Args:
-            method: The name of the method.
-            timeout: How long a blocking call may take; the resource's deadline
-                unless given. Calls in the loop are bounded by whoever awaits them.
-        """
-        function = getattr(self.resource, method)
-        if not self.blocks(method):
-            return function  # type: ignore[no-any-return]
-        limit = self.resource.deadline if timeout is None else timeout
-
-        async def on_executor(
-            *args: Any, guard: Guard | None = None, **options: Any
-        ) -> Any:
-            bound = (lambda: function(*args, **options)) if options else function
-            result = await self.executor.call(
-                bound, *(() if options else args), timeout=limit, guard=guard
-            )
-            return await result if inspect.isawaitable(result) else result
-
-        return on_executor
+    async def call(self, name: str, *args: Any, **options: Any) -> Any:
+        """Call a method where it belongs, and wait for what it returns."""
+        method = self.method(name)
+        function = functools.partial(method.function, *args, **options)
+        if method.executor is None:
+            result = function()
+        else:
+            executor, limit = method.executor(), self.resource.deadline
+            result = await executor.call(function, timeout=limit)
+        return await result if inspect.isawaitable(result) else result
 
 
 def _nothing() -> None:
     """Come after all calls that were made before."""
-
-
-def is_drivers(error: BaseException) -> bool:
-    """Tell whether an error is a driver's own, whatever its class.
-
-    It is not if somebody cancels the task that called the driver, or closes it, which
-    happens only when its loop is over.
-    """
-    if isinstance(error, asyncio.CancelledError):
-        task = asyncio.current_task()
-        return task is not None and not task.cancelling()
-    if isinstance(error, GeneratorExit):
-        return asyncio._get_running_loop() is not None  # noqa: SLF001 - it does not raise
-    return True
 
 
 def is_loss(error: BaseException) -> bool:
@@ -180,3 +165,21 @@ def translate(resource: str, error: BaseException) -> EsairError:
         translated = DeviceFaultError(resource, describe(error))
     translated.__cause__ = error
     return translated
+
+
+def translate_call(
+    resource: str, kind: str, limit: float, error: BaseException
+) -> EsairError:
+    """Turn what came of a call into the error that its caller gets.
+
+    Args:
+        resource: The name of the resource.
+        kind: What was called.
+        limit: Its deadline, in seconds: what a bare TimeoutError tells of.
+        error: What was raised.
+    """
+    if isinstance(error, TimeoutError) and not isinstance(error, EsairError):
+        stuck = DriverStuckError(resource, kind, limit)
+        stuck.__cause__ = error
+        return stuck
+    return translate(resource, error)

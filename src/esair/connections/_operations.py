@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 from typing import Any, Protocol
 
-from esair.connections._call import OPERATE, Call, Calls, End
-from esair.connections._driver import Driver, translate
+from esair.connections._call import OPERATE, Call, End
+from esair.connections._calls import Calls
+from esair.connections._driver import Driver, translate_call
 from esair.connections._registrations import Registration, Registrations
 from esair.exceptions import (
     DeviceLostError,
@@ -53,12 +54,14 @@ class Operating:
         name: str,
         parameters: dict[str, Any],
         until: float,
+        limit: float,
         outcome: asyncio.Future[Any],
     ) -> None:
         self.registration = registration
         self.name = name
         self.parameters = parameters
         self.until = until
+        self.limit = limit
         self.outcome = outcome
         self.call: Call | None = None
         self.ended_by: EsairError | None = None
@@ -108,7 +111,7 @@ class Operations:
         """
         assert self.current is None
         outcome: asyncio.Future[Any] = self._loop.create_future()
-        this = Operating(registration, name, parameters, until, outcome)
+        this = Operating(registration, name, parameters, until, limit, outcome)
         self.current = this
         stuck = DriverStuckError(self._device.name, f"{OPERATE} {name}", limit)
         deadline = self._deadlines.after(
@@ -242,11 +245,7 @@ class Operations:
         name = self._device.name
         if this.call is None and isinstance(error, EsairError):
             return error  # it has not begun
-        if isinstance(error, TimeoutError) and not isinstance(error, EsairError):
-            stuck = DriverStuckError(name, this.name, self._time() - this.until)
-            stuck.__cause__ = error
-            return stuck
-        translated = translate(name, error)
+        translated = translate_call(name, this.name, this.limit, error)
         if isinstance(translated, DeviceLostError):
             self._on_error(translated)
         return translated

@@ -187,6 +187,8 @@ class ProtectedDevice(ActuatorDevice):
             self._busy = True
             self._lane = sent
             self._told_error = "it has not answered yet"
+        else:
+            self._took(less, sent)
 
     def _may_leave(self) -> Guard:
         calls, opening, fence = self.calls, self.calls.opening, self._fence

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import attrs
@@ -37,9 +37,27 @@ class ReadingCheck:
             if isinstance(limits, Mapping)
             else {"": limits}
         )
-
-    def __call__(self, value: Any) -> str | None:
+        self._low, self._high = self._limits.get("", (math.nan, math.nan))
+        bounded = math.isfinite(self._low) and math.isfinite(self._high)
+        self.wrong: Callable[[Any], str | None] = self._any
         """Return what is wrong with a value, in words; None if nothing is."""
+        if self._wanted is float and not self._limits:
+            self.wrong = self._number
+        elif self._wanted is float and bounded and len(self._limits) == 1:
+            self.wrong = self._number_in_limits
+
+    def _number(self, value: Any) -> str | None:
+        if type(value) is float and math.isfinite(value):
+            return None
+        return self._any(value)
+
+    def _number_in_limits(self, value: Any) -> str | None:
+        # Between two numbers, which NaN never is.
+        if type(value) is float and self._low <= value <= self._high:
+            return None
+        return self._any(value)
+
+    def _any(self, value: Any) -> str | None:
         wanted = self._wanted
         if wanted is not None and type(value) is not wanted:
             number = wanted is int or wanted is float
@@ -67,6 +85,40 @@ class ReadingCheck:
                 what = f"{field} = {number!r:.80}" if field else f"{number!r:.80}"
                 return f"expected {low:g} to {high:g}, it gave {what}"
         return None
+
+
+class FrozenCheck:
+    """Says so when a device gives the same value too often: it may be frozen.
+
+    Args:
+        limit: How many times in a row it may.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._last: Any = None
+        self._repeats = 0
+
+    def begin_anew(self) -> None:
+        """Count from one: the device was opened."""
+        self._repeats = 0
+
+    def __call__(self, value: Any) -> str | None:
+        """Return what is wrong, in words; None if nothing is."""
+        if self._repeats == 0 or not _equal(value, self._last):
+            self._last, self._repeats = value, 0
+        self._repeats += 1
+        if self._repeats <= self._limit:
+            return None
+        return f"frozen: it gave {value!r:.80} {self._repeats} times in a row"
+
+
+def _equal(one: Any, other: Any) -> bool:
+    try:
+        same = one == other
+        return bool(same.all()) if hasattr(same, "all") else bool(same)
+    except Exception:  # a value may be an object of any class
+        return False
 
 
 def _not_finite(value: Any, where: str, depth: int) -> str | None:

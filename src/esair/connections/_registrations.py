@@ -174,10 +174,6 @@ class Registrations:
                 return registration
         return None
 
-    def of_behavior(self, behavior: str) -> list[Registration]:
-        """Return what a behavior is registered for."""
-        return [r for r in self.live.values() if r.behavior == behavior]
-
     def of_resource(self, resource: str) -> list[Registration]:
         """Return who is registered for a resource."""
         return [r for r in self.live.values() if r.resource == resource]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from esair.abc import Connection
+from esair.connections._ports import Control, SensorPort, way_of
 from esair.connections._registrations import Registration
-from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
-from esair.exceptions import NotRegisteredError, UnknownNameError
-from esair.loop import Budget
+from esair.connections._sensor_channel import SensorChannel
+from esair.exceptions import UnknownNameError
 from esair.messages import Reading
 from esair.values import check_duration
 
@@ -19,6 +19,8 @@ class SensorConnection(Connection):
     def __init__(self) -> None:
         self.channels: dict[str, SensorChannel] = {}
         """The way to each sensor; the resource supervisor fills it."""
+        self.control: Control | None = None
+        """The control path of the ports; the resource supervisor's."""
 
     def names(self) -> list[str]:
         """Return the names of the sensors."""
@@ -34,6 +36,25 @@ class SensorConnection(Connection):
             return self.channels[name]
         except KeyError:
             raise UnknownNameError("sensor", name, self.channels) from None
+
+    def port(
+        self, registration: Registration, *, max_age: float | None = None
+    ) -> SensorPort[Any]:
+        """Hand out a port to whoever is registered.
+
+        Args:
+            registration: The right to read.
+            max_age: The greatest age of its readings, in seconds; the sensor's own
+                limit unless given.
+
+        Raises:
+            NotRegisteredError: The registration is not valid (any more).
+        """
+        channel = way_of(registration, self.channels, "sensor")
+        if max_age is not None:
+            check_duration(channel.name, "max_age", max_age)
+        assert self.control is not None
+        return SensorPort(channel, registration, max_age, self.control)
 
     async def read(
         self,
@@ -61,32 +82,5 @@ class SensorConnection(Connection):
             DeviceLostError: The device is not there.
             DeviceFaultError: The device answered wrongly.
         """
-        await Budget.spend()
-        channel = self.channels.get(getattr(registration, "resource", ""))
-        if channel is None:
-            raise self._gone(registration)
-        channel.registrations.check(registration)
-        for field, seconds in (("max_age", max_age), ("timeout", timeout)):
-            if seconds is not None:
-                check_duration(channel.name, field, seconds)
-        max_age = channel.max_age if max_age is None else max_age
-        limit = min(channel.good_for, max_age)
-        if not fresh:
-            reading = channel.cached(registration, limit)
-            if reading is not None:
-                return reading
-        return await channel.ask(
-            registration,
-            fresh=fresh,
-            max_age=max_age,
-            timeout=READ_TIMEOUT if timeout is None else timeout,
-        )
-
-    def _gone(self, registration: Registration) -> Exception:
-        if not isinstance(registration, Registration):
-            return NotRegisteredError(
-                "?", "?", f"{registration!r:.80} is no registration"
-            )
-        if registration.reason is not None:
-            return registration.reason()
-        return UnknownNameError("sensor", registration.resource, self.channels)
+        port = self.port(registration)
+        return await port.reading(fresh=fresh, max_age=max_age, timeout=timeout)

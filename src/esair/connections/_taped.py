@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from esair.connections._call import Call, End
 from esair.connections._driver import Guard, Method
-from esair.loop import First, Player, Recorder
+from esair.loop import First, Player, TapeWriter
 
 if TYPE_CHECKING:
-    from esair.connections._call import Calls
+    from esair.connections._calls import Calls
 
 
 def begin_taped(
     calls: Calls,
-    tape: Recorder | Player,
+    tape: TapeWriter | Player,
     kind: str,
     method: Method,
     args: tuple[Any, ...],
@@ -30,8 +31,8 @@ def begin_taped(
     Raises:
         Exception: Whatever the driver raises, or has raised.
     """
-    from esair.connections._call import Call, End  # the two need each other
-
+    if getattr(calls.driver.resource, "is_computed", False):  # it is no device
+        return calls.begin_untaped(kind, method, args, limit, apply, guard)
     tag = ("call", calls.resource, kind)
     if isinstance(tape, Player):
         number, first = tape.first(tag)

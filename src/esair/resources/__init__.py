@@ -1,6 +1,6 @@
 """What the hardware is: sensors, actuators, and their settings."""
 
-from esair.resources._actuator import HOLD, Actuator
+from esair.resources._actuator import APPLIED, HOLD, Actuator
 from esair.resources._from_minimal import (
     MinimalActuator,
     MinimalSensor,
@@ -26,6 +26,7 @@ from esair.resources._setting import (
 )
 
 __all__ = [
+    "APPLIED",
     "HIDDEN",
     "HOLD",
     "Actuator",

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
+APPLIED = ".applied"
+"""What follows the name of an actuator in that of its last command as a reading."""
+
+
 class _Hold(enum.Enum):
     """A command of its own kind: it has no numbers, and equals nothing else."""
 

@@ -23,7 +23,7 @@ class Resource(abc.Resource):
 
     Any of the methods below may be ``async def`` (it runs in the event loop) or a
     plain, blocking ``def`` (it runs on the worker thread of its bus, or on one of
-    its own).
+    its own; in the event loop if the class says ``blocking = False``).
 
     A driver tells what happened to its device by raising: `DeviceLostError` or any
     other `ConnectionError` when the device is gone, or any `OSError` from `open` when
@@ -44,6 +44,15 @@ class Resource(abc.Resource):
 
     deadline: float = 1.0
     """How long one call of the driver may take, in seconds."""
+
+    blocking: bool = True
+    """Whether its plain methods may wait for the device: they run on a thread then.
+
+    False for a driver that only touches memory, a register, or a socket that never
+    blocks: its plain methods are called in the event loop, without a thread, and nobody
+    can end one that takes long. That costs a fraction of an ``async def``. A plain
+    ``stream`` has its thread all the same.
+    """
 
     fault_limit: int = 3
     """How many faults in a row before the device is closed and opened again."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncIterator, Awaitable, Iterator, Mapping
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import attrs
 
@@ -32,6 +32,9 @@ class Sensor(Resource, Generic[T]):
         ...         return await self.bus.ask(b"R?") / 1000
     """
 
+    is_computed: ClassVar[bool] = False
+    """Whether its values are computed of other readings, and of no device."""
+
     rate: float = setting(
         10.0, unit="Hz", min=0.001, max=100_000.0, doc="how often the device is asked"
     )
@@ -40,6 +43,8 @@ class Sensor(Resource, Generic[T]):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         # Whatever limits a class gives its rate, it is one that can be kept.
+        if cls.is_computed:
+            return
         own, base = settings_of(cls)["rate"], settings_of(Sensor)["rate"]
         rate = attrs.evolve(
             own,

@@ -147,7 +147,10 @@ def setting(
 
 
 def settings_of(component: type[Resource]) -> dict[str, Setting]:
-    """Return the settings that a class of resources declares, by name."""
+    """Return the settings that a class of resources declares, by name.
+
+    What is computed is never asked, and has no rate.
+    """
     found: dict[str, Setting] = {}
     for cls in reversed(component.__mro__):
         found.update(
@@ -155,6 +158,8 @@ def settings_of(component: type[Resource]) -> dict[str, Setting]:
             for name, value in vars(cls).items()
             if isinstance(value, Setting)
         )
+    if getattr(component, "is_computed", False):
+        found.pop("rate", None)
     return found
 
 

@@ -1,0 +1,384 @@
+"""The calls of one driver: each has a number, a deadline and one outcome."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+from collections.abc import Callable
+from typing import Any
+
+from esair.connections._call import Apply, Call, End
+from esair.connections._driver import Driver, Guard, Method
+from esair.connections._taped import begin_taped
+from esair.connections._threaded_call import ThreadedCall, awaited
+from esair.exceptions import DeviceFaultError, DriverStuckError, describe
+from esair.loop import (
+    ENDED,
+    Deadlines,
+    Door,
+    FirstSteps,
+    LightTask,
+    clock_of,
+    current_tasks,
+)
+
+UNWIND = 0.1
+"""How long a call that was given up may take to end, before its device is closed, in s."""
+
+ABANDONED_LIMIT = 8
+"""How many abandoned calls of one device may be alive; with more, none is begun."""
+
+
+class Calls:
+    """The calls of one driver. Their numbers, and those of the openings, only grow.
+
+    A call has one outcome, within its deadline, whatever the driver does with a
+    cancellation: then it is abandoned, listed and counted, and nothing that it does
+    later has an effect, but that whoever owns it hears of its end (``on_late``).
+
+    Args:
+        driver: Whose methods are called.
+        loop: The event loop.
+        on_late: Told of the end of a call that was abandoned before.
+        on_stuck: Told of a call that was given up, and does not end.
+        left: Gets each abandoned call while it is alive; shared by a whole robot.
+    """
+
+    __slots__ = (
+        "_context",
+        "_deadlines",
+        "_door",
+        "_left",
+        "_loop",
+        "_on_late",
+        "_on_stuck",
+        "_steps",
+        "_task_name",
+        "_time",
+        "abandoned",
+        "alive",
+        "driver",
+        "late",
+        "number",
+        "on_late_open",
+        "opening",
+        "resource",
+    )
+
+    def __init__(
+        self,
+        driver: Driver,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        on_late: Callable[[Call], None],
+        on_stuck: Callable[[Call], None],
+        left: set[Call],
+    ) -> None:
+        self.driver = driver
+        self.resource = driver.resource.name
+        self.opening = 0
+        self.number = 0
+        self.alive: dict[int, Call] = {}
+        """The calls whose driver's code has not ended, by number."""
+        self.abandoned = 0
+        """How many calls have had their outcome before they ended."""
+        self.late = 0
+        """How many of them have ended since, without an effect."""
+        self.on_late_open: Callable[[Call], None] | None = None
+        """Told of an opening that has ended after it was given up."""
+        self._loop = loop
+        self._time = clock_of(loop)
+        self._deadlines = Deadlines.of(loop)
+        self._door = Door.of(loop)
+        self._on_late = on_late
+        self._on_stuck = on_stuck
+        self._left = left
+        self._steps = FirstSteps.of(loop)
+        self._task_name = f"{self.resource} driver"
+        self._context = contextvars.Context()
+
+    def begin(
+        self,
+        kind: str,
+        method: Method,
+        args: tuple[Any, ...],
+        limit: float | None,
+        apply: Apply | None = None,
+        guard: Guard | None = None,
+    ) -> Any:
+        """Call a method of the driver, now.
+
+        Args:
+            kind: What it is called for.
+            method: What is called.
+            args: What with.
+            limit: The deadline, in seconds; None for a stream, which has none.
+            apply: Told the outcome of a call that waits, before anybody else.
+            guard: Asked on a thread immediately before the call.
+
+        Returns:
+            What the driver returned; or a `Call`, which waits.
+
+        Raises:
+            DriverStuckError: Too many abandoned calls are alive.
+            BusyError: Too many calls wait for the thread.
+            Exception: Whatever the driver has raised in its first step.
+        """
+        self.number += 1
+        if self.alive and len(self.alive) > ABANDONED_LIMIT:
+            self._check_abandoned(kind)
+        tape = self._door.tape
+        if tape is not None:
+            return begin_taped(self, tape, kind, method, args, limit, apply, guard)
+        if not method.is_usual:
+            return self.begin_untaped(kind, method, args, limit, apply, guard)
+        steps, loop = self._steps, self._loop
+        light = steps.spare
+        if light is None:  # this call begins in the first step of another one
+            return self.begin_untaped(kind, method, args, limit, apply, guard)
+        # Most calls are these, and end here: it is `FirstSteps.begin` in its place.
+        steps.spare = None
+        light.name = self._task_name
+        light.context = context = self._context
+        caller = current_tasks.get(loop)
+        current_tasks[loop] = light
+        waits_for: Any = None
+        try:
+            coroutine = method.function(*args)
+            waits_for = context.run(light.send, coroutine)
+        except BaseException as error:
+            raise self._contained(error) from error.__cause__
+        finally:
+            if caller is None:
+                del current_tasks[loop]
+            else:
+                current_tasks[loop] = caller
+            if waits_for is ENDED and not light._num_cancels_requested:  # noqa: SLF001 - the name that anyio looks at
+                steps.spare = light
+            else:
+                steps.spare = LightTask(loop, "driver")
+        if waits_for is ENDED:
+            return light.value
+        light.goes_on(coroutine, waits_for)
+        return self._waits(light, kind, args, limit, apply)
+
+    def begin_untaped(
+        self,
+        kind: str,
+        method: Method,
+        args: tuple[Any, ...],
+        limit: float | None,
+        apply: Apply | None,
+        guard: Guard | None,
+    ) -> Any:
+        """Call a method of the driver, whether or not the run is kept."""
+        if method.executor is not None:
+            call = self.track(kind, args, limit, apply)
+            threaded = ThreadedCall(self, call, method, guard)
+            call.engine = threaded
+            try:
+                threaded.submit(self._loop)
+            except BaseException:
+                self._forget(call)
+                raise
+            return call
+        try:
+            if method.is_plain:
+                value = self._context.run(method.function, *args)
+                if value is None or not hasattr(value, "__await__"):
+                    return value
+                coroutine = awaited(value)
+            else:
+                coroutine = method.function(*args)
+            value = self._steps.begin(coroutine, self._task_name, self._context)
+        except BaseException as error:
+            raise self._contained(error) from error.__cause__
+        if type(value) is not LightTask:
+            return value
+        return self._waits(value, kind, args, limit, apply)
+
+    def _waits(
+        self,
+        light: LightTask,
+        kind: str,
+        args: tuple[Any, ...],
+        limit: float | None,
+        apply: Apply | None,
+    ) -> Any:
+        """Make the call of a driver that goes on in a light task."""
+        if light.get_coro() is None:
+            return light  # it has not: this is what the driver has returned
+        self._context = contextvars.Context()  # that one is the light task's now
+        call = self.track(kind, args, limit, apply)
+        call.engine = light
+        light.then(lambda value, error: self.over(call, End(value, error)))
+        return call
+
+    async def run(
+        self, kind: str, method: Method, *args: Any, limit: float | None
+    ) -> Any:
+        """Call a method of the driver and wait for its outcome.
+
+        Raises:
+            DriverStuckError: It did not end in time.
+            Exception: Whatever the driver has raised.
+        """
+        value = self.begin(kind, method, args, limit)
+        return await self.outcome(value) if type(value) is Call else value
+
+    async def outcome(self, call: Call) -> Any:
+        """Wait for the outcome of a call; whoever is cancelled here cancels it."""
+        if call.outcome is None:
+            waiter: asyncio.Future[None] = self._loop.create_future()
+            call.waiters.append(waiter)
+            try:
+                await waiter
+            except asyncio.CancelledError:
+                if call.ended is None:
+                    call.cancel()
+                raise
+        outcome = call.outcome
+        assert outcome is not None
+        if outcome.error is not None:
+            raise outcome.error
+        return outcome.value
+
+    def over(self, call: Call, end: End) -> None:
+        """Bring in the end of a call that has ended in the loop."""
+        self._door.end(("call", self.resource), self.ended, call, end)
+
+    def ended(self, call: Call, end: End) -> None:
+        """Apply the end of a call: the one place where it takes effect, in the loop.
+
+        Every way that a call can end comes here: its coroutine, its thread. If the
+        outcome is out already (the deadline is over, the device was closed, another
+        driver has its place), the end is counted and told to ``on_late``, and that is
+        all.
+        """
+        if self.alive.pop(call.number, None) is None:
+            return
+        if call.taped is not None:
+            call.taped(end)
+        call.ended = self._time()
+        call.engine = None
+        if call.outcome is not None:
+            self._left.discard(call)
+            if call.kind != "stream":
+                self.late += 1
+            if call.kind == "open" and end.error is None and self.on_late_open:
+                self.on_late_open(call)
+            self._on_late(call)
+            waiters, call.waiters = call.waiters, []
+            _wake(waiters)
+            return
+        if call.deadline is not None:
+            call.deadline.cancel()
+        if end.error is not None:
+            end = End(None, self._contained(end.error))
+        self._tell(call, end)
+
+    def next_opening(self, error: BaseException) -> None:
+        """Fence every call that is alive: they belong to an opening that is over.
+
+        Args:
+            error: What those are told that wait for them.
+        """
+        self.opening += 1
+        for call in tuple(self.alive.values()):
+            if call.outcome is None:
+                self._abandon(call, error)
+
+    async def quiet(self, until: float) -> bool:
+        """Wait until no call is alive, or until a moment; tells whether none is."""
+        while self.alive and self._time() < until:
+            await self.next_end(until)
+        return not self.alive
+
+    async def next_end(self, until: float) -> None:
+        """Wait until some call that is alive has its outcome or its end, or a moment."""
+        waiter: asyncio.Future[None] = self._loop.create_future()
+        calls = tuple(self.alive.values())
+        for call in calls:
+            call.waiters.append(waiter)
+        deadline = self._deadlines.after(
+            max(0.0, until - self._time()), _wake, [waiter]
+        )
+        try:
+            await waiter
+        finally:
+            deadline.cancel()
+            for call in calls:
+                if waiter in call.waiters:
+                    call.waiters.remove(waiter)
+
+    # Inside.
+
+    def track(
+        self, kind: str, args: tuple[Any, ...], limit: float | None, apply: Apply | None
+    ) -> Call:
+        number = self.number
+        call = Call(
+            self.resource, kind, self.opening, number, args, self._time(), apply
+        )
+        self.alive[number] = call
+        if limit is not None:
+            call.deadline = self._deadlines.after(limit, self._expire, call, limit)
+        return call
+
+    def _forget(self, call: Call) -> None:
+        del self.alive[call.number]
+        if call.deadline is not None:
+            call.deadline.cancel()
+
+    def _expire(self, call: Call, limit: float) -> None:
+        if call.outcome is None:
+            self._abandon(call, DriverStuckError(self.resource, call.kind, limit))
+
+    def _abandon(self, call: Call, error: BaseException) -> None:
+        if call.kind != "stream":  # nobody waits for the end of a stream
+            self.abandoned += 1
+        self._left.add(call)
+        if call.deadline is not None:
+            call.deadline.cancel()
+        if type(call.engine) is ThreadedCall:
+            call.engine.expired()
+        current = call.opening == self.opening
+        if current:
+            self._deadlines.after(UNWIND, self._give_up, call)
+        self._tell(call, End(None, error), current=current)
+        if call.engine is not None:
+            call.engine.cancel()
+
+    def _give_up(self, call: Call) -> None:
+        if call.ended is None and call.opening == self.opening:
+            self._on_stuck(call)
+
+    def _tell(self, call: Call, end: End, *, current: bool = True) -> None:
+        call.outcome = end
+        if current and call.apply is not None:
+            call.apply(call, end)
+        waiters, call.waiters = call.waiters, []
+        _wake(waiters)
+
+    def _contained(self, error: BaseException) -> Exception:
+        """Make an error that may be raised in any task of what the driver has raised."""
+        if isinstance(error, Exception) and not isinstance(error, StopIteration):
+            return error
+        fault = DeviceFaultError(self.resource, describe(error))
+        fault.__cause__ = error
+        return fault
+
+    def _check_abandoned(self, kind: str) -> None:
+        if kind in {"safe", "close"}:
+            return
+        alive = sum(1 for call in self.alive.values() if call.is_abandoned)
+        if alive >= ABANDONED_LIMIT:
+            raise DriverStuckError(
+                self.resource, f"{kind}: {alive} calls have not ended; one call", UNWIND
+            )
+
+
+def _wake(waiters: list[asyncio.Future[None]]) -> None:
+    for waiter in waiters:
+        if not waiter.done():
+            waiter.set_result(None)

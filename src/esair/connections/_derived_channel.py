@@ -1,0 +1,124 @@
+"""The way of data from a sensor that is computed of the readings of others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import attrs
+
+from esair.connections._measured import measured_at
+from esair.connections._sensor_channel import SensorChannel
+from esair.messages import Reading, ResourceState, Stamped
+
+if TYPE_CHECKING:
+    from esair.connections._registrations import Registration
+
+
+@attrs.frozen
+class Source:
+    """One sensor that another one is computed of.
+
+    Attributes:
+        channel: The way of its data.
+        registration: The right to read it.
+        max_age: How old its readings may be, in seconds; its own limit if it is None.
+        optional: Whether the other one is computed without it as well.
+    """
+
+    channel: SensorChannel
+    registration: Registration
+    max_age: float | None = None
+    optional: bool = False
+
+
+class DerivedChannel(SensorChannel):
+    """Reads what is computed of other readings; it has no device that is asked."""
+
+    sources: tuple[Source, ...] = ()
+    """What it is computed of; empty until all of that is there."""
+
+    is_current = False
+    """Whether its newest reading is of the newest readings of its sources."""
+
+    catch_up: Callable[[], None] | None = None
+    """Computes at once what waits for its place in the turn."""
+
+    def configured(self) -> None:
+        """Take over changed settings: how long a reading is good is no setting."""
+        self.good_for = math.inf
+        self.max_age = getattr(self, "max_age", math.inf)
+
+    @property
+    def sampled(self) -> tuple[SensorChannel, ...]:
+        """The sensors that are asked for its readings."""
+        found = (each for source in self.sources for each in source.channel.sampled)
+        return tuple(dict.fromkeys(found))
+
+    @property
+    def depth(self) -> int:
+        """How many computations come before it, one of the other."""
+        below = [
+            source.channel.depth
+            for source in self.sources
+            if isinstance(source.channel, DerivedChannel)
+        ]
+        return 1 + max(below) if below else 0
+
+    def publish_until(self, value: Any, oldest: float, stale_at: float) -> None:
+        """Give a value to everybody who waits or follows.
+
+        Args:
+            value: What was computed.
+            oldest: When the oldest reading was measured that it was computed of.
+            stale_at: When the first of them becomes too old; so does the value then.
+        """
+        time: float | str = oldest
+        if type(value) is Stamped:
+            time = measured_at(value, self.time())
+        else:
+            value = Stamped(value, oldest)
+        before, self.is_current = (self.max_age, self.sequence), True
+        if isinstance(time, float) and stale_at < math.inf:
+            self.max_age = stale_at - time  # that of this very reading
+        else:
+            self.max_age = math.inf
+        self.publish(value, math.inf)
+        if self.sequence == before[1]:  # it was no good
+            self.max_age, self.is_current = before[0], False
+
+    async def ask(
+        self, registration: Registration, *, fresh: bool, max_age: float, timeout: float
+    ) -> Reading[Any]:
+        """Return a reading that is good enough; a fresh one is of fresh readings.
+
+        Raises:
+            StaleReadingError: There is none in time.
+            DeviceLostError: A sensor that it is computed of is not there.
+            DeviceFaultError: One of them answered wrongly, or nothing good was computed.
+            BusyError: Too many readers wait.
+        """
+        until = self.time() + timeout
+        if fresh and self.state is ResourceState.READY:
+            self._check(registration)
+            for each in self.sources:
+                if each.optional:
+                    continue
+                limit = each.max_age
+                await each.channel.ask(
+                    each.registration,
+                    fresh=True,
+                    max_age=each.channel.max_age if limit is None else limit,
+                    timeout=max(0.0, until - self.time()),
+                )
+            if self.catch_up is not None:
+                self.catch_up()
+            if self.is_current:
+                return self.known(registration, max_age)
+        return await super().ask(
+            registration,
+            fresh=fresh,
+            max_age=max_age,
+            timeout=max(0.0, until - self.time()),
+        )

@@ -1,0 +1,280 @@
+"""Who holds one actuator, until when, and what nobody else may do meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import Any
+
+from esair.connections._answers import rule_of
+from esair.connections._call import Call
+from esair.connections._halt import HALT, HALT_PRIORITY, Halt
+from esair.connections._operations import Operating, Operations
+from esair.connections._protected_device import ProtectedDevice
+from esair.connections._registrations import Registration, Registrations
+from esair.exceptions import (
+    AccessDeniedError,
+    DeviceLostError,
+    EsairError,
+    HaltedError,
+    StoppingError,
+)
+from esair.journal import Kind
+from esair.loop import DeadMan
+from esair.messages import Refused, ResourceState
+from esair.resources import Actuator
+
+_EARLY = 1e-6  # timers may fire a hair early
+
+
+class HeldDevice(ProtectedDevice):
+    """Knows whose will one actuator does, and makes it safe when nobody writes.
+
+    A write holds it for a time; an operation holds it until it ends.
+    """
+
+    __slots__ = (
+        "_dead_man",
+        "_halts",
+        "_last_write",
+        "operations",
+        "refusals",
+        "since",
+        "timeouts",
+        "until",
+    )
+
+    def __init__(
+        self,
+        actuator: Actuator[Any],
+        registrations: Registrations,
+        loop: asyncio.AbstractEventLoop,
+        on_error: Callable[[Exception], None],
+        left: set[Call] | None = None,
+    ) -> None:
+        self.holder: Registration | None = None
+        self.since = 0.0
+        self.until = 0.0
+        self.refusals = 0
+        self.timeouts = 0
+        """How often the safe command was sent because nobody wrote."""
+        self._writer: Registration | None = None
+        self._last_write = 0.0
+        self._dead_man = DeadMan(loop, self)
+        self._halts = 0
+        """Grows with each halt: a command from before is never sent after it."""
+        self.operations = Operations(self, loop, on_error)
+        super().__init__(actuator, registrations, loop, on_error, left)
+
+    def down(self, state: ResourceState, error: EsairError) -> None:
+        """The device is gone: forget who held it and what it was told."""
+        self._disarm()
+        super().down(state, error)
+        self.operations.gone(error)
+
+    def _disarm(self) -> None:
+        self.holder = self._writer = None
+        self._dead_man.disarm()
+        self._look_no_more()
+
+    def release(self, registration: Registration) -> None:
+        """Give the actuator back: lower priorities get through at once.
+
+        What it was told stays until somebody writes or the command times out.
+        """
+        if self.holder is registration:
+            self.holder = None
+            if self._blind is not None:
+                self._keep_still()
+
+    def drop(self, registration: Registration) -> None:
+        """Make the actuator safe if what it does now is this registration's will."""
+        self.operations.drop(registration)
+        if self._writer is registration:
+            self.make_safe()
+        elif self.holder is registration:
+            self.holder = None
+
+    # Refusals.
+
+    def lost(
+        self, registration: Registration, command: Any, winner: Registration
+    ) -> Refused:
+        """Refuse a command that another one of the same turn has beaten."""
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.COMMAND, self.name, registration.behavior, command
+            )
+        return self._refused(registration, self.holder or winner)
+
+    def _refused(self, registration: Registration, holder: Registration) -> Refused:
+        return self._refuse(
+            registration,
+            Refused(
+                holder.behavior,
+                holder.priority,
+                rule_of(holder),
+                self.since,
+                self.until,
+            ),
+        )
+
+    def _refuse(self, registration: Registration, refused: Refused) -> Refused:
+        self.refusals += 1
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.REFUSED, self.name, registration.behavior, refused
+            )
+        return refused
+
+    def _turned_away(
+        self, registration: Registration, command: Any, halts: int | None = None
+    ) -> Refused:
+        """Answer a write that may not even be looked at.
+
+        Args:
+            registration: Who writes.
+            command: What.
+            halts: How many halts there were when the write began to wait.
+
+        Raises:
+            EsairError: It is not the halt that keeps it.
+        """
+        halt = self.registrations.halt
+        if halt is None and halts is not None and halts != self._halts:
+            halt = Halt("it was asked for before the robot was halted", self._time())
+        if halt is None or self.latched or not registration.usable:
+            raise self._refusal(registration) from None
+        self.refusals += 1
+        refused = Refused(HALT, HALT_PRIORITY, halt.reason, halt.since, math.inf)
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.COMMAND, self.name, registration.behavior, command
+            )
+            self._journal.publish(
+                Kind.REFUSED, self.name, registration.behavior, refused
+            )
+        return refused
+
+    def _refusal(self, registration: Registration) -> EsairError:
+        """Make the error for a write that may not even be looked at."""
+        if not registration.usable:
+            return self.registrations.refusal(registration)
+        if self.latched:
+            return StoppingError(self.name, "stopping")
+        error = self.error or DeviceLostError(self.name, f"it is {self.state.value}")
+        # Anew: else each who asks would leave its frames in the traceback.
+        return error.with_traceback(None)
+
+    # The safe command.
+
+    def make_safe(self, *, stay: bool = False) -> asyncio.Task[bool]:
+        """Send the safe command, before anything else; nobody holds it afterwards.
+
+        Args:
+            stay: Tell it to stay instead, if its safe command is a place to go.
+
+        Returns:
+            The sending; its result tells whether the device took it.
+        """
+        self._disarm()
+        if self.operations.running:
+            self.operations.end(self._safe_instead())
+        return super().make_safe(stay=stay)
+
+    @property
+    def dies(self) -> float:
+        """When it gets its safe command unless somebody writes, on the loop's clock."""
+        return self._last_write + self.command_timeout
+
+    def dead(self) -> None:
+        """Make it safe, because nobody has written."""
+        holder, until = self.holder, self.until
+        self.timeouts += 1
+        self.make_safe()
+        if holder is not None and self._time() + _EARLY < until:
+            self.holder = holder  # a longer hold keeps lower priorities away
+
+    # Operations.
+
+    def review(self) -> None:
+        """Put what stands to the guards again; an operation is ended by a blind one."""
+        if not self.operations.running:
+            super().review()
+        elif any(guard.stops for guard in self._guards):
+            self.make_safe(stay=True)
+
+    def ready_for(self, operation: Operating) -> bool:
+        """Tell whether an operation may begin now: what moves is made safe first.
+
+        Raises:
+            AccessDeniedError: Somebody else holds the actuator, or is blind.
+            StoppingError: The robot is stopping.
+        """
+        right, now = operation.registration, self._time()
+        if self.latched:
+            raise StoppingError(self.name, "stopping")
+        rule = ""
+        holder, blind = self.holder, self._blind
+        if (
+            blind is not None
+            and right.priority <= blind.priority
+            and blind.is_against(right.behavior)
+        ):
+            rule = blind.rule
+        elif (stop := next((g for g in self._guards if g.stops), None)) is not None:
+            rule = stop.rule
+        elif (
+            holder is not None
+            and now < self.until
+            and right.priority <= holder.priority
+            and holder.behavior != right.behavior
+        ):
+            rule = rule_of(holder)
+        if rule:
+            raise AccessDeniedError(
+                right.behavior, self.name, f"operate ({operation.name})", rule
+            )
+        if self._busy:
+            return False
+        if self.moves:
+            self.make_safe(stay=True)
+            return False
+        if self.watch is not None and not self.watch.may_move():
+            raise StoppingError(self.name, "made safe by the watchdog")
+        return True
+
+    def operating(self, operation: Operating, call: Call) -> None:
+        """The device has begun with an operation: whoever asked for it holds it."""
+        self._lane, self._busy = call, True
+        self._told, self._told_safe = operation, False
+        self._told_error = "it has not answered yet"
+        self.holder = self._writer = operation.registration
+        self.since, self.until = self._time(), operation.until
+
+    def operated(self, call: Call | None) -> None:
+        """An operation has its outcome: nobody knows what moves, so it is made safe."""
+        if call is not None and call is self._lane and call.ended is not None:
+            self._lane = None
+        if self._safe_task is not None:
+            self._again = True
+        elif self.state is ResourceState.READY:
+            self.make_safe(stay=True)
+        self._idle()
+
+    def _safe_instead(self) -> EsairError:
+        """Make the error for an operation that the safe command has ended."""
+        halt = self.registrations.halt
+        if halt is not None:
+            return HaltedError(self.name, halt.reason)
+        if self.latched:
+            return StoppingError(self.name, "stopping")
+        right = self.operations.current
+        stops = self._blind or next((g for g in self._guards if g.stops), None)
+        return AccessDeniedError(
+            "" if right is None else right.registration.behavior,
+            self.name,
+            "operate",
+            "it was made safe meanwhile" if stops is None else stops.rule,
+        )

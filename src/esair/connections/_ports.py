@@ -1,0 +1,445 @@
+"""Ports: what an action holds in its hand to read a sensor or write an actuator."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import (
+    AsyncGenerator,
+    AsyncIterator,
+    Awaitable,
+    Generator,
+    Mapping,
+)
+from typing import Any, Generic, Protocol, TypeVar
+
+from esair.connections._actuator_channel import ActuatorChannel
+from esair.connections._registrations import Registration
+from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
+from esair.exceptions import EsairError, NotRegisteredError, UnknownNameError
+from esair.loop import WRITE_COST, Budget, current_owner, speaks_for_nobody
+from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
+from esair.resources import Operation
+from esair.values import check_duration
+
+T = TypeVar("T")
+C = TypeVar("C", SensorChannel, ActuatorChannel)
+
+
+class Control(Protocol):
+    """The resource supervisor: the control path of a port."""
+
+    async def configure(self, registration: Registration, /, **settings: Any) -> None:
+        """Change settings of a resource."""
+
+    async def operate(
+        self, registration: Registration, name: str, /, **parameters: Any
+    ) -> Any:
+        """Call an operation of a resource."""
+
+
+class SensorPort(Generic[T]):
+    """The way of one action to one sensor.
+
+    Attributes:
+        resource: The name of the sensor.
+        registration: The right to read it.
+        max_age: The greatest age of a reading unless a call says otherwise, in
+            seconds; the sensor's own limit unless given, infinite if it has none.
+    """
+
+    __slots__ = ("_budget", "_channel", "_control", "_max_age", "registration")
+
+    def __init__(
+        self,
+        channel: SensorChannel,
+        registration: Registration,
+        max_age: float | None,
+        control: Control,
+    ) -> None:
+        self._channel = channel
+        self.registration = registration
+        self._max_age = max_age
+        self._control = control
+        self._budget = Budget.of(asyncio.get_running_loop())
+
+    @property
+    def max_age(self) -> float:
+        """The greatest age of a reading unless a call says otherwise, in seconds."""
+        return self._channel.max_age if self._max_age is None else self._max_age
+
+    def revive(self, channel: Any, registration: Registration) -> None:
+        """Live again, with a sensor that has come back under the same name."""
+        self._channel = channel
+        self.registration = registration
+
+    @property
+    def resource(self) -> str:
+        """The name of the sensor."""
+        return self.registration.resource
+
+    async def read(
+        self,
+        *,
+        fresh: bool = False,
+        max_age: float | None = None,
+        timeout: float | None = None,
+    ) -> T:
+        """Return a value: the newest one, or one that is newer than now.
+
+        The device is asked when its newest reading is older than its period.
+
+        Args:
+            fresh: Only a value that was measured after this call.
+            max_age: The greatest age, in seconds; the port's unless given.
+            timeout: How long to wait for the device; 1 s unless given.
+
+        Raises:
+            StaleReadingError: There is no reading that is fresh enough.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            ResourceRemovedError: The user took the sensor away.
+            NotRegisteredError: The registration was revoked.
+        """
+        budget = self._budget
+        budget.left -= 1
+        if budget.left < 0:
+            await budget.give_way()
+        if not fresh and max_age is None and timeout is None:
+            # Most reads end here: the newest reading is good enough.
+            channel = self._channel
+            newest = channel.newest
+            if newest is not None and self.registration.usable:
+                limit = self._max_age
+                if limit is None:
+                    limit = channel.max_age
+                if limit > channel.good_for:
+                    limit = channel.good_for
+                # By its place: a name in a tuple takes three times as long.
+                if channel.time() - newest[1] <= limit:
+                    return newest[0]  # type: ignore[no-any-return]
+        return (await self.reading(fresh=fresh, max_age=max_age, timeout=timeout)).value
+
+    async def reading(
+        self,
+        *,
+        fresh: bool = False,
+        max_age: float | None = None,
+        timeout: float | None = None,
+    ) -> Reading[T]:
+        """Return what `read` does, with its time and sequence number."""
+        budget = self._budget
+        budget.left -= 1
+        if budget.left < 0:
+            await budget.give_way()
+        channel = self._channel
+        limit = (
+            self.max_age
+            if max_age is None
+            else check_duration(self.resource, "max_age", max_age)
+        )
+        if timeout is not None:
+            check_duration(self.resource, "timeout", timeout)
+        if not fresh:
+            reading = channel.cached(self.registration, min(limit, channel.good_for))
+            if reading is not None:
+                return reading
+        return await channel.ask(
+            self.registration,
+            fresh=fresh,
+            max_age=limit,
+            timeout=READ_TIMEOUT if timeout is None else timeout,
+        )
+
+    def __aiter__(self) -> AsyncIterator[T]:
+        """Yield each new value; a slow reader misses some and gets the newest.
+
+        It waits while the device is lost, and raises when the sensor is removed.
+        """
+        return self._values()
+
+    async def _values(self) -> AsyncGenerator[T, None]:
+        stream = _Stream(self.registration)
+        self._channel.cached(self.registration, 0.0)  # checks the registration
+        self._channel.follow(stream)
+        try:
+            while True:
+                reading = await stream.next()
+                self._channel.dropped += stream.dropped
+                stream.dropped = 0
+                self._budget.left -= 1
+                if self._budget.left < 0:
+                    await self._budget.give_way()
+                yield reading.value
+        finally:
+            self._channel.unfollow(stream)
+
+    @property
+    def newest(self) -> Reading[T]:
+        """The newest reading, without a wait, as a reaction sees it.
+
+        Raises:
+            StaleReadingError: There is none, or it is older than `max_age`.
+            DeviceLostError: The device is not there.
+            ResourceRemovedError: The user took the sensor away.
+            NotRegisteredError: The registration was revoked.
+        """
+        return self._channel.known(self.registration, self.max_age)
+
+    def history(self, count: int) -> list[Reading[T]]:
+        """Return the last readings, the oldest first; at most `history_size` of them."""
+        return self._channel.history(self.registration, count)
+
+    async def configure(self, **settings: Any) -> None:
+        """Change settings of the sensor: all of them, or none.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``.
+            BadValueError: A setting is unknown, or a value is not allowed.
+        """
+        if speaks_for_nobody():
+            raise _run_ended(self.registration)
+        await self._control.configure(self.registration, **settings)
+
+    async def operate(self, name: str, /, **parameters: Any) -> Any:
+        """Call an operation of the sensor, such as ``home``, and wait for its outcome.
+
+        Args:
+            name: The name of the operation.
+            **parameters: What it takes, by name; checked before anything is done.
+
+        Returns:
+            What the operation returns.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``.
+            UnknownNameError: There is no such operation.
+            BadValueError: A parameter is unknown, missing, or not allowed.
+            HaltedError: The robot is halted.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            DriverStuckError: It did not end within its deadline.
+        """
+        if speaks_for_nobody():
+            raise _run_ended(self.registration)
+        return await self._control.operate(self.registration, name, **parameters)
+
+    @property
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be called by `operate`, by name, with its parameters."""
+        return self._channel.sensor.operations
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The current settings of the sensor."""
+        return self._channel.sensor.settings
+
+    @property
+    def state(self) -> ResourceState:
+        """What the sensor is doing."""
+        return self._channel.state
+
+    def __repr__(self) -> str:
+        return f"<port of {self.registration!r}>"
+
+
+class _Stream:
+    """Keeps the newest reading for one loop over a port."""
+
+    def __init__(self, registration: Registration) -> None:
+        self.registration = registration
+        self.dropped = 0
+        self._newest: Reading[Any] | None = None
+        self._error: EsairError | None = None
+        self._waiting: asyncio.Future[None] | None = None
+
+    def feed(self, reading: Reading[Any]) -> None:
+        if self._newest is not None:
+            self.dropped += 1
+        self._newest = reading
+        self._wake()
+
+    def changed(self, error: EsairError | None) -> None:
+        if error is not None and not self.registration.usable:
+            self._error = error
+            self._wake()
+
+    def doubt(self, error: EsairError) -> None:
+        """Wait for the next good value."""
+
+    async def next(self) -> Reading[Any]:
+        while self._newest is None:
+            if self._error is not None:
+                raise self._error
+            self._waiting = asyncio.get_running_loop().create_future()
+            await self._waiting
+        newest, self._newest = self._newest, None
+        return newest
+
+    def _wake(self) -> None:
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_result(None)
+
+
+class ActuatorPort(Generic[T]):
+    """The way of one action to one actuator.
+
+    Attributes:
+        registration: The right to write it.
+    """
+
+    __slots__ = ("_budget", "_channel", "_control", "registration")
+
+    def __init__(
+        self, channel: ActuatorChannel, registration: Registration, control: Control
+    ) -> None:
+        self._channel = channel
+        self.registration = registration
+        self._control = control
+        self._budget = Budget.of(asyncio.get_running_loop())
+
+    def revive(self, channel: Any, registration: Registration) -> None:
+        """Live again, with an actuator that has come back under the same name."""
+        self._channel = channel
+        self.registration = registration
+
+    @property
+    def resource(self) -> str:
+        """The name of the actuator."""
+        return self.registration.resource
+
+    async def write(
+        self, command: T, *, hold: float | None = None
+    ) -> Written[T] | Refused:
+        """Send a command, and hold the actuator for a while.
+
+        Args:
+            command: A command of the actuator's type, finite and within limits.
+            hold: For how long nobody of the same or a lower priority gets through,
+                in seconds; the actuator's command timeout unless given. Each write
+                renews it.
+
+        Returns:
+            What was really sent; or a refusal, false in a condition, that says who
+            holds the actuator.
+
+        Raises:
+            BadValueError: The command must not be sent; nothing was.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device did not take it.
+            DriverStuckError: The driver did not return in time.
+            ResourceRemovedError: The user took the actuator away.
+            NotRegisteredError: The registration was revoked.
+        """
+        budget = self._budget
+        budget.left -= WRITE_COST
+        if budget.left < 0:
+            await budget.give_way()
+        if hold is not None:
+            check_duration(self.resource, "hold", hold)
+        owner = current_owner()
+        if owner is not None and owner.over:
+            raise _run_ended(self.registration)
+        outcome = self._channel.begin(self.registration, command, hold)
+        if type(outcome) is Written or isinstance(outcome, Answer):
+            return outcome
+        return await outcome
+
+    def release(self) -> Awaitable[None]:
+        """Give the actuator back at once: lower priorities get through.
+
+        It is done when this returns; it may be awaited, like the other verbs of a port.
+        """
+        self._channel.release(self.registration)
+        return _DONE
+
+    def why(self) -> Why:
+        """Tell who holds the actuator, by which rule, and what would free it."""
+        return self._channel.why()
+
+    async def configure(self, **settings: Any) -> None:
+        """Change settings of the actuator: all of them, or none.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``.
+            BadValueError: A setting is unknown, or a value is not allowed.
+        """
+        if speaks_for_nobody():
+            raise _run_ended(self.registration)
+        await self._control.configure(self.registration, **settings)
+
+    async def operate(self, name: str, /, **parameters: Any) -> Any:
+        """Call an operation of the actuator, such as ``home``, and wait for its outcome.
+
+        Args:
+            name: The name of the operation.
+            **parameters: What it takes, by name; checked before anything is done.
+
+        Returns:
+            What the operation returns.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``, or
+                somebody else holds the actuator.
+            UnknownNameError: There is no such operation.
+            BadValueError: A parameter is unknown, missing, or not allowed.
+            HaltedError: The robot is halted.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            DriverStuckError: It did not end within its deadline.
+        """
+        if speaks_for_nobody():
+            raise _run_ended(self.registration)
+        return await self._control.operate(self.registration, name, **parameters)
+
+    @property
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be called by `operate`, by name, with its parameters."""
+        return self._channel.actuator.operations
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The current settings of the actuator."""
+        return self._channel.actuator.settings
+
+    @property
+    def state(self) -> ResourceState:
+        """What the actuator is doing."""
+        return self._channel.state
+
+    def __repr__(self) -> str:
+        return f"<port of {self.registration!r}>"
+
+
+class _Done:
+    """What is over: awaiting it only counts."""
+
+    def __await__(self) -> Generator[Any, None, None]:
+        return Budget.spend().__await__()
+
+
+_DONE = _Done()
+
+
+def _run_ended(registration: Registration) -> NotRegisteredError:
+    """Make the error for a task that outlived its run and finds the port of the next."""
+    return NotRegisteredError(
+        registration.behavior, registration.resource, "this run of it has ended"
+    )
+
+
+def way_of(registration: object, channels: Mapping[str, C], kind: str) -> C:
+    """Return the way that a registration gives a right to.
+
+    Raises:
+        NotRegisteredError: It is none, or it is not valid (any more).
+        UnknownNameError: It is for a resource of the other kind.
+    """
+    channel = channels.get(getattr(registration, "resource", ""))
+    if channel is not None:
+        channel.registrations.check(registration)  # type: ignore[arg-type]
+        return channel
+    if not isinstance(registration, Registration):
+        raise NotRegisteredError("?", "?", f"{registration!r:.80} is no registration")
+    if registration.reason is not None:
+        raise registration.reason()
+    raise UnknownNameError(kind, registration.resource, channels)

@@ -1,0 +1,226 @@
+"""One sensor's device: asked by one question at a time, whoever wants to know."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+from collections.abc import Callable
+from typing import Any
+
+from esair.connections._call import Call, End, given_up
+from esair.connections._calls import Calls
+from esair.connections._driver import Driver, Method
+from esair.connections._operations import Operating, Operations
+from esair.connections._registrations import Registrations
+from esair.connections._waiting_readers import WaitingReaders
+from esair.exceptions import EsairError, StaleReadingError
+from esair.loop import clock_of
+from esair.messages import ResourceState
+from esair.resources import Sensor
+
+
+class SensorDevice:
+    """Asks one device, and hands on what it answers."""
+
+    # Slots: a thousand of these are touched a hundred times a second.
+    __slots__ = (
+        "_asking",
+        "_asks",
+        "_awaiting",
+        "_begin_call",
+        "_begun",
+        "_deadline",
+        "_ended",
+        "_left",
+        "_loop",
+        "_on_error",
+        "_read",
+        "_waiting",
+        "awaited_in",
+        "calls",
+        "driver",
+        "error",
+        "latency",
+        "name",
+        "operations",
+        "registrations",
+        "sensor",
+        "state",
+        "time",
+        "transactions",
+    )
+
+    # Of the channel, which knows who wants to know.
+    _fail: Callable[[BaseException, float], None]
+    _silent: Callable[[float], StaleReadingError]
+    publish: Callable[[Any, float], None]
+
+    def __init__(
+        self,
+        sensor: Sensor[Any],
+        registrations: Registrations,
+        loop: asyncio.AbstractEventLoop,
+        on_error: Callable[[Exception], None],
+        left: set[Call] | None = None,
+    ) -> None:
+        self.name = sensor.name
+        self.state = ResourceState.CLOSED
+        self.error: EsairError | None = None
+        self.registrations = registrations
+        self.time = clock_of(loop)
+        self.transactions = 0
+        """How many times the device was asked."""
+        self.awaited_in = 0
+        """The turn in which it was polled, while that poll is not answered; or 0."""
+        self.latency = 0.0
+        """How long the device took lately at most, in seconds; what is past fades."""
+        self._loop = loop
+        self._on_error = on_error
+        self._begun = 0.0
+        self._awaiting: list[Callable[[], None]] = []
+        self._left: set[Call] = set() if left is None else left
+        self._asking: Call | bool = False
+        """The question that waits for its answer: there is one at a time."""
+        self._asks: asyncio.Handle | None = None
+        """Asks the device in the next turn, for all who have asked in this one."""
+        self._waiting = WaitingReaders(self.name, loop, self._silent)
+        self.operations = Operations(self, loop, on_error)
+        self.attach(sensor)
+
+    def attach(self, sensor: Sensor[Any]) -> None:
+        """Ask this sensor from now on."""
+        self.sensor = sensor
+        self.driver = Driver(sensor)
+        self.calls = Calls(
+            self.driver,
+            self._loop,
+            on_late=self._late,
+            on_stuck=self._stuck,
+            left=self._left,
+        )
+        if sensor.can_be_asked:
+            self._read = self.driver.method("read")
+        self._begin_call = self.calls.begin
+        self._ended = self._read_ended
+        self.configured()
+
+    def configured(self) -> None:
+        """Take over a changed deadline."""
+        self._deadline = self.sensor.deadline
+
+    def _ask(self) -> None:
+        if (
+            self.sensor.can_be_asked
+            and not self._asking
+            and self._asks is None
+            and self.state is ResourceState.READY
+        ):
+            self._asks = self._loop.call_soon(
+                self._ask_now, context=contextvars.Context()
+            )
+
+    def _ask_now(self) -> None:
+        self._asks = None
+        if self._waiting.readers and not self._asking:
+            self._begin()
+
+    def _begin(self) -> None:
+        self._asking = True
+        number = self.transactions = self.transactions + 1
+        calls = self.calls
+        opening = calls.opening
+        try:
+            value = self._begin_call(
+                "read", self._read, (), self._deadline, self._ended
+            )
+        except Exception as error:
+            self._asking = False
+            if opening == calls.opening:
+                self._fail(error, number)
+        else:
+            if type(value) is Call:
+                self._asking = value
+                return
+            self._asking = False
+            if opening == calls.opening:
+                self.publish(value, number)
+            else:  # its device was lost by this very call
+                calls.late += 1
+        if self.operations.current is not None or self._waiting.readers:
+            self._free()
+
+    def _read_ended(self, call: Call, end: End) -> None:
+        """Apply the outcome of a question that has waited for the device."""
+        if call.ended is not None:  # else its driver still has the device
+            self._asking = False
+        polled, self.awaited_in = self.awaited_in, 0
+        if polled:
+            self.latency = max(self.time() - self._begun, 0.75 * self.latency)
+        if end.error is None:
+            self.publish(end.value, self.transactions)
+        else:
+            self._fail(end.error, self.transactions)
+        if polled:
+            self._answered()
+        self._free()
+
+    def _free(self) -> None:
+        """The device may have become free: an operation first, then those who ask."""
+        self.operations.look()
+        if self._waiting.readers:
+            self._ask()
+
+    def ready_for(self, operation: Operating) -> bool:
+        """Tell whether an operation may begin now."""
+        return not self._asking
+
+    def operating(self, operation: Operating, call: Call) -> None:
+        """The device has begun with an operation."""
+        self._asking = call
+
+    def operated(self, call: Call | None) -> None:
+        """An operation has its outcome; the device is free if it has ended."""
+        if call is not None and call is self._asking and call.ended is not None:
+            self._asking = False
+        self._free()
+
+    def when_answered(self, function: Callable[[], None]) -> None:
+        """Call a function when the poll of this turn has ended, whatever came of it."""
+        self._awaiting.append(function)
+
+    def _answered(self) -> None:
+        awaiting, self._awaiting = self._awaiting, []
+        for function in awaiting:
+            function()
+
+    def between(self, method: Method, told: Callable[[End], None]) -> bool:
+        """Call the driver between two questions; tells whether the device was free."""
+        if self._asking:
+            return False
+
+        def ended(call: Call, end: End) -> None:
+            if call.ended is not None:
+                self._asking = False
+            told(end)
+            self._free()
+
+        try:
+            value = self.calls.begin(
+                method.name, method, (), self.sensor.deadline, ended
+            )
+        except Exception as error:
+            told(End(None, error))
+        else:
+            if type(value) is Call:
+                self._asking = value
+            else:
+                told(End(value, None))
+        return True
+
+    def _late(self, call: Call) -> None:
+        if call is self._asking:
+            self._asking = False
+            self._free()
+
+    def _stuck(self, call: Call) -> None:
+        self._on_error(given_up(call))
