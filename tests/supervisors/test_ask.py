@@ -170,7 +170,7 @@ async def test_threads_ask_and_answer() -> None:
                 break
             await asyncio.sleep(0.01)
         assert told == [Docked(7), "worker"]
-        assert robot.behaviors.mediator.asks.late == 1
+        assert robot._behaviors.mediator.asks.late == 1
 
 
 @pytest.mark.promise("BS-8")
@@ -258,7 +258,7 @@ async def test_nonsense_is_refused(timeout: Any) -> None:
             await a.ask("docking", Dock(1), timeout=timeout)
         with pytest.raises(esair.BadValueError, match=r"esair\.Request"):
             await a.ask("docking", 17)  # type: ignore[arg-type]
-        assert robot.behaviors.mediator._pending == 0
+        assert robot._behaviors.mediator.pending.count == 0
 
 
 @pytest.mark.promise("BS-10")
@@ -394,7 +394,7 @@ async def test_a_run_that_ends_fails_what_it_had_and_what_waits() -> None:
         assert robot.behaviors.query("docking").state is esair.BehaviorState.FINISHED
         with pytest.raises(esair.BehaviorFailedError, match="its run has ended"):
             await a.ask("docking", Dock(3))
-        assert robot.behaviors.mediator._pending == 0
+        assert robot._behaviors.mediator.pending.count == 0
 
 
 @pytest.mark.promise("BS-10")
@@ -506,7 +506,7 @@ async def test_requests_are_bounded() -> None:
         with pytest.raises(esair.BusyError, match="number of its requests"):
             await a.ask("d4", Dock(9))
         await asyncio.gather(*asks)
-        assert robot.behaviors.mediator._pending == 0
+        assert robot._behaviors.mediator.pending.count == 0
 
 
 @pytest.mark.promise("BS-10")
@@ -602,7 +602,7 @@ async def test_without_a_block_the_request_tells_that_it_was_withdrawn() -> None
             await a.ask("docking", Dock(1), timeout=0.5)
         await asyncio.sleep(0.2)
         assert seen == [False]
-        assert robot.behaviors.mediator.asks.late == 1
+        assert robot._behaviors.mediator.asks.late == 1
 
 
 @pytest.mark.promise("BS-11")
@@ -643,7 +643,7 @@ async def test_a_withdrawal_does_not_hide_a_removal() -> None:
         ask.cancel()
         await robot.behaviors.remove("docking")
         assert loop.time() == 0.0
-        assert robot.behaviors.zombie_count == 0
+        assert robot._behaviors.zombie_count == 0
 
 
 @pytest.mark.promise("BS-11")
@@ -924,7 +924,7 @@ async def test_nothing_is_kept_of_what_is_over(ends: str) -> None:
 
     a = Idle(name="a")
     async with esair.Robot(behaviors=[a, Bare(name="docking")]) as robot:
-        (queue,) = robot.behaviors._members["docking"].queues.values()
+        (queue,) = robot._behaviors.members["docking"].queues.values()
         for number in range(3):
             await a.ask("docking", Dock(number))
         await asyncio.sleep(1.0)

@@ -201,7 +201,7 @@ async def test_the_last_of_two_replacements_stays() -> None:
             for each in (second, third)
         ]
         await asyncio.gather(*replaces)
-        assert robot.behaviors._members["idle"].action is second
+        assert robot._behaviors.members["idle"].action is second
         assert third._host is None
 
 
@@ -226,10 +226,10 @@ async def test_a_replacement_that_is_given_up_leaves_no_gate() -> None:
         replacing.cancel()
         with pytest.raises(asyncio.CancelledError):
             await replacing
-        assert robot.behaviors.zombie_count == 1
+        assert robot._behaviors.zombie_count == 1
         await asyncio.sleep(10.0)
         assert reached == ["teardown"]
-        assert not robot.behaviors._undead
+        assert not robot._behaviors.undead
 
 
 async def test_what_would_not_end_is_kept_until_it_ends() -> None:
@@ -256,7 +256,7 @@ async def test_what_would_not_end_is_kept_until_it_ends() -> None:
         await asyncio.sleep(20.0)
         assert ended == ["by itself", "closed"]
         assert [zombie.behavior for zombie in robot.behaviors.zombies] == ["late"]
-        assert not robot.behaviors._undead
+        assert not robot._behaviors.undead
 
 
 async def test_a_second_removal_waits_for_the_first() -> None:

@@ -242,7 +242,7 @@ async def test_a_late_answer_is_dropped_and_counted() -> None:
 
         b.provide = soon_made  # type: ignore[method-assign]
         assert await a.get("b") == "next"
-        assert robot.behaviors.mediator.late_answers == 1
+        assert robot._behaviors.mediator.late_answers == 1
 
 
 @pytest.mark.promise("BS-4")
@@ -436,7 +436,7 @@ async def test_the_ledger_is_bounded() -> None:
             await b.receive()
 
         assert len(robot.behaviors.outcomes()) == 256
-        assert robot.behaviors.mediator.delivered == 10_000
+        assert robot._behaviors.mediator.delivered == 10_000
 
 
 @pytest.mark.promise("BS-7")
@@ -458,7 +458,7 @@ async def test_a_full_inbox_follows_its_policy(
     async with esair.Robot(behaviors=[a, Box(name="b")]) as robot:
         for number in range(4):
             await a.put("b", number)
-        member = robot.behaviors._members["b"]
+        member = robot._behaviors.members["b"]
 
         assert member.dropped == dropped
         assert await robot.behaviors.remove("b") == left
@@ -613,7 +613,7 @@ async def test_a_provide_cancelled_before_its_first_step_blocks_no_other() -> No
 
     a, b = Idle(name="a"), Both(name="b")
     async with esair.Robot(behaviors=[a, b]) as robot:
-        member = robot.behaviors._members["b"]
+        member = robot._behaviors.members["b"]
         get = asyncio.ensure_future(a.get("b"))
         await asyncio.sleep(0)
         assert member.provider is not None
@@ -647,7 +647,7 @@ async def test_an_interval_must_be_a_number_of_seconds(interval: Any) -> None:
             await a.put("b", 1, interval=interval)
         with pytest.raises(esair.BadValueError, match="interval"):
             await a.get("b", interval=interval)
-        assert robot.behaviors.mediator._pending == 0
+        assert robot._behaviors.mediator.pending.count == 0
 
 
 @pytest.mark.promise("BS-4")
@@ -1009,7 +1009,7 @@ async def test_a_removed_askers_requests_end_whatever_task_made_them(verb: str) 
         with pytest.raises(esair.BehaviorRemovedError, match="'a'"):
             await request
         assert loop.time() == 0.0
-        assert robot.behaviors.mediator._pending == 0
+        assert robot._behaviors.mediator.pending.count == 0
 
 
 @pytest.mark.promise("BS-5")

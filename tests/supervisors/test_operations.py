@@ -287,6 +287,21 @@ async def test_an_operation_has_a_deadline_and_the_others_their_turn() -> None:
         assert await robot.actuators.write(mine, 0.5)
 
 
+async def test_an_operation_that_times_out_by_itself_names_its_deadline() -> None:
+    """What the driver says of its own time is the cause of it."""
+
+    class Impatient(Lift):
+        @esair.operation(deadline=3.0)
+        async def tare(self) -> None:
+            raise TimeoutError("the load cell does not settle")
+
+    async with made(Impatient(name="lift")) as robot:
+        mine = await right(robot)
+        with pytest.raises(esair.DriverStuckError, match=r"tare.* 3 s") as caught:
+            await robot.resources.operate(mine, "tare")
+        assert "does not settle" in str(caught.value.__cause__)
+
+
 async def test_an_operation_that_fails_says_so_once() -> None:
     """The journal has one event for each, with who asked and what came of it."""
     lift = Lift()

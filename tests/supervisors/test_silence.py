@@ -180,3 +180,32 @@ async def test_a_sensor_that_restarts_is_opened_again() -> None:
         sonar.power_cycle()
         await asyncio.sleep(1.3)
         assert (sonar.opened, sonar.has_power_cycled) == (2, False)
+
+
+@pytest.mark.fault("D25")
+async def test_errors_that_cause_each_other_do_not_hold_the_loop() -> None:
+    """Found by torture: whoever looked for the first cause never came to an end."""
+    part = Part(name="part")
+    part.error = error = esair.DeviceFaultError("part", "injected")
+    error.__cause__ = ValueError("another one")
+    error.__cause__.__cause__ = error
+    async with esair.Robot(resources=[part]) as robot:
+        assert robot.resources.query("part").state is not ResourceState.READY
+
+
+@pytest.mark.fault("R12")
+async def test_a_change_that_failed_does_not_cause_itself() -> None:
+    """The error of the driver is told as it is."""
+
+    class Stubborn(Part):
+        async def apply(self, **changes: Any) -> None:
+            raise esair.DeviceFaultError("part", "injected")
+
+    class Changes(esair.Behavior):
+        part = esair.reads(float, configure=True)
+
+    changes = Changes()
+    async with esair.Robot(resources=[Stubborn(name="part")], behaviors=[changes]):
+        with pytest.raises(esair.DeviceFaultError) as raised:
+            await changes.part.configure(rate=20.0)
+    assert raised.value.__cause__ is not raised.value

@@ -82,4 +82,4 @@ async def test_swaps_leave_no_old_code_behind(request: pytest.FixtureRequest) ->
         gc.collect()
 
         assert [ref() for ref in old if ref() is not None] == []
-        assert robot.behaviors.zombie_count == 0
+        assert robot._behaviors.zombie_count == 0

@@ -1,17 +1,22 @@
 """The two mediators of a robot: one for behaviors, one for resources."""
 
-from esair.supervisors._behavior_supervisor import BehaviorSupervisor, Zombie
+from esair.supervisors._behavior_deployment import BehaviorDeployment, Zombie
+from esair.supervisors._behavior_supervisor import BehaviorSupervisor
 from esair.supervisors._halts import Halts
 from esair.supervisors._keeper import Keeper
 from esair.supervisors._requests import Outcome, Record
-from esair.supervisors._resource_supervisor import ResourceSupervisor
+from esair.supervisors._resource_deployment import ResourceDeployment
+from esair.supervisors._resource_supervisor import ResourceSupervisor, admit
 
 __all__ = [
+    "BehaviorDeployment",
     "BehaviorSupervisor",
     "Halts",
     "Keeper",
     "Outcome",
     "Record",
+    "ResourceDeployment",
     "ResourceSupervisor",
     "Zombie",
+    "admit",
 ]

@@ -15,6 +15,7 @@ from esair.exceptions import (
     UnknownNameError,
 )
 from esair.journal import Kind
+from esair.loop import Budget
 from esair.supervisors._circles import circle_of_ask
 from esair.supervisors._orders import Order
 from esair.supervisors._requests import Outcome
@@ -47,6 +48,7 @@ class Asks:
         by: Mailbox | None = None,
     ) -> Any:
         """Ask a behavior; see `BehaviorSupervisor.ask`."""
+        await Budget.spend()
         order = self._begin(request, sender, receiver, timeout, by)
         try:
             return await order.outcome(progress)
@@ -96,7 +98,7 @@ class Asks:
         except Exception:
             mediator.record("ask", sender, receiver, Outcome.REFUSED)
             raise
-        mediator.count(sender)
+        mediator.pending.begin(sender)
         if mediator.journal.heard:
             mediator.journal.publish(Kind.ASKED, receiver, sender, order.data)
         if by is not None:
@@ -137,7 +139,7 @@ class Asks:
             journal.publish(
                 Kind.ANSWERED, order.peer, order.asker, value, outcome.value
             )
-        self._mediator.uncount(order.asker)
+        self._mediator.pending.end(order.asker)
         if order.by is not None:
             order.by.asked.pop(order, None)
         if order.deadline is not None:

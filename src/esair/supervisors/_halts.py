@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import threading
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from esair.connections import (
 )
 from esair.exceptions import AccessDeniedError, HaltedError
 from esair.journal import Journal, Kind
-from esair.loop import clock_of, current_owner, portal, spawn
+from esair.loop import Door, News, clock_of, current_owner, portal, spawn
 
 TAKEN_WITHIN = 0.25
 """How long a thread that halts waits for a loop that is busy, in seconds."""
@@ -54,6 +55,10 @@ class Halts:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._home = 0
         self._answers: set[asyncio.Task[None]] = set()
+        self._halted_by: News
+        self._resumed: News
+        self._from_threads: dict[int, tuple[Halting, threading.Event]] = {}
+        self._numbers = itertools.count()
         self._last: tuple[LastCommand, ...] = ()
 
     @property
@@ -65,6 +70,8 @@ class Halts:
     def start(self, loop: asyncio.AbstractEventLoop) -> None:
         """The robot starts; it is halted from the first moment if it was before."""
         self._loop, self._home = loop, threading.get_ident()
+        self._halted_by = News(loop, ("robot", "halt"), self._halt_of_thread)
+        self._resumed = News(loop, ("robot", "resume"), self._let_go)
         halt = self._registrations.halt
         if halt is not None:
             self._registrations.halt = Halt(halt.reason, clock_of(loop)())
@@ -103,18 +110,16 @@ class Halts:
             halting.settle(self._last)
         elif threading.get_ident() == self._home:
             self._take_effect(halt, by, halting)
+        elif Door.of(loop).player is not None:  # the tape tells when it took effect
+            halting.settle(self._last)
         else:
             self._registrations.halt = halt
             for channel in tuple(self._channels.values()):
                 channel.bar()
-            taken = threading.Event()
-
-            def take_effect() -> None:
-                self._take_effect(halt, by, halting)
-                taken.set()
-
+            taken, number = threading.Event(), next(self._numbers)
+            self._from_threads[number] = halting, taken
             try:
-                loop.call_soon_threadsafe(take_effect)
+                self._halted_by.tell_from_thread(number, halt.reason, by)
             except RuntimeError:  # the loop is closed: the stop was the last word
                 halting.settle(self._last)
             else:
@@ -137,7 +142,14 @@ class Halts:
         elif threading.get_ident() == self._home:
             self._let_go()
         else:
-            loop.call_soon_threadsafe(self._let_go)
+            self._resumed.tell_from_thread()
+
+    def _halt_of_thread(self, number: int, reason: str, by: str) -> None:
+        made = Halting(), threading.Event()
+        halting, taken = self._from_threads.pop(number, made)
+        now = 0.0 if self._loop is None else clock_of(self._loop)()
+        self._take_effect(Halt(reason, now), by, halting)
+        taken.set()
 
     def _take_effect(self, halt: Halt, by: str, halting: Halting) -> None:
         loop = self._loop

@@ -5,14 +5,17 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
-from esair.exceptions import describe
-from esair.loop import Job, Scheduler, spawn
-from esair.supervisors._resource_supervisor import ResourceSupervisor
+from esair.exceptions import ConfigError, describe
+from esair.loop import Job, News, Scheduler, outside, spawn
+from esair.supervisors._resource_deployment import ResourceDeployment
+from esair.values import check_seconds
 
 if TYPE_CHECKING:
     from esair.watchdog import Watchdog
+
+T = TypeVar("T", bound=str)
 
 BEATS = 5
 """How many beats the watchdog gets in its limit."""
@@ -28,31 +31,36 @@ class Keeper:
 
     Args:
         resources: Whose actuators are watched.
+        robot: The name of the robot.
         limit: How long the scheduler may stand still while something moves, in s.
         policy: What becomes of a process that the watchdog has stopped.
         on_death: What is done when the watchdog dies: ``"stop"`` halts the robot until
             the user resumes it, ``"alarm"`` only says so. It is started anew.
-        halt: Halts the robot.
+        halt: Halts the robot: why, and who says so.
     """
 
     def __init__(
         self,
-        resources: ResourceSupervisor,
+        resources: ResourceDeployment,
         *,
+        robot: str,
         limit: float,
         policy: Literal["kill", "freeze"],
         on_death: Literal["stop", "alarm"],
-        halt: Callable[[str], object],
+        halt: Callable[[str, str], object],
     ) -> None:
         self._resources = resources
         self._halt = halt
-        self._on_death = on_death
-        self._limit = limit
+        owner = f"robot {robot!r}"
+        self._on_death = _one_of(owner, "watchdog_death", on_death, "stop", "alarm")
+        self._limit = limit = check_seconds(owner, "watchdog_limit", limit)
+        policy = _one_of(owner, "watchdog_policy", policy, "kill", "freeze")
         from esair.watchdog import Watchdog  # only for the robots that have one
 
         self._watchdog: Watchdog = Watchdog(
-            limit=limit, policy=policy, on_death=self._died
+            limit=limit, policy=policy, on_death=lambda: self._deaths_told.tell()
         )
+        self._deaths_told: News
         self._deaths = 0
         self._job: Job | None = None
         self._again: asyncio.Task[None] | None = None
@@ -68,6 +76,7 @@ class Keeper:
             _log.info("watchdog: none on a virtual clock")
             return
         self._resources.watchdog = self._watchdog
+        self._deaths_told = News(loop, ("watchdog", "death"), self._died)
         self._job = Scheduler.of(loop).every(self._limit / BEATS, self._beat)
         await self._try_to_start()
 
@@ -76,14 +85,14 @@ class Keeper:
 
     async def _try_to_start(self) -> None:
         try:
-            await self._watchdog.start()
+            await outside(("watchdog", "start"), self._watchdog.start)
         except OSError as error:
             self._missing(f"the watchdog cannot be started: {describe(error)}")
 
     def _missing(self, why: str) -> None:
         _log.critical("%s", why)
         if self._on_death == "stop":
-            self._halt(why)
+            self._halt(why, "the watchdog")
 
     def _died(self) -> None:
         self._deaths += 1
@@ -104,4 +113,11 @@ class Keeper:
             self._again.cancel()
         if self._job is not None:
             self._job.stop()
-        await self._watchdog.close()
+        await outside(("watchdog", "close"), self._watchdog.close)
+
+
+def _one_of(owner: str, field: str, value: T, *choices: T) -> T:
+    if value in choices:
+        return value
+    expected = " or ".join(repr(choice) for choice in choices)
+    raise ConfigError(owner, field, f"expected {expected}, not {value!r:.80}")

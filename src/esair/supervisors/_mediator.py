@@ -26,9 +26,8 @@ from esair.loop import Deadlines, spawn
 from esair.messages import BehaviorState
 from esair.supervisors._asks import Asks, run_over
 from esair.supervisors._circles import circle_of_get
+from esair.supervisors._pending import Pending
 from esair.supervisors._requests import (
-    REQUESTS,
-    REQUESTS_PER_SENDER,
     REQUESTS_PER_TARGET,
     Outcome,
     Record,
@@ -64,8 +63,7 @@ class Mediator:
         self._loop = asyncio.get_running_loop()
         self.deadlines = Deadlines.of(self._loop)
         self.asks = Asks(self)
-        self._pending = 0
-        self._of_asker: dict[str, int] = {}
+        self.pending = Pending()
         self._gets: dict[str, list[Request]] = {}
         """For each behavior that waits in a get: its requests."""
         self.closed = False
@@ -92,7 +90,7 @@ class Mediator:
         """Return the counters, by name."""
         return {
             "delivered": self.delivered,
-            "pending": self._pending,
+            "pending": self.pending.count,
             "late_answers": self.late_answers,
         }
 
@@ -414,7 +412,7 @@ class Mediator:
                 request.peer, "number of requests to it", REQUESTS_PER_TARGET
             )
         self.check_bounds(kind, sender, receiver, request.asker)
-        self.count(request.asker)
+        self.pending.begin(request.asker)
         if by is not None:
             by.asked[request] = None
         return request
@@ -425,29 +423,13 @@ class Mediator:
         Raises:
             BusyError: Too many wait.
         """
-        full = self._of_asker.get(asker, 0) >= REQUESTS_PER_SENDER
-        if full or self._pending >= REQUESTS:
+        busy = self.pending.full(asker)
+        if busy is not None:
             self.record(kind, sender, receiver, Outcome.REFUSED)
-            if full:
-                raise BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
-            raise BusyError("behaviors", "number of requests", REQUESTS)
-
-    def count(self, asker: str) -> None:
-        """Count a request that begins to wait."""
-        self._pending += 1
-        self._of_asker[asker] = self._of_asker.get(asker, 0) + 1
-
-    def uncount(self, asker: str) -> None:
-        """Count a request that waits no more."""
-        self._pending -= 1
-        left = self._of_asker[asker] - 1
-        if left:
-            self._of_asker[asker] = left
-        else:
-            del self._of_asker[asker]
+            raise busy
 
     def _finish(self, request: Request) -> None:
-        self.uncount(request.asker)
+        self.pending.end(request.asker)
         if request.by is not None:
             request.by.asked.pop(request, None)
 

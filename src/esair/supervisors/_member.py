@@ -5,108 +5,74 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
-import types
 from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from esair.actions import (
     ActuatorPort,
     Behavior,
-    GuardRunner,
-    Guards,
-    Need,
     Reaction,
     ReactionRunner,
-    Reads,
-    RequestPort,
     SensorPort,
-    Takes,
-    ThreadBehavior,
-    Writes,
     blocking,
 )
-from esair.connections import (
-    UNDECIDED,
-    ActuatorChannel,
-    Halting,
-    Registration,
-    SensorChannel,
-    Stopped,
-)
+from esair.connections import UNDECIDED, Halting, Registration, Stopped
 from esair.exceptions import (
-    BadValueError,
     BehaviorRemovedError,
-    ConfigError,
-    DeviceFaultError,
-    DeviceLostError,
-    DriverStuckError,
     EsairError,
     NotRegisteredError,
-    ResourceRemovedError,
-    UnknownNameError,
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Owner, Portal, Stream, spawn, speaks_for_nobody
+from esair.loop import Budget, Owner, Portal, Stream, spawn, speaks_for_nobody
 from esair.messages import Access, BehaviorState, BehaviorStatus
+from esair.supervisors._absence import absent, absent_for
+from esair.supervisors._crew import Crew
+from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
+from esair.supervisors._grants import Grants, bind
+from esair.supervisors._hands import empty, fill
+from esair.supervisors._life import Life, RestartBudget, safe_to_raise
 from esair.supervisors._mailbox import Mailbox
-from esair.supervisors._restart_budget import RestartBudget
+from esair.supervisors._perform import Steps, runner_for
 from esair.supervisors._sight import Sight
-from esair.values import is_positive
-
-if TYPE_CHECKING:
-    from esair.supervisors._behavior_supervisor import BehaviorSupervisor
+from esair.values import check_duration
 
 _log = logging.getLogger("esair")
 
-_BOUND = (
-    "put",
-    "get",
-    "ask",
-    "receive",
-    "receive_from",
-    "offer",
-    "perform",
-    "register",
-    "stop_robot",
-)
 
-
-class Member(Mailbox):
+class Member(Life, Mailbox):
     """Owns one behavior or reaction: its registrations, its task, its restarts.
 
     It is also the `Host` that the behavior talks to.
     """
 
     __slots__ = (
-        "_budget",
         "_portal",
-        "_ports",
-        "_supervisor",
         "_timer",
+        "crew",
         "detail",
         "gate",
         "given_up",
+        "grants",
+        "journal",
         "over",
-        "performs",
         "ready",
-        "registrations",
+        "restarts",
         "runner",
         "sight",
+        "steps",
         "stream",
         "task",
         "undead",
         "zombies",
     )
 
-    def __init__(
-        self, action: Behavior | Reaction, supervisor: BehaviorSupervisor, name: str
-    ) -> None:
-        super().__init__(action, supervisor.mediator, name)
+    def __init__(self, action: Behavior | Reaction, crew: Crew, name: str) -> None:
+        super().__init__(action, crew.mediator, name)
         self.detail = ""
-        self.registrations: list[Registration] = []
+        self.grants = Grants(name, crew)
         self.runner: ReactionRunner | None = None
-        self.performs: list[_Perform] = []
+        self.steps = Steps(name, crew, self.grants)
         """The reactions that it performs now."""
         self.task: asyncio.Task[BaseException | None] | None = None
         self.ready: asyncio.Future[None] | None = None
@@ -119,44 +85,46 @@ class Member(Mailbox):
         self.zombies: list[str] = []
         """The names of its tasks and threads that would not end."""
         self.undead: list[asyncio.Task[Any]] = []
-        self._supervisor = supervisor
-        self.stream = Stream(f"{supervisor.seed}/{name}")
+        self.crew = crew
+        self.journal = crew.journal
+        self.stream = Stream(f"{crew.seed}/{name}")
         """Its random numbers, made from the robot's seed and its name."""
-        self._ports: dict[str, SensorPort[Any] | ActuatorPort[Any]] = {}
-        """The declared ports of a behavior, by their attributes."""
         self.owner.stream = self.stream
-        self._budget: RestartBudget | None = None
+        self.restarts = RestartBudget(action.restart)
         self._timer: asyncio.TimerHandle | None = None
         self._portal: Portal | None = None
-        self.sight = Sight(supervisor.actuators.protections, action, name)
+        self.sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
 
     # What the behavior asks (`Host`).
 
     def query(self, name: str) -> BehaviorStatus:
         """Tell what a behavior is doing."""
-        return self._supervisor.query(name)
+        return self.crew.query(name)
 
     async def manage(self, verb: str, *args: Any) -> Any:
         """Add, remove, replace or restart a behavior, if a policy allows it."""
         if speaks_for_nobody() or not self.alive:
             raise BehaviorRemovedError(self.name)
-        return await self._supervisor.managed_by(self.name, verb, *args)
+        return await self.crew.managed_by(self.name, verb, *args)
 
     async def register(
         self,
         resource: str,
         access: Access,
+        wanted: type | None,
         priority: int,
         hold: float | None,
         max_age: float | None,
     ) -> SensorPort[Any] | ActuatorPort[Any]:
         """Register for a resource at run time."""
+        await Budget.spend()
         self.check_speaker()
         if max_age is not None:
-            _check_seconds(self.name, f"{resource}.max_age", max_age)
-        registration = self._grant(resource, access, priority, hold)
-        port = self._port(registration, max_age)
+            check_duration(self.name, f"{resource}.max_age", max_age)
+        self.crew.check_type(self.action, resource, access, wanted)
+        right = self.grants.grant(resource, access, priority, hold)
+        port = self.grants.port(right, max_age)
         return port if self._portal is None else blocking(port, self._portal)
 
     async def perform(
@@ -168,67 +136,33 @@ class Member(Mailbox):
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
         self.check_speaker()
-        if timeout is not None:
-            _check_seconds(self.name, "timeout", timeout)
-        if blind_timeout is not None:
-            _check_seconds(self.name, "blind_timeout", blind_timeout)
-        if not isinstance(reaction, Reaction):
-            raise ConfigError(
-                self.name,
-                "perform",
-                f"expected an esair.Reaction, not {reaction!r:.80}",
-            )
-        self._supervisor.refuse_step(reaction, self.name)
-        loop = asyncio.get_running_loop()
-        table = self._supervisor.actuators.protections
-        sight = Sight(table, reaction, reaction.name, step_of=self.name)
-        perform = _Perform(
-            reaction,
-            until,
-            loop,
-            sight,
-            blind_timeout,
-            self._supervisor.began,
-            self.owner,
+        return await self.steps.perform(
+            reaction, self.owner, until, timeout, blind_timeout
         )
-        self.performs.append(perform)
-        sight.accept()
-        timer = None
-        try:
-            self._start_runner(perform.runner, reaction, perform)
-            if timeout is not None:
-                timer = loop.call_later(timeout, perform.end, False)
-            return await perform.ended
-        finally:
-            if timer is not None:
-                timer.cancel()
-            perform.stop()
-            self.performs.remove(perform)
-            for registration in perform.own:
-                self._supervisor.resources.revoke(registration)
-            sight.leave()
 
     def halt_robot(self, reason: str) -> Halting:
         """Make every actuator safe, and keep it so."""
-        return self._supervisor.halt_robot(reason, self.name)
+        return self.crew.halt_robot(reason, self.name)
 
     async def stop_robot(self, reason: str) -> Stopped:
         """Stop the robot in order, this behavior too."""
-        return await self._supervisor.stop_robot(f"{self.name}: {reason}")
+        return await self.crew.stop_robot(f"{self.name}: {reason}")
 
     # Life.
 
     def forget_waiting(self) -> None:
         """Drop the commands that its reactions keep until a driver is done."""
-        for runner in (self.runner, *(perform.runner for perform in self.performs)):
-            if runner is not None:
-                runner.forget_waiting()
+        for runner in self._runners():
+            runner.forget_waiting()
 
     def halt(self) -> None:
         """Let its reactions take no further step: the robot stops."""
-        for runner in (self.runner, *(perform.runner for perform in self.performs)):
-            if runner is not None:
-                runner.stop()
+        for runner in self._runners():
+            runner.stop()
+
+    def _runners(self) -> list[ReactionRunner]:
+        own = [] if self.runner is None else [self.runner]
+        return [*own, *(step.runner for step in self.steps.now)]
 
     def start(self) -> None:
         """Register what it declares, and begin.
@@ -237,46 +171,33 @@ class Member(Mailbox):
             EsairError: It may not, or a resource is not there.
         """
         self.state = BehaviorState.STARTING
-        loop = asyncio.get_running_loop()
         if isinstance(self.action, Reaction):
             self.sight.blind(UNDECIDED)
-            self.runner = _runner_for(
+            self.runner = runner_for(
                 self.action,
                 self.sight,
                 on_state=self._runs,
                 on_crash=self._crashed,
                 on_sight=self.sight.sees,
-                began=self._supervisor.began,
+                began=self.crew.began,
                 owner=self.owner,
             )
             self._start_runner(self.runner, self.action)
             return
         survivors = self.owner.living()
-        self.owner = Owner(self._supervisor.context)
+        self.owner = Owner(self.crew.context)
         self.owner.stream = self.stream
         for task in survivors:  # they would not end with the run before
             self.owner.adopt(task)
         self.outlived = bool(survivors)
-        self.action._host = self  # noqa: SLF001 - the behavior's own supervisor
         if not inspect.iscoroutinefunction(self.action.run):
             self._portal = Portal(self.name, self.owner)
-            self._bind_methods()
         try:
-            for attribute, need in self.action.needs.items():
-                port: Any = self._port(self._grant_need(need), _max_age(need))
-                self._ports[attribute] = port
-                if self._portal is not None:
-                    port = blocking(port, self._portal)
-                self.action.__dict__[attribute] = port
-            for attribute, each in self.action.takes.items():
-                if isinstance(each, Takes):
-                    requests: Any = RequestPort(self.queues[each.type])
-                    if self._portal is not None:
-                        requests = requests.blocking(self._portal)
-                    self.action.__dict__[attribute] = requests
+            fill(self.action, self, self.grants, self.queues, self._portal)
         except BaseException:
             self.fence()
             raise
+        loop = asyncio.get_running_loop()
         self.ready = loop.create_future()
         self.task = spawn(
             loop, self._live(self.action), name=self.name, owner=self.owner
@@ -292,7 +213,7 @@ class Member(Mailbox):
                 self._is_ready()
                 await self.gate
             else:
-                await self._supervisor.may_begin.wait()
+                await self.crew.may_begin.wait()
             self._runs(True, "")
             await self._run(behavior.run)
         except asyncio.CancelledError as raised:
@@ -314,19 +235,15 @@ class Member(Mailbox):
     async def _run(self, method: Callable[[], Any]) -> None:
         if inspect.iscoroutinefunction(method):
             await method()
-        elif self._portal is not None:
-            await self._portal.run(method)
         else:
-            await Portal(self.name, self.owner).run(method)
+            await (self._portal or Portal(self.name, self.owner)).run(method)
 
     def _runs(self, running: bool, why: str) -> None:
         self.detail = why
-        if self.state in {BehaviorState.STOPPING, BehaviorState.REMOVED}:
+        if self.is_leaving:
             return
-        before, self.state = (
-            self.state,
-            BehaviorState.RUNNING if running else BehaviorState.PARKED,
-        )
+        before = self.state
+        self.state = BehaviorState.RUNNING if running else BehaviorState.PARKED
         self._is_ready()
         if not running:
             self.sight.blind(why)
@@ -338,127 +255,92 @@ class Member(Mailbox):
             for queue in self.queues.values():
                 queue.roused()
         if before is not self.state:
-            self._tell(Kind.RUNNING if running else Kind.PARKED, why)
+            self.tell(Kind.RUNNING if running else Kind.PARKED, self.error, why)
         if before is BehaviorState.RUNNING and not running:
             _log.info("%s: parked: %s", self.name, why)
         elif before is BehaviorState.PARKED and running:
             _log.info("%s: goes on", self.name)
-
-    def _tell(self, kind: Kind, text: str = "") -> None:
-        journal = self._supervisor.journal
-        if journal.heard:
-            journal.publish(kind, self.name, "", self.error, text)
 
     def _is_ready(self) -> None:
         if self.ready is not None and not self.ready.done():
             self.ready.set_result(None)
 
     def _ended(self, task: asyncio.Task[BaseException | None]) -> None:
-        if task is not self.task or self.state in {
-            BehaviorState.STOPPING,
-            BehaviorState.REMOVED,
-        }:
+        if task is not self.task or self.is_leaving:
             return
         error = asyncio.CancelledError() if task.cancelled() else task.result()
         if error is None:
             self.state = BehaviorState.FINISHED
-            self._tell(Kind.FINISHED)
+            self.tell(Kind.FINISHED)
             self.sight.sees()  # it has nothing more to say: that is no blindness
             self.fence()
             self._end_requests()
             self._mediator.peer_finished(self)
-            self._cancel_tasks()
-            self._supervisor.ended(self)
+            cancel(self.owner)
+            self.crew.ended()
         else:
             self._crashed(error)
 
     def _crashed(self, error: BaseException) -> None:
         """Make safe what it held, and start it again unless its budget is spent."""
         self.error = error
-        self._tell(Kind.CRASHED, describe(error))
+        self.tell(Kind.CRASHED, error, describe(error))
         self.sight.blind(f"it failed: {describe(error)}")
-        self.fence()
-        self.run_over(error)
-        self._end_requests()
-        self.owner.over = self.outlived = True
-        self._cancel_tasks()
+        self._cut_off(error)
         ready = self.ready
-        if ready is not None and not ready.done() and self._supervisor.is_adding(self):
+        if ready is not None and not ready.done() and self.crew.is_adding(self):
             self.state = BehaviorState.FAILED
-            ready.set_exception(_as_exception(error))
+            ready.set_exception(safe_to_raise(error))
             ready.exception()  # whoever adds it may be cancelled in this moment
             return
         self._is_ready()
-        absent = self._absent_for(error)
-        if absent:
+        missing = absent_for(error, self.action, self.crew.resources.is_ready)
+        if missing:
             # Not its own fault: it begins anew when everything it uses is there.
             self.state = BehaviorState.PARKED
-            self.detail = f"{', '.join(absent)} is not there"
+            self.detail = f"{', '.join(missing)} is not there"
             self.sight.blind(self.detail)
-            self._tell(Kind.PARKED, self.detail)
+            self.tell(Kind.PARKED, error, self.detail)
             _log.info("%s: parked: %s", self.name, self.detail)
             self._mediator.peer_failed(self, error)
             return
-        if self._budget is None:
-            self._budget = RestartBudget(self.action.restart)
         loop = asyncio.get_running_loop()
-        pause = self._budget.spend(loop.time())
+        pause = self.pause_after(error, loop.time())
         if pause is None:
             self.state = BehaviorState.FAILED
-            self._tell(Kind.FAILED, describe(error))
-            _log.error(
-                "%s: failed for good: %s",
-                self.name,
-                describe(error),
-                exc_info=_as_exception(error),
-            )
         else:
             self.state = BehaviorState.RESTARTING
             _log.warning(
                 "%s: failed: %s; restart %d in %g s",
                 self.name,
                 describe(error),
-                self._budget.restarts,
+                self.restarts.count,
                 pause,
-                exc_info=_as_exception(error),
+                exc_info=safe_to_raise(error),
             )
             self._timer = loop.call_later(pause, self._restart)
         self._mediator.peer_failed(self, error)
         if pause is None:
-            self._supervisor.ended(self)
-
-    def _absent_for(self, error: BaseException) -> list[str]:
-        """Return what is not there, if the error may come from that."""
-        if not isinstance(error, _ABSENCE):
-            return []
-        absent = self._absent()
-        named = error.name if isinstance(error, UnknownNameError) else error.resource
-        is_there = named in {need.resource for need in self.action.needs.values()}
-        return [] if is_there and named not in absent else absent
-
-    def _absent(self) -> list[str]:
-        """Return what it declares to use, and is not there or not ready."""
-        if not isinstance(self.action, Behavior):
-            return []
-        return [
-            need.resource
-            for need in self.action.needs.values()
-            if not self._supervisor.resources.is_ready(need.resource)
-        ]
+            self.crew.ended()
 
     def resource_up(self, resource: str) -> None:
         """Begin anew if this was the last resource that was not there."""
         if (
             isinstance(self.action, Behavior)
             and self.state is BehaviorState.PARKED
-            and not self._absent()
+            and not absent(self.action, self.crew.resources.is_ready)
         ):
             _log.info("%s: goes on: %s is back", self.name, resource)
             self._restart()
 
+    def _no_restart(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
     def _restart(self) -> None:
         self._timer = None
-        self._tell(Kind.RESTARTED)
+        self.tell(Kind.RESTARTED, self.error)
         try:
             self.start()
         except Exception as error:
@@ -466,8 +348,8 @@ class Member(Mailbox):
 
     def uses(self) -> list[Registration]:
         """Return every registration that it has now."""
-        performed = (r for perform in self.performs for r in perform.own)
-        return [*self.registrations, *performed]
+        performed = (r for step in self.steps.now for r in step.own)
+        return [*self.grants.registrations, *performed]
 
     def fence(self, reason: Callable[[], EsairError] | None = None) -> None:
         """Revoke all its registrations in one step; what it moved is made safe."""
@@ -480,43 +362,29 @@ class Member(Mailbox):
                 return NotRegisteredError(name, "resource", "this run of it has ended")
 
         for registration in self.uses():
-            self._supervisor.resources.revoke(registration, reason)
-        self.registrations.clear()
+            self.crew.resources.control.revoke(registration, reason)
+        self.grants.registrations.clear()
         if self._portal is not None:
             self._portal.close()
 
     async def stop(self, grace: float) -> None:
         """End it, whatever it does; what would not die is in ``zombies``."""
         self.state = BehaviorState.STOPPING
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        self.fence(lambda: _UserRemovedError(self.name))
+        self._no_restart()
+        self.fence(lambda: UserRemovedError(self.name))
         self.give_up()
         self._end_requests()
         self.run_over(None)
         for taker in self.takers or ():
             if not taker.done():
                 taker.set_result(None)
-        living = self._living()
-        for _ in range(2):
-            if not living:
-                break
-            for task in living:
-                task.cancel()
-            await asyncio.wait(living, timeout=grace if grace > 0 else 0.001)
-            living = self._living()
-            grace = 0.04
+        self.undead = await end(self.owner, grace)
         self.zombies = [
-            *(task.get_name() for task in living),
+            *(task.get_name() for task in self.undead),
             *(thread.name for thread in self.owner.threads),
         ]
-        self.undead = living
-        for task in living:
-            task.add_done_callback(_look_at)
         self.task = None
-        if isinstance(self.action, Behavior) and self.action._host is self:  # noqa: SLF001
-            self._unbind(self.action)
+        empty(self.action, self, self._portal)
 
     def end_run(self, grace: float) -> Awaitable[None]:
         """End the run, so that another may begin; awaiting waits until it has ended.
@@ -525,23 +393,24 @@ class Member(Mailbox):
             BehaviorRemovedError: It was removed meanwhile.
         """
         self.state = BehaviorState.RESTARTING
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._no_restart()
         self._is_ready()
-        self.task = self._budget = self.error = None
+        self.task = self.error = None
+        self.restarts.fill()
         self.sight.blind("it is restarted by the user")
-        self.fence()
-        self.run_over(None)
-        self._end_requests()
-        self.owner.over = self.outlived = True
-        self._cancel_tasks()
+        self._cut_off(None)
         return self._run_ended(grace)
 
+    def _cut_off(self, error: BaseException | None) -> None:
+        """Let nothing of this run reach anything any more."""
+        self.fence()
+        self.run_over(error)
+        self._end_requests()
+        self.owner.over = self.outlived = True
+        cancel(self.owner)
+
     async def _run_ended(self, grace: float) -> None:
-        living = self._living()
-        if living:
-            await asyncio.wait(living, timeout=grace if grace > 0 else 0.001)
+        await until_ended(living(self.owner), grace)
         if self.state is not BehaviorState.RESTARTING:
             raise BehaviorRemovedError(self.name)
 
@@ -562,139 +431,36 @@ class Member(Mailbox):
         """Return the tasks that only wait for its threads."""
         return [] if self.task is None or self._portal is None else [self.task]
 
-    def _living(self) -> list[asyncio.Task[Any]]:
-        me = asyncio.current_task()
-        return [task for task in self.owner.living() if task is not me]
-
-    def _cancel_tasks(self) -> None:
-        for task in self.owner.living():
-            task.cancel()
-
-    def _unbind(self, behavior: Behavior) -> None:
-        behavior._host = None  # noqa: SLF001 - the behavior's own supervisor
-        if self._portal is not None:
-            for method in _BOUND:
-                behavior.__dict__.pop(method, None)
-
-    def _bind_methods(self) -> None:
-        """Let a plain behavior call, in its thread, what others await."""
-        behavior = self.action
-        if not isinstance(behavior, ThreadBehavior):
-            for name in _BOUND:
-                method = getattr(ThreadBehavior, name)
-                behavior.__dict__[name] = types.MethodType(method, behavior)
-
     @property
     def portal(self) -> Portal | None:
         """The way of its thread into the loop, if it has a thread."""
         return self._portal
 
-    # Registrations.
-
-    def _grant(
-        self,
-        resource: str,
-        access: Access,
-        priority: int,
-        hold: float | None,
-        owned: list[Registration] | None = None,
-    ) -> Registration:
-        """Return a registration of its own: one that it has on these terms, or a new one.
-
-        Never one of another member with the same name, which is about to give its
-        place to this one and takes its registrations along.
-        """
-        terms = (resource, access, priority, hold)
-        for known in tuple(self.registrations):
-            if terms == (known.resource, known.access, known.priority, known.hold):
-                if known.usable:
-                    return known
-                self.registrations.remove(known)  # void: its resource was removed
-        registration = self._supervisor.resources.grant(
-            self.name,
-            resource,
-            access,
-            priority=priority,
-            hold=hold,
-            instead_of=self.name,
-        )
-        (self.registrations if owned is None else owned).append(registration)
-        return registration
-
-    def _grant_need(
-        self, need: Need, owned: list[Registration] | None = None
-    ) -> Registration:
-        return self._grant(
-            need.resource,
-            need.access,
-            0 if isinstance(need, Reads) else need.priority,
-            need.hold if isinstance(need, Writes) else None,
-            owned,
-        )
-
-    def _channel(self, resource: str) -> SensorChannel | ActuatorChannel:
-        supervisor = self._supervisor
-        sensor = supervisor.sensors.channels.get(resource)
-        return sensor or supervisor.actuators.channels[resource]
-
-    def _port(
-        self, registration: Registration, max_age: float | None
-    ) -> SensorPort[Any] | ActuatorPort[Any]:
-        channel = self._channel(registration.resource)
-        control = self._supervisor.resources
-        if isinstance(channel, SensorChannel):
-            return SensorPort(channel, registration, max_age, control)
-        return ActuatorPort(channel, registration, control)
-
-    def _start_runner(
-        self,
-        runner: ReactionRunner,
-        reaction: Reaction,
-        perform: _Perform | None = None,
-    ) -> None:
-        inputs: dict[str, tuple[SensorChannel, Registration, float | None]] = {}
-        outputs: dict[str, tuple[ActuatorChannel, Registration]] = {}
-        guarded: ActuatorChannel | None = None
+    def _start_runner(self, runner: ReactionRunner, reaction: Reaction) -> None:
         missing = [
             need.resource
             for need in reaction.needs.values()
-            if need.resource not in self._supervisor.resources.names()
+            if need.provider not in self.crew.resources.lives
         ]
-        if missing and runner is self.runner:
+        if missing:
             self._runs(False, f"{', '.join(missing)} was removed")
             return
-        for attribute, need in reaction.needs.items():
-            registration = self._grant_need(need, perform.own if perform else None)
-            if perform is not None:
-                perform.uses.append(registration)
-            channel = self._channel(need.resource)
-            if isinstance(channel, SensorChannel):
-                inputs[attribute] = (channel, registration, _max_age(need))
-                reaction.__dict__[attribute] = self._port(registration, _max_age(need))
-            elif isinstance(need, Guards):
-                guarded = channel
-            else:
-                outputs[attribute] = (channel, registration)
-        if isinstance(runner, GuardRunner):
-            assert guarded is not None
-            runner.guard(guarded, inputs)
-        else:
-            runner.start(inputs, outputs)
+        bind(runner, reaction, self.grants)
 
     def resource_changed(self, resource: str) -> None:
         """Bind an action anew when one of its resources was added or removed."""
-        for perform in self.performs:
-            for registration in perform.uses:
+        for step in self.steps.now:
+            for registration in step.uses:
                 if registration.reason is not None:
-                    perform.crash(registration.reason())
+                    step.crash(registration.reason())
         if not self.alive or self.state is BehaviorState.RESTARTING:
             return  # it will be bound anew in any case
-        if all(need.resource != resource for need in self.action.needs.values()):
+        if all(need.provider != resource for need in self.action.needs.values()):
             return
-        misfit = self._supervisor.misfit(self.action, resource)
+        misfit = self.crew.misfit(self.action, resource)
         if not isinstance(self.action, Reaction):
             if not misfit:
-                self._revive(resource)
+                self.grants.revive(self.action.needs, resource)
             return
         self.fence()
         if misfit:
@@ -705,32 +471,11 @@ class Member(Mailbox):
         except Exception as error:
             self._crashed(error)
 
-    def _revive(self, resource: str) -> None:
-        """Give the declared ports of a behavior their rights to a resource again."""
-        names = self._supervisor.resources.names()
-        for attribute, need in self.action.needs.items():
-            port = self._ports.get(attribute)
-            if port is None or need.resource != resource or resource not in names:
-                continue
-            if port.registration.reason is None:
-                continue  # it was never revoked
-            try:
-                registration = self._grant_need(need)
-            except EsairError as error:
-                _log.warning("%s: %s: %s", self.name, attribute, describe(error))
-            else:
-                port.revive(self._channel(resource), registration)
-
     def counts(self) -> dict[str, int]:
         """Return the counters, by name."""
-        found = {
-            "restarts": self._budget.restarts if self._budget is not None else 0,
-            "inbox": len(self.inbox),
-            "waiting": self.senders.count,
-        }
-        if self.runner is not None:
-            found |= self.runner.counts()
-        return found
+        found = {"restarts": self.restarts.count, "inbox": len(self.inbox)}
+        found["waiting"] = self.senders.count
+        return found | (self.runner.counts() if self.runner is not None else {})
 
     def status(self) -> BehaviorStatus:
         """Tell what it is doing."""
@@ -740,9 +485,9 @@ class Member(Mailbox):
             self.state,
             self.can_receive,
             self.can_send,
-            self._budget.restarts if self._budget is not None else 0,
+            self.restarts.count,
             self.error,
-            next(filter(None, (each.detail for each in self.performs)), self.detail),
+            next(filter(None, (each.detail for each in self.steps.now)), self.detail),
             runner.steps if runner is not None else 0,
             runner.late if runner is not None else 0,
             self.senders.count,
@@ -751,170 +496,3 @@ class Member(Mailbox):
             sum(len(queue.working) for queue in self.queues.values()),
             self.dropped,
         )
-
-
-class _UserRemovedError(BehaviorRemovedError, NotRegisteredError):
-    """A behavior that was removed uses a port of its: both is true."""
-
-    def __init__(self, behavior: str) -> None:
-        EsairError.__init__(
-            self, f"behavior {behavior!r} was removed: it is registered for nothing"
-        )
-        self.behavior = behavior
-        self.resource = ""
-        self.data = None
-
-
-class _Perform:
-    """A reaction that a behavior performs as a step of its own."""
-
-    def __init__(
-        self,
-        reaction: Reaction,
-        until: Callable[..., bool] | None,
-        loop: asyncio.AbstractEventLoop,
-        sight: Sight,
-        blind_timeout: float | None,
-        began: float,
-        owner: Owner,
-    ) -> None:
-        self.sight = sight
-        self.runner = _runner_for(
-            reaction,
-            sight,
-            on_state=self._state,
-            on_crash=self.crash,
-            on_sight=self._sees,
-            until=until,
-            on_end=lambda: self.end(True),
-            began=began,
-            owner=owner,
-        )
-        self._loop = loop
-        self._blind_timeout = blind_timeout
-        self._blind_timer: asyncio.TimerHandle | None = None
-        self._is_blind()
-        self.needs = tuple(reaction.needs.values())
-        self.own: list[Registration] = []
-        """The registrations that end with it."""
-        self.uses: list[Registration] = []
-        self.ended: asyncio.Future[bool] = loop.create_future()
-
-    @property
-    def detail(self) -> str:
-        """Why it does nothing, in words; empty if it does what it should."""
-        reason = self.sight.reason
-        return f"step {self.sight.name} is blind: {reason}" if reason else ""
-
-    def stop(self) -> None:
-        """Take no further step."""
-        self.runner.stop()
-        self._sees_again()
-
-    def _state(self, running: bool, why: str) -> None:
-        if not running:
-            self.sight.blind(why)
-            self._is_blind()
-
-    def _is_blind(self) -> None:
-        if self._blind_timeout is not None and self._blind_timer is None:
-            self._blind_timer = self._loop.call_later(
-                self._blind_timeout, self._blind_for_too_long
-            )
-
-    def _sees(self) -> None:
-        self.sight.sees()
-        self._sees_again()
-
-    def _sees_again(self) -> None:
-        if self._blind_timer is not None:
-            self._blind_timer.cancel()
-            self._blind_timer = None
-
-    def _blind_for_too_long(self) -> None:
-        self._blind_timer = None
-        error = self.runner.absence()
-        if error is not None:
-            self.crash(error)
-
-    def end(self, result: bool) -> None:
-        if not self.ended.done():
-            self.ended.set_result(result)
-
-    def crash(self, error: BaseException) -> None:
-        if not self.ended.done():
-            self.ended.set_exception(_as_exception(error))
-            self.ended.exception()  # the behavior may be cancelled in this moment
-
-
-def _runner_for(
-    reaction: Reaction,
-    sight: Sight,
-    *,
-    on_state: Callable[[bool, str], None],
-    on_crash: Callable[[BaseException], None],
-    on_sight: Callable[[], None],
-    until: Callable[..., bool] | None = None,
-    on_end: Callable[[], None] | None = None,
-    began: float = 0.0,
-    owner: Owner | None = None,
-) -> ReactionRunner:
-    """Make what runs a reaction: one that moves something, or a guard."""
-    if reaction.guarded is None:
-        return ReactionRunner(
-            reaction,
-            on_state=on_state,
-            on_crash=on_crash,
-            on_sight=on_sight,
-            until=until,
-            on_end=on_end,
-            began=began,
-            owner=owner,
-        )
-    return GuardRunner(
-        reaction,
-        reaction.guarded[0],
-        sight.guard,
-        on_state=on_state,
-        on_crash=on_crash,
-        on_sight=on_sight,
-        until=until,
-        on_end=on_end,
-        began=began,
-        owner=owner,
-    )
-
-
-_ABSENCE = (
-    DeviceFaultError,
-    DeviceLostError,
-    DriverStuckError,
-    ResourceRemovedError,
-    UnknownNameError,
-)
-"""What a behavior meets where a resource that it uses is not there, or not ready."""
-
-
-def _check_seconds(component: str, field: str, value: object) -> None:
-    if not is_positive(value):
-        raise BadValueError(
-            component, field, f"expected seconds > 0, not {value!r:.80}"
-        )
-
-
-def _max_age(need: Need) -> float | None:
-    return need.max_age if isinstance(need, Reads) else None
-
-
-def _as_exception(error: BaseException) -> Exception:
-    """Make an error that is safe to raise in a task of somebody else."""
-    if isinstance(error, Exception) and not isinstance(error, StopIteration):
-        return error  # a future takes everything but a StopIteration
-    wrapped = RuntimeError(f"it raised {describe(error)}")
-    wrapped.__cause__ = error
-    return wrapped
-
-
-def _look_at(task: asyncio.Task[Any]) -> None:
-    if not task.cancelled():
-        task.exception()

@@ -7,7 +7,6 @@ from typing import Any
 
 from esair.connections import Registration
 from esair.exceptions import BusyError, DeviceLostError, DriverStuckError
-from esair.loop import Budget
 from esair.resources import operation_of
 from esair.supervisors._resource_life import ResourceLife
 
@@ -34,7 +33,6 @@ async def operate(
         raise BusyError(resource.name, "number of operations", WAITING_LIMIT)
     life.operations += 1
     try:
-        await Budget.spend()
         try:
             async with asyncio.timeout_at(until):
                 await life.configuring.acquire()

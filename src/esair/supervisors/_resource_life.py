@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from esair.connections import (
@@ -19,17 +19,25 @@ from esair.connections import (
     translate,
 )
 from esair.exceptions import (
-    DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
     EsairError,
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Deadline, Deadlines, Door, Player, Recorder, spawn
-from esair.messages import ResourceState, Restart
-from esair.resources import Resource, settings_of
-from esair.supervisors._restart_budget import RestartBudget
+from esair.loop import (
+    Deadline,
+    Deadlines,
+    Door,
+    TapeWriter,
+    ask_outside,
+    outside,
+    spawn,
+)
+from esair.messages import ResourceState, ResourceStatus, Restart
+from esair.resources import Resource, settings_of, shown
+from esair.supervisors._life import Life, RestartBudget
+from esair.supervisors._silence import AnotherDeviceError, is_absence, is_silence
 from esair.supervisors._watch import Watch
 
 if TYPE_CHECKING:
@@ -51,13 +59,10 @@ LAST_CLOSE = 0.05
 MAX_DELAY = 5.0
 """The longest pause between two tries, in seconds."""
 
-_SILENT = frozenset({errno.EREMOTEIO, errno.ENXIO, errno.ETIMEDOUT, errno.EHOSTDOWN})
-"""What the system says of a part that does not answer: nobody acknowledges, say."""
-
 _log = logging.getLogger("esair")
 
 
-class ResourceLife:
+class ResourceLife(Life):
     """Owns one resource: its task opens it, waits for its loss, and opens it again."""
 
     def __init__(
@@ -68,6 +73,9 @@ class ResourceLife:
         watchdog: Watchdog | None = None,
     ) -> None:
         self.resource = resource
+        self.name = resource.name
+        self.restarts = RestartBudget(restart)
+        self.journal = channel.registrations.journal
         self.watch: Watch | None = None
         """The watchdog's eye on it, if it is an actuator and there is a watchdog."""
         if isinstance(channel, ActuatorChannel) and watchdog is not None:
@@ -81,13 +89,11 @@ class ResourceLife:
         """Held while settings are applied: one change at a time, none in an opening."""
         self.operations = 0
         """How many operations wait or run."""
-        self._journal = channel.registrations.journal
-        self._budget = RestartBudget(restart)
         self._loop = asyncio.get_running_loop()
         self._door = Door.of(self._loop)
         self._tag = (resource.name, "news")
-        if isinstance(self._door.tape, Player):
-            self._door.tape.listen(self._tag, lambda news: self._hear_of(*news))
+        if self._door.player is not None:
+            self._door.player.listen(self._tag, lambda news: self._hear_of(*news))
         self._thread = threading.current_thread()
         self._news: asyncio.Future[BaseException | None] | None = None
         self._lost: BaseException | None = None
@@ -119,15 +125,15 @@ class ResourceLife:
                 bus.on_lost(self._told),
                 bus.on_arrival(lambda: self._told(None)),
             )
-        self._task = spawn(self._loop, self._live(), name=f"{self.resource.name} life")
+        self._task = spawn(self._loop, self._live(), name=f"{self.name} life")
 
     def restart(self) -> None:
         """Close the device and open it again; its budget is full."""
-        self._budget = RestartBudget(self._budget.policy)
+        self.restarts.fill()
         if self.tried.done():  # else somebody waits for it: one trial is for all
             self.tried = self._loop.create_future()
         if self.channel.state is ResourceState.READY:
-            self._hear(DeviceLostError(self.resource.name, "it is restarted"))
+            self._hear(DeviceLostError(self.name, "it is restarted"))
             self._arrived = True
         else:
             self._hear(None)
@@ -167,7 +173,7 @@ class ResourceLife:
         self._look_after(self.resource.set_up_period if asked else SET_UP_AGAIN)
 
     def _has_told(self, end: End) -> None:
-        name = self.resource.name
+        name = self.name
         if end.error is not None:
             self.on_error(translate(name, end.error))
         elif not end.value:
@@ -195,13 +201,28 @@ class ResourceLife:
                 # Nobody knows its settings now: close it and begin anew.
                 unknown = f"its settings are unknown: {describe(second)}"
                 self._hear(DeviceLostError(resource.name, unknown))
-            raise translate(resource.name, error) from error
+            told = translate(resource.name, error)
+            raise told from (error.__cause__ if told is error else error)
         self._check_ready(None)  # what opens it again does not know these changes
         for name, value in changes.items():
             setattr(resource, name, value)
         self.channel.configured()
         if self.watch is not None:
             await self.watch.arm()
+
+    def status(self) -> ResourceStatus:
+        """Tell what it is doing, and who uses it."""
+        channel = self.channel
+        users = (r.behavior for r in channel.registrations.of_resource(self.name))
+        return ResourceStatus(
+            self.name,
+            channel.state,
+            channel.error,
+            self.losses,
+            self.faults,
+            tuple(dict.fromkeys(users)),
+            shown(self.resource, self.resource.settings),
+        )
 
     @property
     def is_over(self) -> bool:
@@ -213,9 +234,7 @@ class ResourceLife:
 
     def _check_ready(self, cause: BaseException | None) -> None:
         if self._over or self.channel.state is not ResourceState.READY:
-            lost = self.channel.error or DeviceLostError(
-                self.resource.name, "it was replaced"
-            )
+            lost = self.channel.error or DeviceLostError(self.name, "it was replaced")
             raise lost from cause
 
     async def last_try(self, until: float) -> None:
@@ -224,10 +243,12 @@ class ResourceLife:
         Args:
             until: When to give up, on the loop's clock.
         """
-        name, channel = self.resource.name, self.channel
+        name, channel = self.name, self.channel
         assert isinstance(channel, ActuatorChannel)
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=LAST_TRY)
+        if self._over:
+            return  # it was removed meanwhile: nobody would close it again
         trying = spawn(self._loop, self._open_once(), name=f"{name} last try")
         self._task = trying
         seconds = min(LAST_TRY, max(0.0, until - self._loop.time()))
@@ -258,20 +279,19 @@ class ResourceLife:
         await asyncio.wait({self._task}, timeout=LAST_TRY)
         if not self.tried.done():
             self.tried.set_exception(
-                self.channel.error or DeviceLostError(self.resource.name, "closed")
+                self.channel.error or DeviceLostError(self.name, "closed")
             )
             self.tried.exception()  # nobody may wait for it
-        self._calls.next_opening(DeviceLostError(self.resource.name, "it was closed"))
+        self._calls.next_opening(DeviceLostError(self.name, "it was closed"))
         if self._is_open:
             await self._calls.quiet(until - LAST_CLOSE)
-            stuck = self._driver.is_stuck
+            stuck = ask_outside((self.name, "stuck"), lambda: self._driver.is_stuck)
             await self._close(
                 LAST_CLOSE if stuck else max(LAST_CLOSE, self._left(until))
             )
-        if not await self._driver.end_executors(timeout=LAST_CLOSE):
-            _log.warning(
-                "%s: a driver call is stuck; its thread is left", self.resource.name
-            )
+        ending = partial(self._driver.end_executors, timeout=LAST_CLOSE)
+        if not await outside((self.name, "threads"), ending):
+            _log.warning("%s: a driver call is stuck; its thread is left", self.name)
 
     def _left(self, until: float) -> float:
         return until - self._loop.time()
@@ -280,7 +300,7 @@ class ResourceLife:
         """An opening has ended that was given up: the device must not stay open."""
         self._is_open = True
         if self._over:
-            spawn(self._loop, self._close(), name=f"{self.resource.name} close")
+            spawn(self._loop, self._close(), name=f"{self.name} close")
 
     def _told(self, error: BaseException | None) -> None:
         """Hear from a driver or a bus, on any thread."""
@@ -291,7 +311,7 @@ class ResourceLife:
             self._door.tell(self._tag, self._hear_of, opening, error)
 
     def _hear_of(self, opening: int, error: BaseException | None) -> None:
-        if isinstance(self._door.tape, Recorder):
+        if isinstance(self._door.tape, TapeWriter):
             self._door.tape.arrived(self._tag, (opening, error))
         if error is None or opening == self._calls.opening:
             self._hear(error)  # the loss of an earlier opening is no news
@@ -318,7 +338,7 @@ class ResourceLife:
             await self._close()  # what was opened late
             self._lost, self._arrived = None, False
             error = await self._try_to_open()
-            absent = _is_absence(error)
+            absent = is_absence(error)
             error = error or self._lost
             if error is None:
                 up_since = self._loop.time()
@@ -332,26 +352,17 @@ class ResourceLife:
                 self._first_try(error)
             self._down(error)
             await self._close()
-            if absent or is_loss(error) or _is_silence(error):
+            if absent or is_loss(error) or is_silence(error):
                 pause: float | None = delay
                 delay = min(delay * 2, MAX_DELAY)
             else:
-                pause = self._budget.spend(self._loop.time())
+                pause = self.pause_after(error, self._loop.time())
             if pause is None:
                 self.channel.state = ResourceState.FAILED
-                self._journal.publish(
-                    Kind.FAILED, self.resource.name, "", error, describe(error)
-                )
-                _log.error(
-                    "%s: failed for good, %d restarts did not help: %s",
-                    self.resource.name,
-                    self._budget.policy.max,
-                    describe(error),
-                )
                 # A replug, or the user's restart, is the way out of it.
                 if not self._arrived:
                     await self._wait_for_news(None)
-                self._budget = RestartBudget(self._budget.policy)
+                self.restarts.fill()
                 delay = FIRST_DELAY
                 continue
             await self._wait_for_news(
@@ -363,7 +374,7 @@ class ResourceLife:
             if error is None or not self.resource.required:
                 self.tried.set_result(None)
             else:
-                self.tried.set_exception(translate(self.resource.name, error))
+                self.tried.set_exception(translate(self.name, error))
 
     async def _wait_for_news(self, timeout: float | None) -> BaseException | None:
         news: asyncio.Future[BaseException | None] = self._loop.create_future()
@@ -412,8 +423,8 @@ class ResourceLife:
         if self._identity is None:
             self._identity = answer
         elif answer != self._identity:
-            raise _AnotherDeviceError(
-                self.resource.name,
+            raise AnotherDeviceError(
+                self.name,
                 f"identity: expected {self._identity!r:.80}, {answer!r:.80} is there; "
                 "plug in the right device, or replace the resource",
             )
@@ -432,35 +443,33 @@ class ResourceLife:
         except EsairError:
             raise
         except TimeoutError as error:
-            raise DriverStuckError(self.resource.name, kind, limit) from error
+            raise DriverStuckError(self.name, kind, limit) from error
 
     def _up(self) -> None:
         self._faults_in_row = 0
         self.channel.up()
         self._look_after(self.resource.set_up_period)
-        self._journal.publish(Kind.UP, self.resource.name)
+        self.tell(Kind.UP)
         if self.losses:
-            _log.info("%s: back", self.resource.name)
+            _log.info("%s: back", self.name)
 
     def _down(self, error: BaseException) -> None:
         if self.channel.state is ResourceState.LOST:
             return
         before = self.channel.error
         first = before is None
-        cause = translate(self.resource.name, error)
+        cause = translate(self.name, error)
         if not isinstance(error, EsairError) and not isinstance(cause, DeviceLostError):
             # Whatever it was: the device is closed now, and nobody can use it.
-            cause = DeviceLostError(self.resource.name, describe(error))
+            cause = DeviceLostError(self.name, describe(error))
             cause.__cause__ = error
         self.channel.down(ResourceState.LOST, cause)
         if first:
             self.losses += 1
-            self._journal.publish(
-                Kind.DOWN, self.resource.name, "", cause, describe(cause)
-            )
-            _log.warning("%s: lost: %s", self.resource.name, describe(error))
-        elif type(error) is _AnotherDeviceError and type(before) is not type(error):
-            _log.warning("%s: still lost: %s", self.resource.name, describe(error))
+            self.tell(Kind.DOWN, cause, describe(cause))
+            _log.warning("%s: lost: %s", self.name, describe(error))
+        elif type(error) is AnotherDeviceError and type(before) is not type(error):
+            _log.warning("%s: still lost: %s", self.name, describe(error))
 
     async def _close(self, limit: float | None = None) -> None:
         if not self._is_open:
@@ -471,35 +480,4 @@ class ResourceLife:
         try:
             await self._run("close", self._driver.method("close"), limit)
         except Exception as error:
-            _log.debug("%s: close: %s", self.resource.name, describe(error))
-
-
-class _AnotherDeviceError(DeviceFaultError):
-    """Where the device was is another one now; waiting for the right one may help."""
-
-
-def _is_silence(error: BaseException) -> bool:
-    """Tell whether a device has said nothing, or is not the right one: no wrong answer.
-
-    It has no power yet, or it is still starting: it is waited for, for ever.
-    """
-    if isinstance(error, TimeoutError | _AnotherDeviceError):
-        return True
-    seen: BaseException | None = error
-    while seen is not None:
-        if isinstance(seen, OSError) and seen.errno in _SILENT:
-            return True
-        seen = seen.__cause__
-    return False
-
-
-def _is_absence(error: BaseException | None) -> bool:
-    """Tell whether a device could not be opened because it cannot be had now.
-
-    It is in use, its node has other rights, or nobody answers yet: the operating
-    system says all of this by an OSError, and waiting may help. A fault that the device
-    itself shows has no ``errno``.
-    """
-    return isinstance(error, OSError) and (
-        error.errno is not None or not isinstance(error, EsairError)
-    )
+            _log.debug("%s: close: %s", self.name, describe(error))

@@ -44,6 +44,7 @@ class Rules:
         *,
         is_actuator: bool,
         instead_of: str | None = None,
+        provider: str | None = None,
     ) -> None:
         """Pass if a behavior may have what it asks for.
 
@@ -54,6 +55,7 @@ class Rules:
             priority: With which priority it wants to write.
             is_actuator: Whether the resource is an actuator.
             instead_of: A behavior that is about to give its place to this one.
+            provider: Whose policy counts, if the resource is a part of another one.
 
         Raises:
             AccessDeniedError: It may not; the error names the rule.
@@ -66,7 +68,7 @@ class Rules:
         if wrong:
             kind = "an actuator is written" if is_actuator else "a sensor is read"
             raise AccessDeniedError(behavior, resource, str(wrong), kind)
-        policy = self.policies.get(resource)
+        policy = self.policies.get(provider or resource)
         if policy is None:
             allowed = self._declared(behavior, resource) | Access.READ
             if access not in allowed:

@@ -6,13 +6,12 @@ import logging
 from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import describe
+from esair.loop import outside
+from esair.plan import UNWATCHED
 from esair.resources import Actuator
 
 if TYPE_CHECKING:
     from esair.watchdog import Watchdog
-
-UNWATCHED = "UNWATCHED"
-"""What is said of an actuator that the watchdog cannot make safe."""
 
 _log = logging.getLogger("esair")
 
@@ -33,7 +32,8 @@ class Watch:
 
     async def arm(self) -> None:
         """Hand its safe frames to the watchdog; returns when it has answered."""
-        before, self.why = self.why, await self._arm()
+        name = self.actuator.name
+        before, self.why = self.why, await outside((name, "arm"), self._arm)
         if self.why and self.why != before:
             _log.warning("%s: %s: %s", self.actuator.name, UNWATCHED, self.why)
 
@@ -52,7 +52,8 @@ class Watch:
     async def drop(self) -> None:
         """Have it watched no more, before its device is closed."""
         self.why = "it is not open"
-        await self._watchdog.drop(self.actuator.name)
+        name = self.actuator.name
+        await outside((name, "drop"), lambda: self._watchdog.drop(name))
 
     def may_move(self) -> bool:
         """Say that it is about to move; tells whether it may.

@@ -1,0 +1,457 @@
+"""What behaviors and reactions a robot has now: how each begins, and how it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import itertools
+import logging
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple, Protocol
+
+from esair import abc
+from esair.actions import Behavior, Reaction, Reads, Writes
+from esair.connections import ActuatorChannel, Halting, Stopped
+from esair.exceptions import (
+    AccessDeniedError,
+    BehaviorFailedError,
+    ConfigError,
+    UnknownNameError,
+    describe,
+)
+from esair.journal import Event, Kind
+from esair.loop import ProcessWatch, now, script_context, spawn
+from esair.messages import Access, BehaviorsPolicy, BehaviorState, BehaviorStatus
+from esair.plan import Finding, Plan, examine_step, refuse, unmet
+from esair.supervisors._command_queue import CommandQueue
+from esair.supervisors._mailbox import Mailbox
+from esair.supervisors._mediator import Mediator
+from esair.supervisors._member import Member
+from esair.supervisors._resource_deployment import ResourceDeployment
+
+START_TIMEOUT = 5.0
+"""How long the start waits for the ``setup`` of behaviors, in seconds."""
+
+SETUP_TIMEOUT = 5.0
+"""How long a command waits for the ``setup`` of a behavior, in seconds."""
+
+MARGIN = 0.05
+"""How long a component may take to end beside its grace period, in seconds."""
+
+ZOMBIE_LIMIT = 256
+"""How many zombies are listed."""
+
+_log = logging.getLogger("esair")
+
+
+class Zombie(NamedTuple):
+    """Something that would not end when its component was removed.
+
+    It is fenced off: it may run, it can move nothing.
+
+    Attributes:
+        behavior: The name of the component it belonged to.
+        task: The name of the task or thread.
+    """
+
+    behavior: str
+    task: str
+
+
+class BehaviorDeployment:
+    """The behaviors of one robot: it starts and stops them, BS adds and removes some.
+
+    Args:
+        resources: What they may use.
+        grace: How long one may take to end, in seconds.
+        start_patience: How long the start waits for the first decisions, in seconds.
+        halt: Halts the robot: why, and who says so.
+        stop: Stops the robot: why.
+        policies: The developer's rules: which behaviors may manage others.
+    """
+
+    def __init__(
+        self,
+        resources: ResourceDeployment,
+        *,
+        grace: float,
+        start_patience: float,
+        halt: Callable[[str, str], Halting],
+        stop: Callable[[str], Awaitable[Stopped]],
+        policies: Iterable[object],
+    ) -> None:
+        self.resources = resources
+        self.journal = resources.journal
+        self.commands = CommandQueue("behaviors", asleep=True)
+        self.members: dict[str, Member] = {}
+        self.coming: list[Member] = []
+        """Those whose ``setup`` a command waits for."""
+        self.ending: list[Member] = []
+        self.grace = grace
+        self.may_begin = asyncio.Event()
+        """Set when every protection that can see has decided: ``run`` may begin."""
+        self.zombies: list[Zombie] = []
+        """What would not end, the oldest first."""
+        self.zombie_count = 0
+        self.undead: set[asyncio.Task[Any]] = set()
+        """Tasks of zombies: the loop itself keeps only weak references."""
+        self.began = 0.0
+        """When the robot has started, on the loop's clock: the zero of ``now_ms``."""
+        self.seed = 0
+        """What the random numbers of its components are made from."""
+        self.context: contextvars.Context | None = None
+        """The context variables of the script; those of its behaviors begin so."""
+        self.verbs: Verbs | None = None
+        """Does what a behavior asks for that may manage others."""
+        self._managers = {
+            manager
+            for each in policies
+            if isinstance(each, BehaviorsPolicy)
+            for manager in each.allow
+        }
+        self._start_patience = start_patience
+        self._halt = halt
+        self._stop = stop
+        self._mediator: Mediator | None = None
+        self._all_ended: asyncio.Future[None] | None = None
+        self.journal.count("behaviors", self._counted)
+        self.journal.attach(Kind.UP, self._resource_up)
+        self.journal.attach(Kind.ADDED, self._resource_changed)
+        self.journal.attach(Kind.REMOVED, self._resource_changed)
+
+    @property
+    def mediator(self) -> Mediator:
+        """The mediator of all data between behaviors."""
+        if self._mediator is None:
+            self._mediator = Mediator(self.members, self.journal)
+        return self._mediator
+
+    def member(self, name: str) -> Member:
+        """Return a behavior or reaction and its life.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+        """
+        member = self.members.get(name)
+        if member is None:
+            raise UnknownNameError("behavior", name, self.members)
+        return member
+
+    # What its members ask (`Crew`).
+
+    def query(self, name: str) -> BehaviorStatus:
+        """Tell what a behavior is doing."""
+        return self.member(name).status()
+
+    async def managed_by(self, name: str, verb: str, *args: Any) -> Any:
+        """Do what a behavior has asked for, if a policy gives it the right.
+
+        Args:
+            name: The behavior.
+            verb: ``add``, ``remove``, ``replace`` or ``restart``.
+            *args: What the method of that name takes.
+
+        Raises:
+            AccessDeniedError: It has no right to manage others.
+        """
+        if not {name, "*"} & self._managers:
+            raise AccessDeniedError(
+                name,
+                "behaviors",
+                verb,
+                f'no policy allows it: Policy.behaviors(allow={{"{name}": "manage"}})',
+            )
+        about = args[0] if isinstance(args[0], str) else name_of(args[0])
+        self.journal.publish(Kind.OPERATOR, about, name, None, verb)
+        return await getattr(self.verbs, verb)(*args)
+
+    def halt_robot(self, reason: str, by: str) -> Halting:
+        """Halt the robot in the name of a member."""
+        return self._halt(reason, by)
+
+    async def stop_robot(self, reason: str) -> Stopped:
+        """Stop the robot."""
+        return await self._stop(reason)
+
+    def is_adding(self, member: Mailbox) -> bool:
+        """Tell whether somebody waits for the setup of a member."""
+        return member in self.coming
+
+    def ended(self) -> None:
+        """One has finished, or failed for good, or has gone: are all at their end?"""
+        if self._all_ended is None or self._all_ended.done():
+            return
+        behaviors = [m for m in self.members.values() if isinstance(m.action, Behavior)]
+        over = {BehaviorState.FINISHED, BehaviorState.FAILED, BehaviorState.REMOVED}
+        if behaviors and all(member.state in over for member in behaviors):
+            self._all_ended.set_result(None)
+
+    def refuse_step(self, reaction: Reaction, performer: str) -> None:
+        """Raise what is wrong with a reaction that a behavior wants to perform."""
+        found = examine_step(self.plan(), reaction, performer=performer)
+        refuse_all(found, reaction)
+
+    def check_type(
+        self,
+        action: Behavior | Reaction,
+        resource: str,
+        access: Access,
+        wanted: type | None,
+    ) -> None:
+        """Raise what is wrong with what a behavior registers for while it runs."""
+        if wanted is None:
+            return
+        kind = Reads if Access.READ in access else Writes
+        found = unmet(self.plan(), action, resource, kind(wanted, name=resource))
+        if found is not None:
+            refuse_all([found], action)
+
+    def misfit(self, action: Behavior | Reaction, resource: str) -> str:
+        """Say why a resource that is there now does not fit a port; empty if it does."""
+        plan = self.plan()
+        for attribute, need in action.needs.items():
+            if need.provider == resource and resource in plan.resource_names:
+                finding = unmet(plan, action, attribute, need)
+                if finding is not None:
+                    return finding.text
+        return ""
+
+    # What is asked about them.
+
+    def plan(self, *new: Any, without: Member | None = None) -> Plan:
+        """Return this robot, with what is about to come and without what goes."""
+        members = [each for each in self.members.values() if each is not without]
+        return self.resources.plan([*(each.action for each in members), *new])
+
+    def declared(self, behavior: str, resource: str) -> Access:
+        """Return what the class of a behavior declares to do with a resource."""
+        access = Access(0)
+        for member in (self.members.get(behavior), *self.coming):
+            if member is None or member.name != behavior:
+                continue
+            performed = (need for each in member.steps.now for need in each.needs)
+            for need in itertools.chain(member.action.needs.values(), performed):
+                if need.resource == resource:
+                    access |= need.access
+        return access
+
+    async def all_ended(self) -> None:
+        """Wait until every deliberative behavior has ended, if there is one at all."""
+        if self._all_ended is None or self._all_ended.done():
+            self._all_ended = asyncio.get_running_loop().create_future()
+            self.ended()
+        await asyncio.shield(self._all_ended)
+
+    def failures(self) -> list[BehaviorFailedError]:
+        """Return an error for each behavior that has failed for good."""
+        failed = []
+        for member in self.members.values():
+            if member.state is BehaviorState.FAILED and member.error is not None:
+                error = BehaviorFailedError(member.name, describe(member.error))
+                error.__cause__ = member.error
+                failed.append(error)
+        return failed
+
+    # How one begins, and ends.
+
+    async def gone(self, name: str) -> None:
+        """Wait until a removal of that name that runs is over; others do not wait."""
+        while True:
+            member = self.members.get(name)
+            if member is None or not member.is_leaving or member.over.done():
+                return
+            self.commands.changed()
+            await asyncio.wait({member.over})
+
+    async def begin(self, member: Member) -> None:
+        """Start a member, and wait for its setup outside of the command queue."""
+        self.coming.append(member)
+        process = ProcessWatch(asyncio.get_running_loop())
+        try:
+            member.start()
+            ready = member.ready
+            if ready is None:
+                return
+            self.commands.changed()
+            await asyncio.wait({ready}, timeout=SETUP_TIMEOUT)
+            if not ready.done():
+                raise BehaviorFailedError(
+                    member.name, f"its setup did not end in {SETUP_TIMEOUT:g} s"
+                )
+            try:
+                ready.result()
+            except Exception as error:
+                if member.given_up:
+                    raise
+                raise BehaviorFailedError(member.name, describe(error)) from error
+        finally:
+            self.coming.remove(member)
+            _warn_of(process, member.name)
+
+    async def end(self, member: Member) -> None:
+        """End a member; what it moved is safe, or the time for both is over."""
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + self.grace + MARGIN
+        uses = {registration.resource for registration in member.uses()}
+        wrote = [
+            c for name, c in self.resources.actuators.channels.items() if name in uses
+        ]
+        self.ending.append(member)
+        await member.stop(self.grace)
+        member.state = BehaviorState.REMOVED
+        if wrote:
+            await self._until_safe(wrote, deadline)
+        self.ending.remove(member)
+        if not member.over.done():  # the stop may end what a command was ending
+            member.over.set_result(None)
+        self.undead.update(member.undead)
+        for task in member.undead:
+            task.add_done_callback(self.undead.discard)
+        for name in member.zombies:
+            self.zombie_count += 1
+            self.zombies.append(Zombie(member.name, name))
+            del self.zombies[:-ZOMBIE_LIMIT]
+            _log.warning("%s: %s would not end; it is fenced off", member.name, name)
+
+    async def _until_safe(
+        self, channels: Iterable[ActuatorChannel], deadline: float
+    ) -> None:
+        """Wait for the safe commands of actuators, until a moment."""
+        loop = asyncio.get_running_loop()
+        waits = [
+            spawn(loop, channel.safe_now(), name=f"safe {channel.name}")
+            for channel in channels
+        ]
+        try:
+            await asyncio.wait(waits, timeout=max(0.0, deadline - loop.time()))
+        finally:
+            for wait in waits:
+                wait.cancel()  # what is sent goes on to be sent
+
+    # What the robot does at its start and stop.
+
+    def wake(self) -> None:
+        """Let commands of the user wait from now on: the robot starts."""
+        self.context = script_context()
+        self.began = now()
+        self.commands.wake()
+
+    def accept(self, behaviors: Iterable[Behavior | Reaction]) -> None:
+        """Take the configuration list in: what it protects is protected from now on."""
+        for behavior in behaviors:
+            member = Member(behavior, self, behavior.name)
+            self.members[member.name] = member
+            member.sight.accept()
+
+    async def start(self) -> None:
+        """Deploy what was accepted; returns when all run, or have failed."""
+        members = list(self.members.values())
+        process = ProcessWatch(asyncio.get_running_loop())
+        for member in members:
+            try:
+                member.start()
+            except Exception as error:
+                member._crashed(error)  # noqa: SLF001 - its owner
+        # All are deployed: a setup that gives a command does not wait for itself.
+        self.commands.initialized()
+        await self._await_sight()
+        self.may_begin.set()
+        waits = [member.ready for member in members if member.ready is not None]
+        if waits:
+            await asyncio.wait(waits, timeout=START_TIMEOUT)
+            _warn_of(process, " or ".join(self.members))
+
+    def forget_waiting(self) -> None:
+        """Drop the commands that reactions keep for later: the robot is halted."""
+        for member in self.members.values():
+            member.forget_waiting()
+
+    def halt(self) -> None:
+        """Let no reaction take another step: the robot stops."""
+        for member in self.members.values():
+            member.halt()
+
+    async def stop(self) -> None:
+        """End every behavior, the last one first; all share one grace period."""
+        await self.commands.close()
+        if self._mediator is not None:
+            self._mediator.close()
+        members = list(reversed(self.members.values()))
+        members += [each for each in self.ending if each not in members]
+        await asyncio.gather(*(self.end(member) for member in members))
+        if self._all_ended is not None and not self._all_ended.done():
+            self._all_ended.set_result(None)
+
+    # Inside.
+
+    async def _await_sight(self) -> None:
+        """Wait until every reaction and guard has decided that can; not for ever."""
+        able = [
+            member.sight.decided()
+            for member in self.members.values()
+            if isinstance(member.action, Reaction)
+            and all(
+                self.resources.is_ready(need.provider)
+                for need in member.action.inputs.values()
+                if not need.optional
+            )
+        ]
+        if not all(future.done() for future in able):
+            await asyncio.wait(able, timeout=self._start_patience)
+
+    def _counted(self) -> Iterator[tuple[str, Mapping[str, int]]]:
+        for name, member in self.members.items():
+            yield name, member.counts()
+        if self._mediator is not None:
+            yield "behaviors", self._mediator.counts()
+        yield "behaviors", {"zombies": self.zombie_count}
+
+    def _resource_changed(self, event: Event) -> None:
+        if event.peer == "resource":
+            for member in tuple(self.members.values()):
+                member.resource_changed(event.component)
+
+    def _resource_up(self, event: Event) -> None:
+        for member in tuple(self.members.values()):
+            member.resource_up(event.component)
+
+
+class Verbs(Protocol):
+    """The behavior supervisor, as far as a behavior may manage others."""
+
+    async def add(self, behavior: Behavior | Reaction) -> None: ...
+    async def remove(self, name: str) -> list[Any]: ...
+    async def replace(self, name: str, behavior: Behavior | Reaction) -> list[Any]: ...
+    async def restart(self, name: str) -> None: ...
+
+
+def refuse_all(found: list[Finding], action: Behavior | Reaction) -> None:
+    """Raise what is wrong with a component, if anything is.
+
+    Raises:
+        EsairError: The one mistake.
+        ExceptionGroup: Several.
+    """
+    refuse(found, f"{name_of(action)} is described wrongly")
+
+
+def name_of(component: object) -> str:
+    """Return how messages name a component, whatever it is."""
+    try:
+        return (
+            component.name if isinstance(component, abc.Component) else repr(component)
+        )
+    except ConfigError:
+        return repr(component)
+
+
+def _warn_of(process: ProcessWatch, names: str) -> None:
+    """Say who has changed what others rely on: the stop by a signal, say."""
+    changes = process.changes()
+    if changes:
+        _log.warning(
+            "%s: changed %s, which belongs to the whole process: put it back, or the "
+            "robot may neither end its tasks nor stop in order at a signal",
+            names,
+            ", ".join(changes),
+        )

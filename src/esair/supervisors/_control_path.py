@@ -1,0 +1,234 @@
+"""The control path: who may do what with a resource, and how it is configured."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Set
+from typing import Any
+
+from esair.connections import (
+    ActuatorConnection,
+    AppliedChannel,
+    Registration,
+    Registrations,
+    SensorConnection,
+)
+from esair.exceptions import (
+    AccessDeniedError,
+    ConfigError,
+    DeviceLostError,
+    EsairError,
+    HaltedError,
+    ResourceRemovedError,
+    StoppingError,
+    UnknownNameError,
+)
+from esair.journal import Kind
+from esair.loop import Budget, spawn
+from esair.messages import Access, ResourceState, SupervisorPhase
+from esair.resources import APPLIED, check_settings, shown
+from esair.supervisors._operate import operate
+from esair.supervisors._resource_life import ResourceLife
+from esair.supervisors._rules import Rules
+from esair.values import check_name, is_positive
+
+
+class ControlPath:
+    """Issues registrations by the rules, and lets their holders configure.
+
+    Args:
+        registrations: The table of who is registered for what.
+        rules: Decide who may.
+        lives: The resources that are there, by name.
+        leaving: The names of those that are about to go.
+        sensors: The way to the sensors.
+        actuators: The way to the actuators.
+    """
+
+    def __init__(
+        self,
+        registrations: Registrations,
+        rules: Rules,
+        lives: Mapping[str, ResourceLife],
+        leaving: Set[str],
+        sensors: SensorConnection,
+        actuators: ActuatorConnection,
+    ) -> None:
+        self.registrations = registrations
+        self.rules = rules
+        self._lives = lives
+        self._leaving = leaving
+        self._sensors = sensors
+        self._actuators = actuators
+        self.closed = False
+        """The robot stops: nobody gets a right any more."""
+
+    def grant(
+        self,
+        behavior: str,
+        resource: str,
+        access: Access,
+        *,
+        priority: int = 0,
+        hold: float | None = None,
+        instead_of: str | None = None,
+    ) -> Registration:
+        """Register a behavior, in one step without an await.
+
+        Args:
+            behavior: The name of who asks.
+            resource: What for.
+            access: What it wants to do.
+            priority: With which priority it writes; higher wins.
+            hold: For how long its writes hold an actuator, in seconds.
+            instead_of: A behavior that is about to give its place to this one.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+            ResourceRemovedError: It is about to go.
+            AccessDeniedError: A rule denies it.
+            StoppingError: The robot is stopping.
+        """
+        check_name("behavior", behavior)
+        provider = self._provider(resource)
+        self._check_there(resource, provider)
+        _check_terms(behavior, resource, access, priority, hold)
+        self.rules.check(
+            behavior,
+            resource,
+            access,
+            priority,
+            is_actuator=resource in self._actuators.channels,
+            instead_of=instead_of,
+            provider=provider,
+        )
+        if provider != resource:
+            self._tell_applied(provider)
+        known = None
+        if instead_of is None:
+            known = self.registrations.find(behavior, resource, access, priority, hold)
+        return known or self.registrations.issue(
+            behavior, resource, access, priority=priority, hold=hold
+        )
+
+    def admit(
+        self, principal: str, resource: str, access: Access, *, priority: int = 0
+    ) -> Registration:
+        """Register somebody who is no component: people rank above the rules.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+            ResourceRemovedError: It is about to go.
+            StoppingError: The robot is stopping.
+        """
+        self._check_there(resource, resource)
+        return self.registrations.issue(principal, resource, access, priority=priority)
+
+    def _provider(self, resource: str) -> str:
+        """Return the actuator if a name is that of its last command."""
+        actuator = resource.removesuffix(APPLIED)
+        return actuator if actuator in self._actuators.channels else resource
+
+    def _check_there(self, resource: str, provider: str) -> None:
+        if self.closed:
+            raise StoppingError("resources", SupervisorPhase.STOPPED.value)
+        if provider not in self._lives:
+            raise UnknownNameError("resource", resource, self._lives)
+        if provider in self._leaving:
+            raise ResourceRemovedError(resource)
+
+    def _tell_applied(self, actuator: str) -> None:
+        """Have the last command of an actuator as a reading, from now on."""
+        channel = self._actuators.channels[actuator]
+        if channel.applied is None:
+            loop = asyncio.get_running_loop()
+            applied = AppliedChannel(channel.actuator, self.registrations, loop)
+            self._sensors.channels[applied.name] = applied
+            channel.tell_applied(applied)
+
+    def revoke(
+        self, registration: Registration, reason: Callable[[], EsairError] | None = None
+    ) -> None:
+        """Make a registration void in one step; its actuator is made safe."""
+        if self.registrations.revoke(registration, reason):
+            life = self._lives.get(registration.resource)
+            if life is not None:
+                life.channel.drop(registration)
+
+    async def configure(self, registration: Registration, /, **settings: Any) -> None:
+        """Change settings of a resource; see `ResourceSupervisor.configure`."""
+        await Budget.spend()
+        life = self._configurable(registration)
+        check_settings(life.resource, settings)
+        task = spawn(
+            asyncio.get_running_loop(),
+            self._configure(registration, settings),
+            name=f"configure {registration.resource}",
+        )
+        task.add_done_callback(lambda done: done.cancelled() or done.exception())
+        await asyncio.shield(task)
+
+    async def operate(
+        self, registration: Registration, name: str, /, **parameters: Any
+    ) -> Any:
+        """Call an operation of a resource; see `ResourceSupervisor.operate`."""
+        await Budget.spend()
+        life = self._configurable(registration, operates=True)
+        return await operate(life, registration, name, parameters)
+
+    def _configurable(
+        self, registration: Registration, *, operates: bool = False
+    ) -> ResourceLife:
+        if (
+            not isinstance(registration, Registration)
+            or self.registrations.live.get(registration.number) is not registration
+        ):
+            raise self.registrations.refusal(registration)
+        if Access.CONFIGURE not in registration.access:
+            raise AccessDeniedError(
+                registration.behavior,
+                registration.resource,
+                str(Access.CONFIGURE),
+                f"it is registered to {registration.access} only",
+            )
+        life = self._lives[registration.resource]
+        if operates and self.registrations.halt is not None:
+            raise HaltedError(life.resource.name, self.registrations.halt.reason)
+        if life.channel.state is not ResourceState.READY:
+            raise life.channel.error or DeviceLostError(registration.resource)
+        return life
+
+    async def _configure(
+        self, registration: Registration, settings: dict[str, Any]
+    ) -> None:
+        life = self._configurable(registration)
+        async with life.configuring:
+            if self._configurable(registration) is not life:
+                raise DeviceLostError(registration.resource, "it was replaced")
+            changes = check_settings(life.resource, settings)
+            await life.configure(changes)
+            self.registrations.journal.publish(
+                Kind.CONFIGURED,
+                registration.resource,
+                registration.behavior,
+                shown(life.resource, changes),
+            )
+
+
+def _check_terms(
+    behavior: str, resource: str, access: Access, priority: int, hold: float | None
+) -> None:
+    if not isinstance(access, Access):
+        raise ConfigError(
+            behavior, resource, f"expected an esair.Access, not {access!r:.80}"
+        )
+    if type(priority) is not int:
+        raise ConfigError(
+            behavior,
+            f"{resource}.priority",
+            f"expected a whole number, not {priority!r:.80}",
+        )
+    if hold is not None and not is_positive(hold):
+        raise ConfigError(
+            behavior, f"{resource}.hold", f"expected seconds > 0, not {hold!r:.80}"
+        )

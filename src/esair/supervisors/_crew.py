@@ -1,0 +1,44 @@
+"""What a member asks of the deployment that it belongs to."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+from typing import Any, Protocol
+
+from esair.actions import Behavior, Reaction
+from esair.connections import Halting, Stopped
+from esair.journal import Journal
+from esair.messages import Access, BehaviorStatus
+from esair.supervisors._mailbox import Mailbox
+from esair.supervisors._mediator import Mediator
+from esair.supervisors._resource_deployment import ResourceDeployment
+
+
+class Crew(Protocol):
+    """All behaviors and reactions of a robot, as one of them sees them."""
+
+    resources: ResourceDeployment
+    journal: Journal
+    seed: int
+    began: float
+    context: contextvars.Context | None
+    may_begin: asyncio.Event
+
+    @property
+    def mediator(self) -> Mediator: ...
+    def query(self, name: str) -> BehaviorStatus: ...
+    async def managed_by(self, name: str, verb: str, *args: Any) -> Any: ...
+    def halt_robot(self, reason: str, by: str) -> Halting: ...
+    async def stop_robot(self, reason: str) -> Stopped: ...
+    def is_adding(self, member: Mailbox) -> bool: ...
+    def ended(self) -> None: ...
+    def refuse_step(self, reaction: Reaction, performer: str) -> None: ...
+    def misfit(self, action: Behavior | Reaction, resource: str) -> str: ...
+    def check_type(
+        self,
+        action: Behavior | Reaction,
+        resource: str,
+        access: Access,
+        wanted: type | None,
+    ) -> None: ...

@@ -1,0 +1,60 @@
+"""How the tasks of a component are ended that would rather not."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from esair.exceptions import BehaviorRemovedError, EsairError, NotRegisteredError
+from esair.loop import Owner
+
+_SECOND = 0.04
+"""How long a task may take that has swallowed its cancellation, in seconds."""
+
+
+def living(owner: Owner) -> list[asyncio.Task[Any]]:
+    """Return the tasks of an owner that have not ended, without the one that asks."""
+    me = asyncio.current_task()
+    return [task for task in owner.living() if task is not me]
+
+
+async def until_ended(tasks: list[asyncio.Task[Any]], grace: float) -> None:
+    """Wait for tasks that were cancelled, if there are any."""
+    if tasks:
+        await asyncio.wait(tasks, timeout=grace if grace > 0 else 0.001)
+
+
+def cancel(owner: Owner) -> None:
+    """Cancel the tasks of an owner, without waiting."""
+    for task in owner.living():
+        task.cancel()
+
+
+async def end(owner: Owner, grace: float) -> list[asyncio.Task[Any]]:
+    """Cancel the tasks of an owner, twice if need be; returns those that would not end."""
+    left = living(owner)
+    for seconds in (grace, _SECOND):
+        for task in left:
+            task.cancel()
+        await until_ended(left, seconds)
+        left = living(owner)
+    for task in left:
+        task.add_done_callback(_look_at)
+    return left
+
+
+def _look_at(task: asyncio.Task[Any]) -> None:
+    if not task.cancelled():
+        task.exception()
+
+
+class UserRemovedError(BehaviorRemovedError, NotRegisteredError):
+    """A behavior that was removed uses a port of its: both is true."""
+
+    def __init__(self, behavior: str) -> None:
+        EsairError.__init__(
+            self, f"behavior {behavior!r} was removed: it is registered for nothing"
+        )
+        self.behavior = behavior
+        self.resource = ""
+        self.data = None

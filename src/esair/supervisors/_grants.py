@@ -1,0 +1,161 @@
+"""What one component may use: its registrations, and the ports made of them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+from esair.actions import (
+    ActuatorPort,
+    GuardRunner,
+    Guards,
+    Need,
+    Reaction,
+    ReactionRunner,
+    Reads,
+    SensorPort,
+    Writes,
+)
+from esair.connections import ActuatorChannel, Registration, SensorChannel
+from esair.exceptions import EsairError, describe
+from esair.messages import Access
+from esair.supervisors._crew import Crew
+
+Port = SensorPort[Any] | ActuatorPort[Any]
+
+_log = logging.getLogger("esair")
+
+
+class Grants:
+    """Keeps the registrations of one component, and the ports that it declares."""
+
+    __slots__ = ("_crew", "_name", "_ports", "registrations")
+
+    def __init__(self, name: str, crew: Crew) -> None:
+        self._name = name
+        self._crew = crew
+        self._ports: dict[str, Port] = {}
+        """The declared ports of a behavior, by their attributes."""
+        self.registrations: list[Registration] = []
+
+    def grant(
+        self,
+        resource: str,
+        access: Access,
+        priority: int,
+        hold: float | None,
+        owned: list[Registration] | None = None,
+    ) -> Registration:
+        """Return a registration of its own: one that it has on these terms, or a new one.
+
+        Never one of another member with the same name, which is about to give its
+        place to this one and takes its registrations along.
+        """
+        terms = (resource, access, priority, hold)
+        for known in tuple(self.registrations):
+            if terms == (known.resource, known.access, known.priority, known.hold):
+                if known.usable:
+                    return known
+                self.registrations.remove(known)  # void: its resource was removed
+        registration = self._crew.resources.control.grant(
+            self._name,
+            resource,
+            access,
+            priority=priority,
+            hold=hold,
+            instead_of=self._name,
+        )
+        (self.registrations if owned is None else owned).append(registration)
+        return registration
+
+    def of_need(
+        self, need: Need, owned: list[Registration] | None = None
+    ) -> Registration:
+        """Return a registration for what an action declares."""
+        return self.grant(
+            need.resource,
+            need.access,
+            0 if isinstance(need, Reads) else need.priority,
+            need.hold if isinstance(need, Writes) else None,
+            owned,
+        )
+
+    def channel(self, resource: str) -> SensorChannel | ActuatorChannel:
+        """Return the way to a resource."""
+        sensor = self._crew.resources.sensors.channels.get(resource)
+        return sensor or self._crew.resources.actuators.channels[resource]
+
+    def port(self, registration: Registration, max_age: float | None) -> Port:
+        """Make a port of a registration."""
+        resources = self._crew.resources
+        if registration.resource in resources.sensors.channels:
+            return resources.sensors.port(registration, max_age=max_age)
+        return resources.actuators.port(registration)
+
+    def declare(self, attribute: str, need: Need) -> Port:
+        """Make the port that a behavior declares."""
+        port = self._ports[attribute] = self.port(self.of_need(need), age_limit(need))
+        return port
+
+    def revive(self, needs: Mapping[str, Need], resource: str) -> None:
+        """Give the declared ports of a behavior their rights to a resource again."""
+        there = self._crew.resources.lives
+        for attribute, need in needs.items():
+            port = self._ports.get(attribute)
+            if port is None or need.provider != resource or resource not in there:
+                continue
+            if port.registration.reason is None:
+                continue  # it was never revoked
+            try:
+                registration = self.of_need(need)
+            except EsairError as error:
+                _log.warning("%s: %s: %s", self._name, attribute, describe(error))
+            else:
+                port.revive(self.channel(need.resource), registration)
+
+
+def bind(
+    runner: ReactionRunner,
+    reaction: Reaction,
+    grants: Grants,
+    owned: list[Registration] | None = None,
+) -> list[Registration]:
+    """Register for what a reaction reads and moves, and let it run.
+
+    Args:
+        runner: What runs it.
+        reaction: The reaction; it gets its ports.
+        grants: Who registers.
+        owned: Where new registrations are noted; in those of the component unless given.
+
+    Returns:
+        All registrations that it uses.
+    """
+    inputs: dict[str, tuple[SensorChannel, Registration, float | None]] = {}
+    outputs: dict[str, tuple[ActuatorChannel, Registration]] = {}
+    guarded: ActuatorChannel | None = None
+    uses: list[Registration] = []
+    for attribute, need in reaction.needs.items():
+        registration = grants.of_need(need, owned)
+        uses.append(registration)
+        channel = grants.channel(need.resource)
+        if isinstance(channel, SensorChannel):
+            limit = age_limit(need)
+            inputs[attribute] = (channel, registration, limit)
+            reaction.__dict__[attribute] = grants.port(registration, limit)
+        elif isinstance(need, Guards):
+            guarded = channel
+        else:
+            outputs[attribute] = (channel, registration)
+    if isinstance(runner, GuardRunner):
+        assert guarded is not None
+        runner.guard(guarded, inputs)
+    else:
+        runner.start(inputs, outputs)
+    return uses
+
+
+def age_limit(need: Need) -> float | None:
+    """Return the greatest age that a port declares, in seconds; None if none."""
+    return need.max_age if isinstance(need, Reads) else None

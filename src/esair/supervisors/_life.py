@@ -1,0 +1,95 @@
+"""What a behavior and a resource have in common: restarts, a budget, reports."""
+
+from __future__ import annotations
+
+import collections
+import logging
+
+from esair.exceptions import describe
+from esair.journal import Journal, Kind
+from esair.messages import Restart
+
+_log = logging.getLogger("esair")
+
+
+class Life:
+    """The life of one component: it fails, and is begun anew while its budget lasts.
+
+    Attributes:
+        name: The name of the component.
+        restarts: How often it may still be begun anew.
+        journal: Where it tells what becomes of it.
+    """
+
+    __slots__ = ()
+
+    name: str
+    restarts: RestartBudget
+    journal: Journal
+
+    def tell(
+        self, kind: Kind, error: BaseException | None = None, text: str = ""
+    ) -> None:
+        """Publish what has become of it."""
+        self.journal.publish(kind, self.name, "", error, text)
+
+    def pause_after(self, error: BaseException, now: float) -> float | None:
+        """Take a restart from the budget, after an error.
+
+        Returns:
+            How long to wait before it, in seconds; None if there is none left: it has
+            failed for good, and that has been told.
+        """
+        pause = self.restarts.spend(now)
+        if pause is None:
+            self.tell(Kind.FAILED, error, describe(error))
+            _log.error(
+                "%s: failed for good, %d restarts did not help: %s",
+                self.name,
+                self.restarts.policy.max,
+                describe(error),
+                exc_info=safe_to_raise(error),
+            )
+        return pause
+
+
+class RestartBudget:
+    """Counts restarts within a window and says how long to wait before each."""
+
+    __slots__ = ("_times", "count", "policy")
+
+    def __init__(self, policy: Restart) -> None:
+        self.policy = policy
+        self.count = 0
+        """How many restarts there were since it was full."""
+        self._times: collections.deque[float] | None = None
+
+    def fill(self) -> None:
+        """Begin anew: somebody has asked for a restart, or nothing else helps."""
+        self._times = None
+        self.count = 0
+
+    def spend(self, now: float) -> float | None:
+        """Return the pause before the next restart in seconds, or None if it is spent."""
+        policy = self.policy
+        if self._times is None:
+            self._times = collections.deque()
+        times = self._times
+        while times and now - times[0] > policy.within:
+            times.popleft()
+        if len(times) >= policy.max:
+            return None
+        doublings = min(len(times), 64)  # more would leave the range of a float
+        pause = min(policy.delay * 2.0**doublings, policy.max_delay)
+        times.append(now)
+        self.count += 1
+        return pause
+
+
+def safe_to_raise(error: BaseException) -> Exception:
+    """Make an error that is safe to raise in a task of somebody else."""
+    if isinstance(error, Exception) and not isinstance(error, StopIteration):
+        return error  # a future takes everything but a StopIteration
+    wrapped = RuntimeError(f"it raised {describe(error)}")
+    wrapped.__cause__ = error
+    return wrapped

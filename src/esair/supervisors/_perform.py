@@ -1,0 +1,166 @@
+"""A reaction that a behavior performs as a step of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from esair.actions import GuardRunner, Reaction, ReactionRunner
+from esair.connections import Registration
+from esair.exceptions import ConfigError
+from esair.loop import Owner
+from esair.supervisors._crew import Crew
+from esair.supervisors._grants import Grants, bind
+from esair.supervisors._life import safe_to_raise
+from esair.supervisors._sight import Sight
+from esair.values import check_duration
+
+
+class Steps:
+    """The reactions that one behavior performs now.
+
+    Args:
+        name: The name of the behavior.
+        crew: The behaviors of the robot.
+        grants: What it may use.
+    """
+
+    __slots__ = ("_crew", "_grants", "_name", "now")
+
+    def __init__(self, name: str, crew: Crew, grants: Grants) -> None:
+        self._name = name
+        self._crew = crew
+        self._grants = grants
+        self.now: list[Step] = []
+
+    async def perform(
+        self,
+        reaction: Reaction,
+        owner: Owner,
+        until: Callable[..., bool] | None,
+        timeout: float | None,
+        blind_timeout: float | None,
+    ) -> bool:
+        """Run a reaction until its condition comes true or its time is over."""
+        for field, seconds in (("timeout", timeout), ("blind_timeout", blind_timeout)):
+            if seconds is not None:
+                check_duration(self._name, field, seconds)
+        if not isinstance(reaction, Reaction):
+            raise ConfigError(
+                self._name,
+                "perform",
+                f"expected an esair.Reaction, not {reaction!r:.80}",
+            )
+        self._crew.refuse_step(reaction, self._name)
+        loop = asyncio.get_running_loop()
+        table = self._crew.resources.actuators.protections
+        sight = Sight(table, reaction, reaction.name, step_of=self._name)
+        step = Step(
+            reaction, until, loop, sight, blind_timeout, self._crew.began, owner
+        )
+        self.now.append(step)
+        sight.accept()
+        timer = None
+        try:
+            step.uses = bind(step.runner, reaction, self._grants, step.own)
+            if timeout is not None:
+                timer = loop.call_later(timeout, step.end, False)
+            return await step.ended
+        finally:
+            if timer is not None:
+                timer.cancel()
+            step.stop()
+            self.now.remove(step)
+            for registration in step.own:
+                self._crew.resources.control.revoke(registration)
+            sight.leave()
+
+
+class Step:
+    """A reaction that is performed now: what runs it, and whether it sees."""
+
+    def __init__(
+        self,
+        reaction: Reaction,
+        until: Callable[..., bool] | None,
+        loop: asyncio.AbstractEventLoop,
+        sight: Sight,
+        blind_timeout: float | None,
+        began: float,
+        owner: Owner,
+    ) -> None:
+        self.sight = sight
+        self.runner = runner_for(
+            reaction,
+            sight,
+            on_state=self._state,
+            on_crash=self.crash,
+            on_sight=self._sees,
+            until=until,
+            on_end=lambda: self.end(True),
+            began=began,
+            owner=owner,
+        )
+        self._loop = loop
+        self._blind_timeout = blind_timeout
+        self._blind_timer: asyncio.TimerHandle | None = None
+        self._is_blind()
+        self.needs = tuple(reaction.needs.values())
+        self.own: list[Registration] = []
+        """The registrations that end with it."""
+        self.uses: list[Registration] = []
+        self.ended: asyncio.Future[bool] = loop.create_future()
+
+    @property
+    def detail(self) -> str:
+        """Why it does nothing, in words; empty if it does what it should."""
+        reason = self.sight.reason
+        return f"step {self.sight.name} is blind: {reason}" if reason else ""
+
+    def stop(self) -> None:
+        """Take no further step."""
+        self.runner.stop()
+        self._sees_again()
+
+    def _state(self, running: bool, why: str) -> None:
+        if not running:
+            self.sight.blind(why)
+            self._is_blind()
+
+    def _is_blind(self) -> None:
+        if self._blind_timeout is not None and self._blind_timer is None:
+            self._blind_timer = self._loop.call_later(
+                self._blind_timeout, self._blind_for_too_long
+            )
+
+    def _sees(self) -> None:
+        self.sight.sees()
+        self._sees_again()
+
+    def _sees_again(self) -> None:
+        if self._blind_timer is not None:
+            self._blind_timer.cancel()
+            self._blind_timer = None
+
+    def _blind_for_too_long(self) -> None:
+        self._blind_timer = None
+        error = self.runner.absence()
+        if error is not None:
+            self.crash(error)
+
+    def end(self, result: bool) -> None:
+        if not self.ended.done():
+            self.ended.set_result(result)
+
+    def crash(self, error: BaseException) -> None:
+        if not self.ended.done():
+            self.ended.set_exception(safe_to_raise(error))
+            self.ended.exception()  # the behavior may be cancelled in this moment
+
+
+def runner_for(reaction: Reaction, sight: Sight, **hooks: Any) -> ReactionRunner:
+    """Make what runs a reaction: one that moves something, or a guard."""
+    if reaction.guarded is None:
+        return ReactionRunner(reaction, **hooks)
+    return GuardRunner(reaction, reaction.guarded[0], sight.guard, **hooks)

@@ -1,0 +1,439 @@
+"""What resources a robot has now: how each comes, goes, and is replaced."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from esair.actions import Derived
+from esair.connections import (
+    ActuatorChannel,
+    ActuatorConnection,
+    Call,
+    DerivedChannel,
+    LastCommand,
+    Registrations,
+    SensorChannel,
+    SensorConnection,
+)
+from esair.exceptions import (
+    DeviceLostError,
+    ResourceRemovedError,
+    StoppingError,
+    UnknownNameError,
+)
+from esair.journal import Kind
+from esair.loop import spawn
+from esair.messages import Access, Policy, ResourceState, Restart
+from esair.plan import UNWATCHED, Plan, depths, when_alone
+from esair.resources import APPLIED, Actuator, Resource, Sensor
+from esair.supervisors._command_queue import CommandQueue
+from esair.supervisors._control_path import ControlPath
+from esair.supervisors._derived_life import DerivedLife
+from esair.supervisors._resource_life import ResourceLife
+from esair.supervisors._rules import Declared, Rules
+
+if TYPE_CHECKING:
+    from esair.buses import Bus
+    from esair.watchdog import Watchdog
+
+T = TypeVar("T")
+
+
+class ResourceDeployment:
+    """The resources of one robot: it starts and stops them, RS adds and removes some.
+
+    Args:
+        sensors: The way to the sensors; filled here.
+        actuators: The way to the actuators; filled here.
+        registrations: The table of who is registered for what.
+        policies: The developer's rules.
+        declared: What the class of a behavior declares to do with a resource.
+        grace: How long it may take to take a resource away, in seconds.
+    """
+
+    def __init__(
+        self,
+        sensors: SensorConnection,
+        actuators: ActuatorConnection,
+        registrations: Registrations,
+        *,
+        policies: Iterable[Policy] = (),
+        declared: Declared = lambda _behavior, _resource: Access(0),
+        grace: float = 1.0,
+    ) -> None:
+        self.sensors = sensors
+        self.actuators = actuators
+        self.registrations = registrations
+        self.commands = CommandQueue("resources", asleep=True)
+        self.lives: dict[str, ResourceLife] = {}
+        self._derived: dict[str, DerivedLife] = {}
+        self._leaving: set[str] = set()
+        self.control = ControlPath(
+            registrations,
+            Rules(policies, registrations, declared),
+            self.lives,
+            self._leaving,
+            sensors,
+            actuators,
+        )
+        sensors.control = actuators.control = self.control
+        self._grace = grace
+        self._departures: dict[str, asyncio.Future[None]] = {}
+        self._works: set[asyncio.Task[Any]] = set()
+        self.left: set[Call] = set()
+        """The driver calls that were given up, and whose code still runs."""
+        self.seed = 0
+        """What the random numbers of its components begin with; set by the robot."""
+        self.began = 0.0
+        """When the robot has started, in seconds of the loop's clock."""
+        self.watchdog: Watchdog | None = None
+        """The second process that makes safe what this one cannot; the robot's."""
+        self.buses: list[Bus] = []
+        """Every bus that a resource of this robot is or was on."""
+        self.journal = registrations.journal
+        self.journal.count("resources", self._counted)
+
+    def life(self, name: str) -> ResourceLife:
+        """Return a resource and its life.
+
+        Raises:
+            UnknownNameError: No resource has the name.
+        """
+        life = self.lives.get(name)
+        if life is None:
+            raise UnknownNameError("resource", name, self.lives)
+        return life
+
+    def is_ready(self, name: str) -> bool:
+        """Tell whether a resource is there, and its device is ready."""
+        life = self.lives.get(name)
+        return (
+            life is not None
+            and life.channel.state is ResourceState.READY
+            and name not in self._leaving
+        )
+
+    def dies(self, name: str) -> str:
+        """Say what becomes of an actuator when this process dies, or this computer."""
+        life = self.life(name)
+        assert isinstance(life.resource, Actuator)
+        why = "the robot has no watchdog" if life.watch is None else life.watch.why
+        process = (
+            f"{UNWATCHED}, {why}" if why else "the watchdog sends its safe command"
+        )
+        return (
+            f"when this process dies: {process}; "
+            f"when this computer dies: {when_alone(life.resource)}"
+        )
+
+    def plan(self, behaviors: Sequence[Any]) -> Plan:
+        """Return what this robot is made of now, with some behaviors."""
+        return Plan(
+            resources=[life.resource for life in self.lives.values()],
+            behaviors=behaviors,
+            policies=tuple(self.control.rules.policies.values()),
+            writers=self.control.rules.writers(),
+        )
+
+    def plan_with(self, new: Any, without: Resource | None = None) -> Plan:
+        """Return the resources there are, with a new one, or one in another's place."""
+        there = [life.resource for life in self.lives.values()]
+        return Plan(resources=[*(each for each in there if each is not without), new])
+
+    # How one comes.
+
+    def deploy(
+        self, resource: Resource, channel: SensorChannel | ActuatorChannel | None = None
+    ) -> ResourceLife:
+        """Begin to open a device; with a channel: in the place of another one."""
+        loop = asyncio.get_running_loop()
+        restart = getattr(resource, "restart", None)
+
+        def on_error(error: Exception) -> None:
+            current = self.lives.get(resource.name)
+            if current is not None:
+                current.on_error(error)
+
+        if resource.bus is not None and resource.bus not in self.buses:
+            self.buses.append(resource.bus)
+        if channel is None:
+            if isinstance(resource, Actuator):
+                channel = ActuatorChannel(
+                    resource, self.registrations, loop, on_error, self.left
+                )
+                self.actuators.channels[resource.name] = channel
+                self.actuators.protections.appear(resource.name)
+            else:
+                assert isinstance(resource, Sensor)
+                kind = DerivedChannel if resource.is_computed else SensorChannel
+                channel = kind(resource, self.registrations, loop, on_error, self.left)
+                self.sensors.channels[resource.name] = channel
+        policy = restart if isinstance(restart, Restart) else Restart()
+        life: ResourceLife
+        if isinstance(channel, DerivedChannel) and isinstance(resource, Derived):
+            life = DerivedLife(resource, channel, policy, self)
+            self._derived[resource.name] = life
+        else:
+            life = ResourceLife(resource, channel, policy, self.watchdog)
+        self.lives[resource.name] = life
+        life.start()
+        return life
+
+    def came(self, name: str, resource: Resource | None = None, text: str = "") -> None:
+        """Tell that a resource has come into the running robot, and let others find it."""
+        self.journal.publish(Kind.ADDED, name, "resource", resource, text)
+        for life in tuple(self._derived.values()):
+            if life.reads(name):
+                life.bind()
+
+    # How one goes: fenced in one step, then closed outside the command queue.
+
+    def deadline(self) -> float:
+        """Until when a command of the user that begins now may wait, in all."""
+        return asyncio.get_running_loop().time() + self._grace
+
+    def is_departing(self, name: str) -> bool:
+        """Tell whether a resource is going, or another one takes its place."""
+        return name in self._departures
+
+    async def departed(self, name: str) -> None:
+        """Wait until what has the name now, and is going, has gone."""
+        while (departure := self._departures.get(name)) is not None:
+            await asyncio.shield(departure)
+
+    async def fenced(
+        self,
+        name: str,
+        fence: Callable[[], Coroutine[Any, Any, asyncio.Task[T] | None]],
+        title: str,
+    ) -> T:
+        """Fence a resource off in one step, and wait for what that has begun."""
+        while True:
+            await self.departed(name)
+            begun = await self.commands.run(fence, name=title, undo=False)
+            if begun is not None:  # else another command for the name was first
+                return await self._join(begun)
+
+    def undo(self, name: str, title: str) -> asyncio.Task[None]:
+        """Take away what was added in vain; nobody was told that it is there."""
+        self._depart(name)
+        return self._apart(self._leave(name, self.lives[name], self.deadline()), title)
+
+    def remove(self, name: str, until: float, title: str) -> asyncio.Task[None]:
+        """Fence a resource off, and begin to make it safe and to close it."""
+        self._depart(name)
+        self._fence(name)
+        return self._apart(self._leave(name, self.lives[name], until), title)
+
+    def replace(
+        self, name: str, resource: Resource, *, keep: bool, until: float, title: str
+    ) -> asyncio.Task[ResourceLife]:
+        """Fence a resource off, and begin to put another one in its place.
+
+        Args:
+            name: Which one.
+            resource: The other one.
+            keep: Registrations go on.
+            until: When to give up what the old one does, on the loop's clock.
+            title: The name of the task.
+        """
+        self._depart(name)
+        channel = self.lives[name].channel
+        if not keep:
+            self._fence(name)
+        elif isinstance(channel, ActuatorChannel):
+            channel.leaving(DeviceLostError(name, "it is being replaced"))
+        return self._apart(self._exchange(name, resource, keep, until), title)
+
+    def _depart(self, name: str) -> None:
+        self._departures[name] = asyncio.get_running_loop().create_future()
+
+    def _has_departed(self, name: str) -> None:
+        self._leaving.discard(name)
+        departure = self._departures.pop(name, None)
+        if departure is not None:
+            departure.set_result(None)
+
+    def _fence(self, name: str) -> None:
+        """From now on nobody has, or gets, a right to what goes."""
+        self._leaving.add(name)
+        for part in (name, name + APPLIED):
+            for each in self.registrations.of_resource(part):
+                self.registrations.revoke(each, lambda: ResourceRemovedError(name))
+
+    async def _leave(self, name: str, life: ResourceLife, until: float) -> None:
+        """Make a resource safe, close it, and forget it; bounded."""
+        try:
+            await self._make_safe(name, until)
+        finally:
+            try:
+                if self.lives.get(name) is life:
+                    await self._undeploy(name, ResourceState.REMOVED, until)
+            finally:
+                self._has_departed(name)
+        self.journal.publish(Kind.REMOVED, name, "resource")
+
+    def _apart(self, work: Coroutine[Any, Any, T], title: str) -> asyncio.Task[T]:
+        """Do what takes a while, outside the command queue, and to its end."""
+        task = spawn(asyncio.get_running_loop(), work, name=title)
+        self._works.add(task)
+        task.add_done_callback(self._done)
+        return task
+
+    def _done(self, task: asyncio.Task[Any]) -> None:
+        self._works.discard(task)
+        if not task.cancelled():
+            task.exception()  # its caller may have gone
+
+    async def _join(self, task: asyncio.Task[T]) -> T:
+        try:
+            return await asyncio.shield(task)
+        except asyncio.CancelledError:
+            if task.cancelled():
+                raise StoppingError("resources", self.commands.phase.value) from None
+            raise
+
+    async def _exchange(
+        self, name: str, resource: Resource, keep: bool, until: float
+    ) -> ResourceLife:
+        """Put a resource in the place of one that is fenced off."""
+        life = self.lives[name]
+        channel = life.channel
+        try:
+            await self._make_safe(name, until)
+            if keep:
+                error = DeviceLostError(name, "it is being replaced")
+                channel.down(ResourceState.LOST, error)
+            else:
+                channel.removed()
+            await life.stop(until)
+            if keep:
+                channel.attach(resource)  # type: ignore[arg-type]
+                new = self.deploy(resource, channel)
+            else:
+                self._forget(name, ResourceState.REMOVED)
+                new = self.deploy(resource)
+            self.came(name, resource, "in its place")
+            return new
+        finally:
+            self._has_departed(name)
+
+    async def _make_safe(self, name: str, until: float = math.inf) -> None:
+        channel = self.actuators.channels.get(name)
+        if channel is None:
+            return
+        if channel.state is not ResourceState.READY:
+            await self.lives[name].last_try(until)
+            return
+        channel.make_safe()
+        await channel.safe_now(until)
+
+    async def _undeploy(self, name: str, state: ResourceState, until: float) -> None:
+        life = self.lives[name]
+        if state is ResourceState.REMOVED:
+            life.channel.removed()
+        else:
+            life.channel.down(state, StoppingError(name, "closed"))
+        await life.stop(until)
+        if isinstance(life.channel, ActuatorChannel):
+            life.channel.closed()
+        self._forget(name, state)
+
+    def _forget(self, name: str, state: ResourceState) -> None:
+        life = self.lives.pop(name)
+        self._derived.pop(name, None)
+        life.channel.state = state
+        if state is ResourceState.REMOVED:
+            self.sensors.channels.pop(name, None)
+            self.sensors.channels.pop(name + APPLIED, None)
+            self.actuators.channels.pop(name, None)
+
+    # What the robot does at its start and stop.
+
+    def wake(self) -> None:
+        """Let commands of the user wait from now on: the robot starts."""
+        self.commands.wake()
+
+    async def start(self, resources: Sequence[Resource]) -> None:
+        """Deploy the configuration list; returns when each device was tried once.
+
+        Raises:
+            ExceptionGroup: Devices that are required are not there.
+        """
+        self.began = asyncio.get_running_loop().time()
+        # What is computed of others comes when they are there.
+        for resource in sorted(resources, key=depths(resources).__getitem__):
+            self.deploy(resource)
+        errors: list[Exception] = []
+        for life in tuple(self.lives.values()):
+            try:
+                await life.tried
+            except Exception as error:
+                errors.append(error)
+        if errors:
+            raise ExceptionGroup("required devices are not there", errors)
+        self.commands.initialized()
+
+    def latch(self) -> None:
+        """Let nothing but safe commands leave from now on, and revoke all rights."""
+        for registration in self.registrations:
+            self.registrations.revoke(
+                registration, lambda: StoppingError("robot", "stopping")
+            )
+        for channel in self.actuators.channels.values():
+            channel.latch()
+
+    def resumed(self, slept: float) -> None:
+        """The computer slept: no reading is current, and nothing moves as before.
+
+        Args:
+            slept: For how long, in seconds.
+        """
+        for sensor in self.sensors.channels.values():
+            sensor.forget_age()
+        for actuator in self.actuators.channels.values():
+            if actuator.state is ResourceState.READY:
+                actuator.make_safe()
+
+    async def rearm(self) -> None:
+        """Have everything watched that is open: there is a new watchdog process."""
+        for life in tuple(self.lives.values()):
+            if life.watch is not None and life.channel.state is ResourceState.READY:
+                await life.watch.arm()
+
+    async def make_safe(self) -> list[LastCommand]:
+        """Send every actuator its safe command, whatever was sent before.
+
+        Returns:
+            What each actuator was told, and whether it answered.
+        """
+        await asyncio.gather(
+            *(self._make_safe(name) for name in self.actuators.channels)
+        )
+        return [channel.told() for channel in self.actuators.channels.values()]
+
+    async def stop(self) -> None:
+        """Close every device, all at the same time; each has a deadline."""
+        self.control.closed = True
+        await self.commands.close()
+        until = self.deadline()
+        for task in tuple(self._works):
+            task.cancel()
+        if self._works:
+            await asyncio.wait(tuple(self._works), timeout=self._grace)
+        closed = ResourceState.CLOSED
+        await asyncio.gather(
+            *(self._undeploy(name, closed, until) for name in tuple(self.lives))
+        )
+
+    # Inside.
+
+    def _counted(self) -> Iterator[tuple[str, Mapping[str, int]]]:
+        for name, life in self.lives.items():
+            yield name, life.channel.counts()
+            yield name, {"losses": life.losses, "faults": life.faults}
+        for bus in self.buses:
+            yield f"bus {bus.name}", bus.stats.counts()

@@ -1,0 +1,96 @@
+"""How the end of the robot meets behaviors and commands."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+from tests.supervisors.actors import Idle, Scripted, for_ever, seeds
+
+import esair
+
+pytestmark = pytest.mark.virtual_clock
+
+
+async def test_ended_waits_for_every_deliberative_behavior() -> None:
+    """Two who wait for the end are both told."""
+
+    async def run(behavior: Any) -> None:
+        await asyncio.sleep(1.0)
+
+    async with esair.Robot(behaviors=[Scripted(run), Idle(name="b")]) as robot:
+        waiting = [asyncio.ensure_future(robot.ended()) for _ in range(2)]
+        await asyncio.sleep(2.0)
+        assert not any(each.done() for each in waiting)
+        await robot.behaviors.remove("b")
+        await asyncio.gather(*waiting)
+        await robot.ended()
+
+
+async def test_the_stop_ends_those_who_wait_for_the_end() -> None:
+    """Nobody waits for behaviors of a robot that has stopped."""
+    async with esair.Robot(behaviors=[Idle()]) as robot:
+        waiting = asyncio.ensure_future(robot.ended())
+        await asyncio.sleep(0.1)
+    await waiting
+
+
+@pytest.mark.fault("M20")
+@pytest.mark.parametrize("seed", seeds)
+async def test_a_stop_in_the_middle_of_commands_leaves_nothing(seed: int) -> None:
+    """Commands that run or wait end with StoppingError."""
+
+    async def slow(_behavior: object) -> None:
+        await asyncio.sleep(0.5)
+
+    async with esair.Robot(behaviors=[Scripted(for_ever, teardown=slow)]) as robot:
+        commands = [
+            asyncio.ensure_future(robot.behaviors.remove("scripted")),
+            asyncio.ensure_future(
+                robot.behaviors.add(Scripted(for_ever, setup=slow, name="b"))
+            ),
+            asyncio.ensure_future(robot.behaviors.add(Idle(name="scripted"))),
+        ]
+        await asyncio.sleep(0.1)
+    for command in commands:
+        with pytest.raises(esair.StoppingError):
+            await command
+    with pytest.raises(esair.StoppingError):
+        await robot.behaviors.add(Idle(name="late"))
+
+
+@pytest.mark.promise("ROB-2")
+async def test_a_device_that_came_back_unnoticed_is_made_safe(fake_actuator):
+    """The stop tries an actuator that is lost once more, for its safe command."""
+    wheels = fake_actuator("wheels", safe=0.0)
+
+    class Drive(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self):
+            await self.wheels.write(1.0)
+            await asyncio.Event().wait()
+
+    async with esair.Robot(resources=[wheels], behaviors=[Drive()]) as robot:
+        await wheels.until(1.0)
+        wheels.unplug()
+        await asyncio.sleep(3.0)
+        wheels.report_arrived = lambda: None  # nobody hears of it
+        wheels.plug()
+
+    assert wheels.commands[-1] == 0.0
+    assert robot.stopped[0].safe
+    assert robot.stopped[0].answered
+
+
+@pytest.mark.promise("ROB-2")
+async def test_a_device_that_stays_away_is_reported(fake_actuator):
+    """An actuator that could not be told its safe command is not called safe."""
+    wheels = fake_actuator("wheels", safe=0.0)
+
+    async with esair.Robot(resources=[wheels]) as robot:
+        wheels.unplug()
+
+    assert not robot.stopped[0].answered
+    assert "unplugged" in robot.stopped[0].error

@@ -1,0 +1,149 @@
+"""Code that outlives the run of its behavior speaks for nobody."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import contextvars
+import threading
+import time
+
+import pytest
+from tests.supervisors.actors import Idle, State
+
+import esair
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@pytest.mark.promise("SUP-4")
+@pytest.mark.fault("R14", "B10")
+async def test_what_outlives_a_crash_speaks_for_nobody(fake_actuator):
+    """A task of the run before finds the ports of the next one, and may not use them."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    go = asyncio.Event()
+    errors: list[Exception] = []
+
+    class Drive(esair.Behavior):
+        wheels = esair.writes(float, configure=True)
+        inbox_size = 4
+        runs = 0
+
+        async def run(self) -> None:
+            self.runs += 1
+            if self.runs == 1:
+                self.left = asyncio.create_task(self.stay())
+                await asyncio.sleep(0.01)
+                raise RuntimeError("crash")
+            await asyncio.Event().wait()
+
+        async def stay(self) -> None:
+            while not go.is_set():
+                with contextlib.suppress(asyncio.CancelledError):
+                    await go.wait()
+            for attempt in (
+                lambda: self.wheels.write(1.0),
+                self.wheels.configure,
+                self.receive,
+                lambda: self.put("drive", "from the dead"),
+                lambda: self.get("other"),
+                lambda: self.register("wheels", esair.Access.WRITE),
+                lambda: self.perform(Nothing()),
+            ):
+                try:
+                    await attempt()
+                except esair.NotRegisteredError as error:
+                    errors.append(error)
+            try:
+                self.offer("from the dead")
+            except esair.NotRegisteredError as error:
+                errors.append(error)
+
+    class Nothing(esair.Reaction):
+        rate = 1.0
+
+        def react(self) -> None:
+            return None
+
+    drive = Drive()
+    async with esair.Robot(resources=[wheels], behaviors=[drive, Idle(name="other")]):
+        await asyncio.sleep(5.0)
+        assert drive.runs == 2
+        await drive.put("drive", "for the living")
+        go.set()
+        await drive.left
+        assert len(errors) == 8
+        assert all("has ended" in str(error) for error in errors)
+        assert wheels.commands == [0.0]
+        assert await drive.wheels.write(2.0)
+        assert await drive.receive() == "for the living"
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("SUP-4")
+@pytest.mark.fault("R14", "B14")
+async def test_a_thread_that_outlives_a_crash_speaks_for_nobody(fake_actuator):
+    """The same for a behavior whose run is a plain function."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    go = threading.Event()
+    errors: list[Exception] = []
+
+    class Drive(esair.Behavior):
+        wheels = esair.writes(float)
+        runs = 0
+
+        def run(self) -> None:
+            self.runs += 1
+            if self.runs == 1:
+                context = contextvars.copy_context()
+                self.left = threading.Thread(target=context.run, args=(self.stay,))
+                self.left.start()
+                raise RuntimeError("crash")
+            go.wait(10.0)
+            while len(errors) < 2:
+                time.sleep(0.005)
+
+        def stay(self) -> None:
+            while self.runs < 2:
+                time.sleep(0.005)
+            for attempt in (
+                lambda: self.wheels.write(1.0),
+                lambda: self.put("drive", "from the dead"),
+            ):
+                try:
+                    attempt()
+                except esair.BehaviorRemovedError as error:
+                    errors.append(error)
+            go.set()
+
+    drive = Drive()
+    drive.restart = esair.Restart(max=3, within=30.0)
+    async with esair.Robot(resources=[wheels], behaviors=[drive]) as robot:
+        for _ in range(2000):
+            if robot.behaviors.query("drive").state is State.FINISHED:
+                break
+            await asyncio.sleep(0.005)
+        drive.left.join(5.0)
+
+    assert len(errors) == 2
+    assert set(wheels.commands) == {0.0}
+
+
+async def test_what_has_failed_for_good_says_so_to_its_own_code() -> None:
+    """Whoever still acts in its name hears that it failed, not that it was removed."""
+
+    class Fails(esair.Behavior):
+        restart = esair.Restart(max=0)
+
+        async def run(self) -> None:
+            raise RuntimeError("no")
+
+    behavior = Fails()
+    async with esair.Robot(behaviors=[behavior]) as robot:
+        await asyncio.sleep(0.1)
+        assert robot.behaviors.query("fails").state is esair.BehaviorState.FAILED
+        for work in (behavior.get("fails"), behavior.put("fails", 1)):
+            with pytest.raises(esair.BehaviorFailedError, match="RuntimeError: no"):
+                await work
+        with pytest.raises(esair.BehaviorFailedError, match="RuntimeError: no"):
+            behavior.offer(1)

@@ -1,0 +1,296 @@
+"""A component that crashes begins anew while its budget lasts."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+
+import pytest
+from tests.supervisors.actors import (
+    Idle,
+    Scripted,
+    State,
+    Ticker,
+    for_ever,
+    raises,
+    raises_nothing,
+    registered,
+    wheels,
+)
+
+import esair
+from esair.supervisors._life import RestartBudget
+from esair.testing import FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@pytest.mark.promise("SUP-4")
+@pytest.mark.fault("B17", "B02")
+async def test_a_crash_loop_ends_in_failed() -> None:
+    """Three restarts with growing pauses, then FAILED; the others go on."""
+    behavior = Scripted(raises(RuntimeError("always")), name="a")
+    ticker = Ticker()
+    async with esair.Robot(behaviors=[behavior, ticker]) as robot:
+        await asyncio.sleep(60.0)
+        status = robot.behaviors.query("a")
+
+        assert behavior.begun == pytest.approx([0.0, 0.1, 0.3, 0.7], abs=1e-6)
+        assert status.state is State.FAILED
+        assert status.restarts == 3
+        assert isinstance(status.error, RuntimeError)
+        assert ticker.missed() == 0
+        assert robot.behaviors.query("ticker").state is State.RUNNING
+        with pytest.raises(esair.BehaviorFailedError, match="always"):
+            raise robot._behaviors.failures()[0]
+
+
+@pytest.mark.promise("SUP-4")
+async def test_the_budget_is_for_a_window_of_time() -> None:
+    """Who crashes rarely is restarted again and again."""
+
+    async def run(_behavior: object) -> None:
+        await asyncio.sleep(20.0)
+        raise RuntimeError("rarely")
+
+    behavior = Scripted(run, name="a")
+    async with esair.Robot(behaviors=[behavior]) as robot:
+        await asyncio.sleep(200.0)
+        assert robot.behaviors.query("a").state is State.RUNNING
+        assert robot.behaviors.query("a").restarts == 9
+
+
+@pytest.mark.promise("SUP-4")
+def test_pauses_double_up_to_their_limit() -> None:
+    """However many restarts a policy allows, the pause stays within its bounds."""
+    policy = esair.Restart(max=2000, within=1e6, delay=0.1, max_delay=5.0)
+    budget = RestartBudget(policy)
+    pauses = [budget.spend(0.0) for _ in range(2000)]
+
+    assert pauses[:7] == [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0]
+    assert set(pauses[7:]) == {5.0}
+    assert budget.spend(0.0) is None
+    assert budget.spend(2e6) == 0.1
+
+
+@pytest.mark.promise("SUP-4")
+@pytest.mark.fault("B02")
+async def test_after_a_crash_nothing_moves_before_a_fresh_command() -> None:
+    """What it held is made safe at once; the next run writes anew."""
+    device = wheels(command_timeout=5.0)
+
+    class Once(esair.Behavior):
+        wheels = esair.writes(float)
+        runs = 0
+
+        async def run(self) -> None:
+            self.runs += 1
+            if self.runs == 1:
+                await self.wheels.write(1.0)
+                await asyncio.sleep(0.05)
+                raise RuntimeError("first")
+            await for_ever()
+
+    once = Once()
+    async with esair.Robot(resources=[device], behaviors=[once]) as robot:
+        await asyncio.sleep(0.06)
+        assert device.commands[-1] == 0.0
+        count = len(device.commands)
+        await asyncio.sleep(10.0)
+
+        assert once.runs == 2
+        assert len(device.commands) == count
+        assert robot.resources.why("wheels").holder is None
+
+
+@pytest.mark.promise("SUP-4")
+@pytest.mark.fault("B05", "B15")
+@pytest.mark.parametrize(
+    "error",
+    [
+        SystemExit(3),
+        KeyboardInterrupt(),
+        GeneratorExit(),
+        asyncio.CancelledError(),
+        RecursionError("deep"),
+        MemoryError(),
+        BaseExceptionGroup("group", [SystemExit(1)]),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+async def test_whatever_a_behavior_raises_is_contained(error: BaseException) -> None:
+    """It fails like any other, and the robot keeps running."""
+    behavior = Scripted(raises(error), restart=esair.Restart(max=0), name="a")
+    ticker = Ticker()
+    async with esair.Robot(behaviors=[behavior, ticker]) as robot:
+        await asyncio.sleep(0.5)
+        assert robot.behaviors.query("a").state is State.FAILED
+        assert type(robot.behaviors.query("a").error) is type(error)
+        assert ticker.missed() == 0
+
+
+@pytest.mark.fault("B05")
+async def test_whatever_a_setup_raises_is_the_adders_error() -> None:
+    """SystemExit in a setup refuses the behavior and does not end the robot."""
+    async with esair.Robot() as robot:
+        with pytest.raises(esair.BehaviorFailedError, match="SystemExit"):
+            await robot.behaviors.add(
+                Scripted(for_ever, setup=raises(SystemExit(1)), name="a")
+            )
+        assert robot.behaviors.names() == []
+
+
+@pytest.mark.fault("B05")
+async def test_whatever_a_provide_raises_is_contained() -> None:
+    """SystemExit in a provide is the answer to one get, no more."""
+
+    class Exits(Idle):
+        async def provide(self) -> None:
+            raise SystemExit(1)
+
+    async with esair.Robot(behaviors=[Exits(name="a")]) as robot:
+        with pytest.raises(esair.BehaviorFailedError, match="SystemExit"):
+            await robot.behaviors.get(sender="a", receiver="user")
+
+
+@pytest.mark.fault("B16")
+async def test_finished_is_not_failed() -> None:
+    """A run that returns gives everything back and is not restarted."""
+    device = wheels()
+
+    class Once(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            await self.wheels.write(1.0)
+
+    async with esair.Robot(resources=[device], behaviors=[Once()]) as robot:
+        await asyncio.sleep(0.01)
+        status = robot.behaviors.query("once")
+        assert status.state is State.FINISHED
+        assert (status.restarts, status.error) == (0, None)
+        assert device.commands[-1] == 0.0
+        assert registered(robot) == {}
+        await asyncio.sleep(10.0)
+        assert robot.behaviors.query("once").state is State.FINISHED
+
+
+@pytest.mark.fault("B03")
+async def test_an_error_in_the_clean_up_after_a_good_run_is_a_crash() -> None:
+    """It is visible, not lost."""
+    behavior = Scripted(
+        raises_nothing,
+        teardown=raises(RuntimeError("dirty")),
+        restart=esair.Restart(max=0),
+        name="a",
+    )
+    async with esair.Robot(behaviors=[behavior]) as robot:
+        await asyncio.sleep(0.1)
+        assert robot.behaviors.query("a").state is State.FAILED
+
+
+@pytest.mark.fault("B18")
+async def test_budgets_are_independent() -> None:
+    """Two behaviors that crash together each have their own three restarts."""
+    both = [Scripted(raises(RuntimeError(n)), name=n) for n in ("a", "b")]
+    async with esair.Robot(behaviors=both) as robot:
+        await asyncio.sleep(60.0)
+        assert [len(each.begun) for each in both] == [4, 4]
+        assert [robot.behaviors.query(n).restarts for n in ("a", "b")] == [3, 3]
+
+
+@pytest.mark.promise("SUP-4")
+async def test_a_removal_ends_a_restart_that_waits() -> None:
+    """What is gone does not come back by itself."""
+    behavior = Scripted(
+        raises(RuntimeError("x")), restart=esair.Restart(delay=2.0), name="a"
+    )
+    async with esair.Robot(behaviors=[behavior]) as robot:
+        await asyncio.sleep(0.5)
+        assert robot.behaviors.query("a").state is State.RESTARTING
+        await robot.behaviors.remove("a")
+        await asyncio.sleep(10.0)
+        assert len(behavior.begun) == 1
+
+
+@pytest.mark.promise("SUP-4")
+async def test_a_crashing_reaction_restarts_by_its_policy() -> None:
+    """Its steps stop, its actuator is made safe, and it ends in FAILED."""
+    device, sonar = wheels(), FakeSensor("sonar", 1.0)
+
+    class Bad(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+        restart = esair.Restart(max=1)
+
+        def react(self, sonar: float) -> float:
+            if sonar > 5.0:
+                raise SystemExit("too far")
+            return sonar
+
+    async with esair.Robot(resources=[device, sonar], behaviors=[Bad()]) as robot:
+        await device.until(1.0)
+        sonar.feed(9.0)
+        await device.until(0.0)
+        assert robot.behaviors.query("bad").state is State.RESTARTING
+        sonar.feed(2.0)
+        await device.until(2.0)
+        assert robot.behaviors.query("bad").restarts == 1
+        sonar.feed(9.0)
+        await asyncio.sleep(5.0)
+        assert robot.behaviors.query("bad").state is State.FAILED
+        assert device.commands[-1] == 0.0
+        await robot.resources.remove("sonar")
+        assert robot.behaviors.query("bad").state is State.FAILED
+
+
+async def test_a_change_of_resources_does_not_restart_a_reaction_twice() -> None:
+    """A reaction that waits for its restart is not started besides."""
+    device, sonar = wheels(), FakeSensor("sonar", 1.0)
+
+    class Bad(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+        restart = esair.Restart(delay=1.0)
+
+        def react(self, sonar: float) -> float:
+            if sonar > 5.0:
+                raise RuntimeError("too far")
+            return sonar
+
+    async with esair.Robot(resources=[device, sonar], behaviors=[Bad()]) as robot:
+        await device.until(1.0)
+        sonar.feed(9.0)
+        await asyncio.sleep(0.2)
+        await robot.resources.replace("sonar", FakeSensor("sonar", 1.0, rate=10.0))
+        await asyncio.sleep(3.0)
+        before = robot.behaviors.query("bad").steps
+        await asyncio.sleep(1.0)
+        assert robot.behaviors.query("bad").steps - before in range(9, 12)
+        assert registered(robot) == {"bad": 2}
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("B05")
+async def test_a_child_task_that_exits_ends_itself_only():
+    """sys.exit() in a task that a behavior started does not end the program."""
+
+    class Parent(esair.Behavior):
+        caught: BaseException | None = None
+
+        async def run(self):
+            async def leave():
+                sys.exit(3)
+
+            try:
+                await asyncio.create_task(leave())
+            except RuntimeError as error:
+                self.caught = error
+            await asyncio.Event().wait()
+
+    parent = Parent()
+    async with esair.Robot(behaviors=[parent]) as robot:
+        await asyncio.sleep(1.0)
+
+        assert isinstance(parent.caught.__cause__, SystemExit)
+        assert robot.behaviors.query("parent").state is esair.BehaviorState.RUNNING
