@@ -10,32 +10,27 @@ import subprocess
 import sys
 from pathlib import Path
 
-ACTIONS = Path(__file__).parents[1] / "src" / "esair" / "actions"
+SOURCE = Path(__file__).parents[1] / "src" / "esair"
+ACTIONS = SOURCE / "actions"
 
-HEADER = '''"""Ports and behaviors whose calls wait. Written by tools/make_blocking.py."""
+PORTS = '''"""Ports whose calls wait. Written by tools/make_blocking.py."""
 
 # What a thread calls waits where its base is awaited: that is the idea of it.
-# mypy: disable-error-code="override, no-any-return"
+# mypy: disable-error-code="no-any-return"
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Generic, TypeVar, cast
+from collections.abc import Iterator, Mapping
+from typing import Any, Generic, TypeVar
 
-from esair import minimal
-from esair.actions._behavior import Behavior, forever, in_loop, next_of, portal_of
-from esair.actions._ports import ActuatorPort, SensorPort
-from esair.actions._reaction import Reaction
-from esair.actions._request import Request
-from esair.actions._supervisor import BlockingBehaviors
-from esair.connections import Stopped
+from esair.actions._waiting import in_loop, next_of
+from esair.connections import ActuatorPort, SensorPort
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
-from esair.messages import Access, Reading, Refused, ResourceState, Why, Written
+from esair.messages import Reading, Refused, ResourceState, Why, Written
 from esair.resources import Operation
 
-A = TypeVar("A")
 T = TypeVar("T")
 
 
@@ -43,6 +38,30 @@ def blocking(port: Any, portal: Portal) -> Any:
     """Return the same port for the thread of a plain behavior."""
     kind = BlockingSensorPort if isinstance(port, SensorPort) else BlockingActuatorPort
     return kind(port, portal)
+'''
+
+HEADER = '''"""Behaviors whose calls wait. Written by tools/make_blocking.py."""
+
+# What a thread calls waits where its base is awaited: that is the idea of it.
+# mypy: disable-error-code="override, no-any-return"
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, TypeVar, cast, overload
+
+from esair import minimal
+from esair.actions._behavior import Behavior, portal_of
+from esair.actions._blocking_ports import BlockingActuatorPort, BlockingSensorPort
+from esair.actions._reaction import Reaction
+from esair.actions._request import Request
+from esair.actions._supervisor import BlockingBehaviors
+from esair.actions._waiting import forever, in_loop
+from esair.connections import Stopped
+from esair.messages import Access
+
+A = TypeVar("A")
+T = TypeVar("T")
 '''
 
 PORT = '''
@@ -100,7 +119,7 @@ LEFT_OUT = {"blocking", "revive", "supervisor", "takes", "provides", "halt_robot
 
 def methods(module: str, cls: str) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
     """Return the public methods of a class, in their order."""
-    tree = ast.parse((ACTIONS / module).read_text(encoding="utf-8"))
+    tree = ast.parse((SOURCE / module).read_text(encoding="utf-8"))
     (body,) = [
         node.body
         for node in tree.body
@@ -134,6 +153,11 @@ def method(node: ast.FunctionDef | ast.AsyncFunctionDef, *, of_port: bool) -> st
     text = "\n".join(line.rstrip() for line in text.split("\n"))
     if any(ast.unparse(each) == "property" for each in node.decorator_list):
         return f"\n    @property\n{head}{returns}:\n{text}        return self._port.{node.name}\n"
+    returns = returns.replace("SensorPort[", "BlockingSensorPort[").replace(
+        "ActuatorPort[", "BlockingActuatorPort["
+    )
+    if any(ast.unparse(each) == "overload" for each in node.decorator_list):
+        return f"    @overload\n{head}{returns}: ...\n"
     is_async = isinstance(node, ast.AsyncFunctionDef)
     if returns == "Awaitable[None]":
         returns = "None"
@@ -145,18 +169,32 @@ def method(node: ast.FunctionDef | ast.AsyncFunctionDef, *, of_port: bool) -> st
     return f"\n{head}{returns}:\n{text}        {verb}{portal}.call({call})\n"
 
 
-def made() -> str:
-    """Return the text of the module."""
-    parts = [HEADER, PORT.format(cls="SensorPort")]
-    parts += [method(each, of_port=True) for each in methods("_ports.py", "SensorPort")]
-    parts += [ITERATION, PORT.format(cls="ActuatorPort")]
-    parts += [
-        method(each, of_port=True) for each in methods("_ports.py", "ActuatorPort")
+def made() -> dict[str, str]:
+    """Return the text of each module, by its name."""
+    ports = [PORTS, PORT.format(cls="SensorPort")]
+    ports += port_methods("SensorPort")
+    ports += [ITERATION, PORT.format(cls="ActuatorPort")]
+    ports += port_methods("ActuatorPort")
+    behavior = [HEADER, BEHAVIOR]
+    behavior += [
+        method(each, of_port=False)
+        for each in methods("actions/_behavior.py", "Behavior")
     ]
-    parts.append(BEHAVIOR)
-    parts += [
-        method(each, of_port=False) for each in methods("_behavior.py", "Behavior")
+    return {
+        "_blocking_ports.py": formatted("".join(ports)),
+        "_blocking.py": formatted("".join(behavior)),
+    }
+
+
+def port_methods(cls: str) -> list[str]:
+    """Return the methods of a port that waits."""
+    return [
+        method(each, of_port=True) for each in methods("connections/_ports.py", cls)
     ]
+
+
+def formatted(text: str) -> str:
+    """Return a module as ruff would write it."""
     ruff = [
         sys.executable,
         "-m",
@@ -168,9 +206,10 @@ def made() -> str:
         "-",
     ]
     return subprocess.run(
-        ruff, input="".join(parts), capture_output=True, text=True, check=True
+        ruff, input=text, capture_output=True, text=True, check=True
     ).stdout
 
 
 if __name__ == "__main__":
-    (ACTIONS / "_blocking.py").write_text(made(), encoding="utf-8")
+    for name, text in made().items():
+        (ACTIONS / name).write_text(text, encoding="utf-8")

@@ -85,7 +85,7 @@ class Supervisor(abc.ABC):
         """What the supervisor is doing."""
 
     @abc.abstractmethod
-    async def add(self, component: Any) -> None:
+    async def add(self, component: Any, /) -> None:
         """Deploy a component while everything else keeps running."""
 
     @abc.abstractmethod
@@ -93,5 +93,5 @@ class Supervisor(abc.ABC):
         """Take a component away while everything else keeps running."""
 
     @abc.abstractmethod
-    async def replace(self, name: str, component: Any) -> Any:
+    async def replace(self, name: str, component: Any, /) -> Any:
         """Put another component in the place of one, under the same name."""

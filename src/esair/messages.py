@@ -187,6 +187,7 @@ class Why(NamedTuple):
         writers: Who may write it, with which priority, and what happens when each is
             blind, in words; the highest priority first.
         guards: Who guards it, and how each of them stands, in words.
+        dies: What becomes of it when this process dies, and when this computer does.
     """
 
     resource: str
@@ -200,6 +201,7 @@ class Why(NamedTuple):
     last: object = None
     writers: tuple[str, ...] = ()
     guards: tuple[str, ...] = ()
+    dies: str = ""
 
     def __str__(self) -> str:
         if self.holder is None:
@@ -209,7 +211,8 @@ class Why(NamedTuple):
                 f"{self.resource} is {self.state.value}, held by {self.holder} "
                 f"({self.rule}); freed by {self.frees}"
             )
-        return "\n  ".join([told, *self.guards, *self.writers])
+        lines = [told, *self.guards, *self.writers, self.dies]
+        return "\n  ".join(line for line in lines if line)
 
 
 class BehaviorStatus(NamedTuple):
@@ -469,7 +472,8 @@ class Recording:
     """What a robot records, and within which bounds.
 
     Attributes:
-        path: The file; a directory gets one named by robot and time.
+        path: The file, if it is named ``.mcap``; else a folder, made if it is not there,
+            which gets one named by robot and time.
         max_bytes: How many bytes all segments may have; the oldest goes.
         min_free: How many bytes stay free on the disk; the oldest segment goes first.
         segment: How many bytes one segment may have.

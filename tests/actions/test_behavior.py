@@ -217,7 +217,7 @@ async def test_a_plain_run_is_a_thread_that_waits() -> None:
         while plain.log.count("tick") < 3:  # noqa: ASYNC110 - a thread counts
             await asyncio.sleep(0.05)
         await robot.behaviors.remove("plain")
-        assert robot.behaviors.zombies == []
+        assert robot.behaviors.zombies == ()
 
     assert plain.log[:11] == [
         "setup",
@@ -339,7 +339,7 @@ async def test_a_reaction_is_performed_until_its_condition() -> None:
         assert await performing is True
         await wheels.until(0.0)
         assert 9.0 not in wheels.commands
-        assert len(robot.resources._registrations) == 0
+        assert len(robot._resources.registrations) == 0
 
 
 @pytest.mark.promise("BEH-3")
@@ -405,7 +405,7 @@ async def test_the_end_of_a_behavior_ends_what_it_performs(seed: int) -> None:
 
         assert steps == before
         assert wheels.commands[-1] == 0.0
-        assert len(robot.resources._registrations) == 0
+        assert len(robot._resources.registrations) == 0
 
 
 @pytest.mark.promise("BEH-3")
@@ -438,7 +438,7 @@ async def test_a_performed_reaction_must_be_allowed_and_well_declared() -> None:
             await idle.perform(Follow(reads={"sonar": esair.reads(float, name="x")}))
         with pytest.raises(esair.BadValueError, match="until"):
             await idle.perform(Follow(), until=lambda other: other)
-        assert len(robot.resources._registrations) == 0
+        assert len(robot._resources.registrations) == 0
     idle = Idle()
     sonar, wheels = devices()
     async with esair.Robot(
@@ -446,7 +446,7 @@ async def test_a_performed_reaction_must_be_allowed_and_well_declared() -> None:
     ) as robot:
         with pytest.raises(esair.AccessDeniedError):
             await idle.perform(Follow())
-        assert len(robot.resources._registrations) == 0
+        assert len(robot._resources.registrations) == 0
 
 
 @pytest.mark.promise("BEH-3", "RS-2")

@@ -49,6 +49,31 @@ async def test_a_reaction_knows_the_moment_of_its_step(fake_sensor: Any) -> None
 
 
 @pytest.mark.promise("REA-4")
+async def test_outside_of_a_robot_a_test_says_what_time_it_is(fake_sensor: Any) -> None:
+    """It is 0 until then; in a robot the robot's time counts, whatever was set."""
+
+    class When(esair.Reaction):
+        rate: float | None = 20.0
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.steps: list[tuple[int, int]] = []
+
+        def react(self) -> None:
+            self.steps.append((self.now_ms, self.elapsed_ms))
+
+    when = When()
+    when.react()
+    when.now_ms, when.elapsed_ms = 700, 50
+    when.react()
+    assert when.steps == [(0, 0), (700, 50)]
+    async with esair.Robot(behaviors=[when]):
+        await asyncio.sleep(0.3)
+    assert when.steps[2][1] == 0
+    assert {elapsed for _now, elapsed in when.steps[3:]} == {50}
+
+
+@pytest.mark.promise("REA-4")
 async def test_a_reaction_of_min_knows_it_too(fake_sensor: Any) -> None:
     """The same class, in a robot."""
     times = []

@@ -5,6 +5,7 @@ from typing import assert_type
 import attrs
 
 import esair
+from esair.actions import ActuatorPort
 
 
 @attrs.frozen
@@ -30,6 +31,14 @@ class Captain(esair.Behavior):
         await self.ask("docking", 2)  # type: ignore[arg-type]
         sender, _ = await self.receive_from(timeout=1.0)
         assert_type(sender, str)
+        assert_type(await self.receive(as_type=Docked), Docked)
+        assert_type(await self.receive_from(as_type=Docked), tuple[str, Docked])
+        assert_type(await self.get("docking", as_type=Docked), Docked)
+        lamp = await self.register("lamp", esair.Access.WRITE, as_type=bool)
+        assert_type(lamp, ActuatorPort[bool])
+        await lamp.write("on")  # type: ignore[arg-type]
+        sonar = await self.register("sonar", esair.Access.READ)
+        sonar.write(1.0)  # type: ignore[attr-defined]
         answer = await self.wheels.write(Twist(0.1))
         if not answer:
             assert_type(answer.holder, str)
@@ -73,6 +82,9 @@ class InThread(esair.ThreadBehavior):
         self.wheels.write(0.1)  # type: ignore[arg-type]
         self.wheels.configure(speed=1.0)
         self.wheels.release()
+        lamp = self.register("lamp", esair.Access.WRITE, as_type=bool)
+        lamp.write("on")  # type: ignore[arg-type]
+        assert_type(self.get("docking", as_type=Docked), Docked)
         self.put("captain", 1)
         assert_type(self.ask("docking", Dock(1)), Docked)
         assert_type(self.perform(Turn(), timeout=1.0), bool)

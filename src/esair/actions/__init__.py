@@ -1,14 +1,16 @@
 """What the robot does: behaviors deliberate, reactions react."""
 
-from esair.actions._behavior import NOTHING, Behavior, Host
-from esair.actions._blocking import (
+from esair.actions._behavior import NOTHING, Behavior
+from esair.actions._blocking import ThreadBehavior
+from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
-    ThreadBehavior,
     blocking,
 )
+from esair.actions._derived import Derivation, Derived
 from esair.actions._from_minimal import MinimalReaction, adapt_action
 from esair.actions._guard_runner import GuardRunner
+from esair.actions._host import Host
 from esair.actions._needs import (
     Blind,
     Guards,
@@ -20,7 +22,6 @@ from esair.actions._needs import (
     reads,
     writes,
 )
-from esair.actions._ports import ActuatorPort, SensorPort
 from esair.actions._reaction import Reaction
 from esair.actions._reaction_runner import ReactionRunner
 from esair.actions._request import Request, taken
@@ -30,9 +31,11 @@ from esair.actions._takes import (
     RequestPort,
     Takes,
     answers,
-    mistakes_in_requests,
+    declared_requests,
+    is_request,
     takes,
 )
+from esair.connections import ActuatorPort, SensorPort
 
 __all__ = [
     "NOTHING",
@@ -43,6 +46,8 @@ __all__ = [
     "BlockingActuatorPort",
     "BlockingRequestPort",
     "BlockingSensorPort",
+    "Derivation",
+    "Derived",
     "GuardRunner",
     "Guards",
     "Host",
@@ -61,8 +66,9 @@ __all__ = [
     "adapt_action",
     "answers",
     "blocking",
+    "declared_requests",
     "guards",
-    "mistakes_in_requests",
+    "is_request",
     "reads",
     "taken",
     "takes",

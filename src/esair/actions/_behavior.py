@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import (
-    AsyncIterator,
     Awaitable,
     Callable,
-    Coroutine,
     Mapping,
 )
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, overload
 
 from esair import minimal
 from esair.actions._from_minimal import adapt_action
+from esair.actions._host import Host
 from esair.actions._needs import ProfiledAction
-from esair.actions._ports import ActuatorPort, SensorPort
 from esair.actions._reaction import Reaction
 from esair.actions._request import Request
 from esair.actions._supervisor import Behaviors, BlockingBehaviors
 from esair.actions._takes import Answers, Takes, declared_requests
-from esair.connections import Halting, Stopped
-from esair.exceptions import ConfigError, NotRegisteredError
-from esair.loop import Budget, Portal, portal
-from esair.messages import Access, BehaviorStatus, Restart
-from esair.values import check_duration
+from esair.connections import ActuatorPort, Halting, SensorPort, Stopped
+from esair.exceptions import BadValueError, ConfigError, NotRegisteredError
+from esair.loop import PUT_COST, Portal, portal
+from esair.messages import Access, Restart
+from esair.values import check_duration, passes_as, type_name
 
 A = TypeVar("A")
 T = TypeVar("T")
@@ -34,49 +32,6 @@ NOTHING: Any = object()
 
 Overflow = Literal["reject", "drop_oldest", "latest"]
 """What a full box does: refuse, drop its oldest, or keep only the newest."""
-
-
-class Host(Protocol):
-    """What a running behavior asks of its supervisor."""
-
-    budget: Budget
-
-    @property
-    def portal(self) -> Portal | None: ...
-    def hand(self, receiver: str, data: Any, interval: float) -> bool: ...
-    def put(
-        self, receiver: str, data: Any, interval: float
-    ) -> Coroutine[Any, Any, None]: ...
-    def take(self, sender: str, interval: float) -> Any: ...
-    def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]: ...
-    async def receive(self, timeout: float | None) -> tuple[str, Any]: ...
-    def ask(
-        self,
-        receiver: str,
-        request: Any,
-        timeout: float | None,
-        progress: Callable[[Any], object] | None,
-    ) -> Coroutine[Any, Any, Any]: ...
-    def offer(self, data: Any, latest: bool) -> None: ...
-    async def perform(
-        self,
-        reaction: Reaction,
-        until: Callable[..., bool] | None,
-        timeout: float | None,
-        blind_timeout: float | None,
-    ) -> bool: ...
-    async def register(
-        self,
-        resource: str,
-        access: Access,
-        priority: int,
-        hold: float | None,
-        max_age: float | None,
-    ) -> SensorPort[Any] | ActuatorPort[Any]: ...
-    def halt_robot(self, reason: str) -> Halting: ...
-    def query(self, name: str) -> BehaviorStatus: ...
-    async def manage(self, verb: str, *args: Any) -> Any: ...
-    async def stop_robot(self, reason: str) -> Stopped: ...
 
 
 class Behavior(ProfiledAction):
@@ -158,13 +113,21 @@ class Behavior(ProfiledAction):
         if host is None:
             raise self._alone()
         budget = host.budget
-        budget.left -= 1
+        budget.left -= PUT_COST
         if budget.left < 0:
             await budget.give_way()
         if not host.hand(receiver, data, interval):
             await host.put(receiver, data, interval)
 
-    async def get(self, sender: str, interval: float = 1.0) -> Any:
+    @overload
+    async def get(self, sender: str, interval: float = 1.0) -> Any: ...
+    @overload
+    async def get(
+        self, sender: str, interval: float = 1.0, *, as_type: type[T]
+    ) -> T: ...
+    async def get(
+        self, sender: str, interval: float = 1.0, *, as_type: type[Any] | None = None
+    ) -> Any:
         """Ask another behavior for data, through the behavior supervisor.
 
         The other answers with what it has offered, or by its ``provide``.
@@ -172,8 +135,10 @@ class Behavior(ProfiledAction):
         Args:
             sender: The name of the other behavior.
             interval: How long to keep asking, in seconds.
+            as_type: What is expected; for type checkers, and checked when it comes.
 
         Raises:
+            BadValueError: The other has given something else.
             UnknownNameError: No behavior has the name.
             BehaviorUnavailableError: It could not send for the interval.
             CircularRequestError: It waits for this behavior's answer.
@@ -185,11 +150,13 @@ class Behavior(ProfiledAction):
         if host is None:
             raise self._alone()
         budget = host.budget
-        budget.left -= 1
+        budget.left -= PUT_COST
         if budget.left < 0:
             await budget.give_way()
-        offered = host.take(sender, interval)
-        return await host.get(sender, interval) if offered is NOTHING else offered
+        data = host.take(sender, interval)
+        if data is NOTHING:
+            data = await host.get(sender, interval)
+        return data if as_type is None else self._checked(data, as_type, "get", sender)
 
     async def ask(
         self,
@@ -230,31 +197,56 @@ class Behavior(ProfiledAction):
             raise self._alone()
         return await host.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
 
-    async def receive(self, *, timeout: float | None = None) -> Any:
+    @overload
+    async def receive(self, *, timeout: float | None = None) -> Any: ...
+    @overload
+    async def receive(self, *, timeout: float | None = None, as_type: type[T]) -> T: ...
+    async def receive(
+        self, *, timeout: float | None = None, as_type: type[Any] | None = None
+    ) -> Any:
         """Wait for data that another behavior has put, and take it.
 
         Args:
             timeout: How long to wait, in seconds; None for no limit.
+            as_type: What is expected; for type checkers, and checked when it comes.
 
         Raises:
             TimeoutError: There was none in time; what comes later waits.
+            BadValueError: It is something else; it is taken all the same.
         """
-        _, data = await self._take(timeout)
-        return data
+        sender, data = await self._take(timeout)
+        return (
+            data if as_type is None else self._checked(data, as_type, "receive", sender)
+        )
 
-    async def receive_from(self, *, timeout: float | None = None) -> tuple[str, Any]:
+    @overload
+    async def receive_from(
+        self, *, timeout: float | None = None
+    ) -> tuple[str, Any]: ...
+    @overload
+    async def receive_from(
+        self, *, timeout: float | None = None, as_type: type[T]
+    ) -> tuple[str, T]: ...
+    async def receive_from(
+        self, *, timeout: float | None = None, as_type: type[Any] | None = None
+    ) -> tuple[str, Any]:
         """Wait for data as `receive` does.
 
         Args:
             timeout: How long to wait, in seconds; None for no limit.
+            as_type: What is expected; for type checkers, and checked when it comes.
 
         Returns:
             Who has put it, and the data.
 
         Raises:
             TimeoutError: There was none in time; what comes later waits.
+            BadValueError: It is something else; it is taken all the same.
         """
-        return await self._take(timeout)
+        sender, data = await self._take(timeout)
+        if as_type is not None:
+            self._checked(data, as_type, "receive", sender)
+        return sender, data
 
     def offer(self, data: Any, *, latest: bool = False) -> None:
         """Lay data out for a `get` of others; each piece goes to one of them.
@@ -302,14 +294,66 @@ class Behavior(ProfiledAction):
         host = self._host
         if host is None:
             raise self._alone()
+        budget = host.budget
+        budget.left -= 1
+        if budget.left < 0:
+            await budget.give_way()
         adapted: Reaction = adapt_action(reaction)
         return await host.perform(adapted, until, timeout, blind_timeout)
 
+    @overload
+    async def register(
+        self,
+        resource: str,
+        access: Literal[Access.READ],
+        *,
+        max_age: float | None = None,
+    ) -> SensorPort[Any]: ...
+    @overload
+    async def register(
+        self,
+        resource: str,
+        access: Literal[Access.READ],
+        *,
+        as_type: type[T],
+        max_age: float | None = None,
+    ) -> SensorPort[T]: ...
+    @overload
+    async def register(
+        self,
+        resource: str,
+        access: Literal[Access.WRITE],
+        *,
+        priority: int = 0,
+        hold: float | None = None,
+    ) -> ActuatorPort[Any]: ...
+    @overload
+    async def register(
+        self,
+        resource: str,
+        access: Literal[Access.WRITE],
+        *,
+        as_type: type[T],
+        priority: int = 0,
+        hold: float | None = None,
+    ) -> ActuatorPort[T]: ...
+    @overload
     async def register(
         self,
         resource: str,
         access: Access,
         *,
+        as_type: type[Any] | None = None,
+        priority: int = 0,
+        hold: float | None = None,
+        max_age: float | None = None,
+    ) -> Any: ...
+    async def register(
+        self,
+        resource: str,
+        access: Access,
+        *,
+        as_type: type[Any] | None = None,
         priority: int = 0,
         hold: float | None = None,
         max_age: float | None = None,
@@ -319,6 +363,7 @@ class Behavior(ProfiledAction):
         Args:
             resource: Its name.
             access: What this behavior wants to do with it.
+            as_type: The type of its readings or commands, as in `esair.reads`.
             priority: With which priority it writes; higher wins.
             hold: For how long a write holds the actuator, in seconds.
             max_age: The greatest age of a reading, in seconds.
@@ -329,11 +374,12 @@ class Behavior(ProfiledAction):
         Raises:
             UnknownNameError: No resource has the name.
             AccessDeniedError: A rule denies it.
+            ConfigError: It gives or takes something else.
         """
         host = self._host
         if host is None:
             raise self._alone()
-        return await host.register(resource, access, priority, hold, max_age)
+        return await host.register(resource, access, as_type, priority, hold, max_age)
 
     @property
     def supervisor(self) -> Behaviors:
@@ -392,13 +438,19 @@ class Behavior(ProfiledAction):
         host = self._host
         if host is None:
             raise self._alone()
-        if timeout is not None:
-            check_duration(self.name, "timeout", timeout)
         budget = host.budget
-        budget.left -= 1
+        budget.left -= PUT_COST
         if budget.left < 0:
             await budget.give_way()
+        if timeout is not None:
+            check_duration(self.name, "timeout", timeout)
         return await host.receive(timeout)
+
+    def _checked(self, data: Any, wanted: type[T], verb: str, sender: str) -> T:
+        if isinstance(data, wanted) or passes_as(data, wanted):
+            return data  # type: ignore[no-any-return]
+        told = f"expected {type_name(wanted)} from {sender}, not {data!r:.80}"
+        raise BadValueError(self.name, verb, told)
 
     def _alone(self) -> NotRegisteredError:
         return NotRegisteredError(self.name, "robot", "it is not in a running robot")
@@ -415,17 +467,3 @@ def portal_of(behavior: Behavior) -> Portal:
     if found is None:
         raise behavior._alone()  # noqa: SLF001 - as above
     return found
-
-
-async def in_loop(function: Callable[..., T], *args: Any, **options: Any) -> T:
-    """Call a plain function where it belongs: in the loop."""
-    return function(*args, **options)
-
-
-async def forever() -> None:
-    """Wait until it is cancelled."""
-    await asyncio.get_running_loop().create_future()
-
-
-async def next_of(values: AsyncIterator[T]) -> T:
-    return await anext(values)

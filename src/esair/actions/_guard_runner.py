@@ -14,7 +14,7 @@ from esair.connections import (
     Registration,
     SensorChannel,
 )
-from esair.loop import Owner, stepping
+from esair.loop import Owner, clock_beside
 
 
 class GuardRunner(ReactionRunner):
@@ -114,15 +114,19 @@ class GuardRunner(ReactionRunner):
             self.job.soon()  # it is parked in a step of its own
             return BLIND
         self.steps += 1
+        if self._budget is not None:
+            clock = clock_beside(self._loop)
+            first = clock()
         self._clock.step(began)
+        stepping = self._stepping
         stepping.owner, before = self._owner, stepping.owner
         try:
-            passed = self._react(**self.values, **{self._port: command})
+            passed = self._react(**self.readings(), **{self._port: command})
         finally:
             stepping.owner = before
         if self._budget is None:
             return passed
-        failed = self.overran(self._time() - began)
+        failed = self.overran(self.took(lambda: clock() - first))
         if failed is not None:
             raise failed
         return BLIND if self._overruns_in_row else passed
@@ -131,5 +135,5 @@ class GuardRunner(ReactionRunner):
         return self.reaction.blind(**{self._port: command})
 
     def _crashed(self, error: BaseException) -> None:
-        if not self._stopped:
+        if not self.stopped:
             self._crash(error)

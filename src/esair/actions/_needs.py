@@ -17,16 +17,14 @@ from typing import (
 import attrs
 
 from esair import abc
-from esair.actions._ports import ActuatorPort, SensorPort
+from esair.connections import ActuatorPort, SensorPort
 from esair.exceptions import NotRegisteredError
 from esair.messages import Access
+from esair.resources import APPLIED
 
 if TYPE_CHECKING:
-    from esair.actions._blocking import (
-        BlockingActuatorPort,
-        BlockingSensorPort,
-        ThreadBehavior,
-    )
+    from esair.actions._blocking import ThreadBehavior
+    from esair.actions._blocking_ports import BlockingActuatorPort, BlockingSensorPort
 
 T = TypeVar("T")
 
@@ -79,6 +77,11 @@ class Reads(Generic[T]):
         return self.name or self.attribute
 
     @property
+    def provider(self) -> str:
+        """Who has to be there for it: the actuator, if it reads its last command."""
+        return self.resource.removesuffix(APPLIED)
+
+    @property
     def access(self) -> Access:
         """What the action wants to do."""
         return Access.READ | Access.CONFIGURE if self.configure else Access.READ
@@ -129,6 +132,11 @@ class Writes(Generic[T]):
         return self.name or self.attribute
 
     @property
+    def provider(self) -> str:
+        """Who has to be there for it: the actuator."""
+        return self.resource
+
+    @property
     def access(self) -> Access:
         """What the action wants to do."""
         return Access.WRITE | Access.CONFIGURE if self.configure else Access.WRITE
@@ -172,6 +180,11 @@ class Guards(Generic[T]):
         return self.name or self.attribute
 
     @property
+    def provider(self) -> str:
+        """Who has to be there for it: the actuator."""
+        return self.resource
+
+    @property
     def access(self) -> Access:
         """What the action wants to do."""
         return Access.GUARD
@@ -193,7 +206,8 @@ def reads(
 
     Args:
         type: The type of the readings.
-        name: The name of the sensor; that of the attribute unless given.
+        name: The name of the sensor; that of the attribute unless given. The last
+            command that an actuator has applied is read as ``"valve.applied"``.
         max_age: The greatest age of a reading, in seconds; the sensor's own limit
             unless given (three of its periods if it is polled). An older one is
             never passed off as current: a behavior gets `StaleReadingError`, a

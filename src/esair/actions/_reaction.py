@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 from esair.actions._needs import Blind, Guards, ProfiledAction, Reads, Writes
+from esair.actions._step_clock import StepClock, Told
 from esair.messages import Restart
 
 EVERY_LIMIT = 256
@@ -52,11 +53,18 @@ class Reaction(ProfiledAction):
 
     blind_unless_said: ClassVar[Blind] = "safe"
 
-    now_ms: int = 0
+    now_ms: int = cast(int, Told())
     """The moment of this step, in whole milliseconds since the robot started."""
 
-    elapsed_ms: int = 0
+    elapsed_ms: int = cast(int, Told())
     """Milliseconds since its previous step; 0 at the first."""
+
+    def take_clock(self, clock: StepClock) -> None:
+        """Ask this clock from now on."""
+        fields = vars(self)
+        fields.pop("now_ms", None)
+        fields.pop("elapsed_ms", None)
+        fields["_step_clock"] = clock
 
     def react(self, *args: Any, **readings: Any) -> Any:
         """Decide on the newest readings, which come by the names of their ports.

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
 from collections.abc import Awaitable
 from typing import TYPE_CHECKING, Any
 
 from esair.connections import ActuatorChannel, Registration, SensorChannel
-from esair.exceptions import DeviceLostError, EsairError, ResourceRemovedError
-from esair.messages import Reading
+from esair.exceptions import (
+    DeviceLostError,
+    EsairError,
+    ResourceRemovedError,
+    describe,
+)
+from esair.messages import Reading, Refused, Written
 
 if TYPE_CHECKING:
     from esair.actions._reaction_runner import ReactionRunner
 
+_EARLY = 1e-7  # of two sums of seconds that are the same moment one may be a hair less
 FOR_EVER = float("inf")
+
+_log = logging.getLogger("esair")
 
 
 class Input:
@@ -24,6 +34,7 @@ class Input:
         "max_age",
         "name",
         "optional",
+        "place",
         "ready",
         "registration",
         "runner",
@@ -35,6 +46,7 @@ class Input:
         self,
         runner: ReactionRunner,
         name: str,
+        place: int,
         channel: SensorChannel,
         registration: Registration,
         max_age: float | None,
@@ -44,6 +56,8 @@ class Input:
     ) -> None:
         self.runner = runner
         self.name = name
+        self.place = place
+        """Where its value is among those of the reaction."""
         self.channel = channel
         self.registration = registration
         self.max_age = max_age
@@ -59,22 +73,27 @@ class Input:
     def feed(self, reading: Reading[Any]) -> None:
         """Take a new reading; the reaction's next step decides on it."""
         runner = self.runner
-        runner.values[self.name] = reading.value
-        limit = self.channel.max_age if self.max_age is None else self.max_age
+        # By their places: a name in a tuple takes three times as long.
+        value = runner.values[self.place] = reading[0]
+        limit = self.max_age
+        if limit is None:
+            limit = self.channel.max_age
         if limit < FOR_EVER:
-            self.stale_at = reading.time + limit
-            runner.refresh()
+            self.stale_at = reading[1] + limit - _EARLY
+            runner.refresh(self)
         if not self.ready:
             self.ready = True
             if not self.optional:
                 runner.arrived()
+        if runner.missing:
+            self.seen = runner.steps
+            return
         if self.every:
-            if not runner.missing:
-                runner.queue(self.name, reading.value)
-        elif self.seen == runner.steps and not runner.missing:
+            runner.queue(self.place, value)
+        elif self.seen == runner.steps:
             runner.skipped += 1
         self.seen = runner.steps
-        if runner.on_reading and not runner.missing:
+        if runner.on_reading:
             runner.job.soon()
 
     @property
@@ -100,7 +119,7 @@ class Input:
         self.stale_at = FOR_EVER
         self.runner.forget()
         if self.optional:
-            self.runner.values[self.name] = None
+            self.runner.values[self.place] = None
             self.runner.job.soon()
         else:
             self.runner.park(reason, missing=1)
@@ -160,7 +179,58 @@ class Output:
             if self.active:
                 self.release()
             return False, None
-        return self.runner.write(self, command)
+        if self.pending:
+            if self.later is not None:
+                self.runner.conflated += 1
+            self.later = command
+            return True, None
+        try:
+            outcome = self.channel.begin(self.registration, command, None, told=False)
+        except EsairError as error:
+            self._reject(error)
+            return False, None
+        if type(outcome) is Written:
+            self.active = True
+        elif type(outcome) is Refused:
+            self.runner.refused += 1
+            self.active = True  # what a guard stops has taken the actuator
+        else:
+            self.active = self.pending = True
+            return True, self._settle(outcome)  # type: ignore[arg-type]
+        return True, None
+
+    async def _settle(self, rest: Awaitable[Written[Any] | Refused]) -> None:
+        runner, task = self.runner, asyncio.current_task()
+        assert task is not None
+        runner.settling.add(task)
+        try:
+            if not await rest:
+                runner.refused += 1
+        except EsairError as error:
+            self._reject(error)
+            self.later = None
+        finally:
+            runner.settling.discard(task)
+            self.pending = False
+            command, self.later = self.later, None
+        if command is None or runner.stopped:
+            return
+        if self.decided:  # in this turn, and newer
+            runner.conflated += 1
+        else:
+            self.decide(command)
+
+    def _reject(self, error: EsairError) -> None:
+        runner = self.runner
+        runner.rejected += 1
+        if runner.rejected == 1 or runner.rejected % 1000 == 0:
+            _log.warning(
+                "%s: command %d for %s was rejected: %s",
+                runner.reaction.name,
+                runner.rejected,
+                self.name,
+                describe(error),
+            )
 
     def lost(self, winner: Registration) -> None:
         """Count a command that another one of the same turn has beaten."""
@@ -185,5 +255,5 @@ def _in_short(sensor: str, error: EsairError) -> str:
     if isinstance(error, ResourceRemovedError):
         return f"{sensor} removed"
     if isinstance(error, DeviceLostError):
-        return f"{sensor} lost: {error}"
+        return f"{sensor} lost: {error.detail}" if error.detail else f"{sensor} lost"
     return f"{sensor}: {error}"

@@ -4,37 +4,42 @@ from __future__ import annotations
 
 import asyncio
 import collections
-import functools
 import inspect
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from esair.actions._from_minimal import MinimalReaction
 from esair.actions._reaction import EVERY_LIMIT, Reaction
 from esair.actions._reaction_ports import FOR_EVER, Input, Output
+from esair.actions._sampling import Sampling
 from esair.actions._step_clock import StepClock
+from esair.actions._until import by_name
 from esair.connections import ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import (
     BadValueError,
     BehaviorFailedError,
     EsairError,
     StaleReadingError,
-    describe,
 )
 from esair.loop import (
     Job,
-    OneShot,
-    Order,
     Owner,
     Scheduler,
     Step,
+    Stepping,
+    ask_outside,
+    clock_beside,
     clock_of,
-    stepping,
 )
-from esair.messages import Refused, Written
 
 _log = logging.getLogger("esair")
+
+
+_COLLECTS = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
+
+_QUICK = 100.0
+"""From this rate on, in Hz, the next step finds soon enough that a reading is too old."""
 
 
 def _ignore() -> None:
@@ -59,12 +64,13 @@ class ReactionRunner:
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
-        "_awaits",
         "_budget",
+        "_by_place",
         "_clock",
-        "_deferred",
         "_inputs",
+        "_is_alone",
         "_loop",
+        "_names",
         "_on_crash",
         "_on_end",
         "_on_sight",
@@ -72,17 +78,16 @@ class ReactionRunner:
         "_outputs",
         "_overruns_in_row",
         "_owner",
-        "_patience",
-        "_polled",
         "_react",
-        "_sampled_in",
+        "_sampling",
         "_scheduler",
-        "_settling",
         "_single",
-        "_stopped",
+        "_stepping",
         "_time",
         "_until",
         "_watch",
+        "_watch_at",
+        "_watches",
         "blind",
         "conflated",
         "every",
@@ -95,11 +100,16 @@ class ReactionRunner:
         "reaction",
         "refused",
         "rejected",
+        "settling",
         "skipped",
         "stale_at",
         "steps",
+        "stopped",
         "values",
     )
+
+    input_type: ClassVar[type[Input]] = Input
+    """What each of its sensors feeds."""
 
     def __init__(
         self,
@@ -115,11 +125,10 @@ class ReactionRunner:
     ) -> None:
         self.reaction = reaction
         self._owner = owner
-        decides = (
-            reaction.reaction if isinstance(reaction, MinimalReaction) else reaction
-        )
-        self._clock = StepClock(decides, began)
-        self.every: collections.deque[tuple[str, Any]] | None = None
+        told = reaction.reaction if isinstance(reaction, MinimalReaction) else None
+        self._clock = StepClock(began, told)
+        reaction.take_clock(self._clock)
+        self.every: collections.deque[tuple[int, Any]] | None = None
         """The readings that wait for a step each, of ports with ``every=True``."""
         self.overflow = 0
         """How many of those were dropped because too many waited."""
@@ -129,7 +138,10 @@ class ReactionRunner:
         """Whether it has not decided since it could not."""
         self._on_sight = on_sight
         self.on_reading = reaction.rate is None
-        self.values: dict[str, Any] = {}
+        self._watches = reaction.rate is None or reaction.rate < _QUICK
+        self._names, self._by_place = _order(reaction)
+        self.values: list[Any] = [None] * len(self._names)
+        """The newest readings, in the order of the names."""
         self.missing = 0
         """How many sensors have no reading that may be used."""
         self.steps = 0
@@ -149,27 +161,22 @@ class ReactionRunner:
         """How many steps have taken longer than their budget."""
         self._overruns_in_row = 0
         self._scheduler = Scheduler.of(self._loop)
+        self._stepping = Stepping.of(self._loop)
         self.job: Job = self._scheduler.on_demand(self._turn, name=reaction.name)
-        self._polled: tuple[SensorChannel, ...] = ()
-        """What it samples: the sensors that are asked, if it has a rate."""
-        self._deferred: Job | None = None
-        """The step that waits for its samples."""
-        self._awaits = 0
-        """For how many samples it waits,"""
-        self._sampled_in = 0
-        """and of which turn they are; 0 if it waits for none."""
-        self._patience: OneShot | None = None
+        self._sampling: Sampling | None = None
+        """How its steps wait for their samples, if it has a rate."""
         self._react = reaction.react
         self._inputs: list[Input] = []
         self._outputs: dict[str, Output] = {}
         self._single: Output | None = None
         self._on_state = on_state
         self._on_crash = on_crash
-        self._until = _by_name(until, reaction) if until is not None else None
+        self._until = by_name(until, reaction) if until is not None else None
         self._on_end = on_end
         self._watch: asyncio.TimerHandle | None = None
-        self._stopped = False
-        self._settling: set[asyncio.Task[Any]] = set()
+        self._watch_at = FOR_EVER
+        self.stopped = False
+        self.settling: set[asyncio.Task[Any]] = set()
         """The tasks of writes whose drivers wait."""
 
     def counts(self) -> dict[str, int]:
@@ -201,15 +208,18 @@ class ReactionRunner:
             inputs: For each reading its channel, registration, and greatest age.
             outputs: For each command its channel and registration.
         """
-        optional = {k for k, need in self.reaction.inputs.items() if need.optional}
-        every = {k for k, need in self.reaction.inputs.items() if need.every}
+        needs, place = self.reaction.inputs, self._names.index
         self._inputs = [
-            Input(self, name, *terms, optional=name in optional, every=name in every)
+            self.input_type(
+                *(self, name, place(name), *terms),
+                optional=needs[name].optional,
+                every=needs[name].every,
+            )
             for name, terms in inputs.items()
         ]
-        if every:
+        self._is_alone = len(inputs) == 1
+        if any(need.every for need in needs.values()):
             self.every = collections.deque()
-        self.values.update(dict.fromkeys(optional))
         self._outputs = {
             name: Output(self, name, *terms) for name, terms in outputs.items()
         }
@@ -233,24 +243,23 @@ class ReactionRunner:
 
     def _take_rate(self, rate: float) -> None:
         """Step on the grid, at the moments at which the sensors are asked."""
-        channels = [each.channel for each in self._inputs]
-        self._polled = tuple(each for each in channels if each.sensor.can_be_asked)
+        asked = [each for one in self._inputs for each in one.channel.sampled]
+        polled = tuple(dict.fromkeys(asked))
         name, scheduler = self.reaction.name, self._scheduler
         step = self._turn
-        if self._polled:
-            self._deferred = scheduler.on_demand(step, name=name)
-            step = self._sample
-        names = [each.name for each in self._polled] or [name]
+        if polled:
+            self._sampling = Sampling(scheduler, polled, step, name, rate)
+            step = self._sampling.turn
+        names = [each.name for each in polled] or [name]
         phase = max(map(scheduler.phase, names))
         self.job = scheduler.every(1.0 / rate, step, name=name, phase=phase)
 
     def stop(self) -> None:
         """Never step again, and follow nothing. What it wrote is the caller's to undo."""
-        self._stopped = True
+        self.stopped = True
         self.job.stop()
-        if self._deferred is not None:
-            self._deferred.stop()
-        self._lose_patience()
+        if self._sampling is not None:
+            self._sampling.stop()
         if self._watch is not None:
             self._watch.cancel()
             self._watch = None
@@ -258,7 +267,7 @@ class ReactionRunner:
             each.channel.unfollow(each)
         for output in self._outputs.values():
             output.forget()
-        for task in tuple(self._settling):
+        for task in tuple(self.settling):
             task.cancel()
 
     # Parking.
@@ -281,20 +290,19 @@ class ReactionRunner:
         if self.missing == 0:
             self._unpark()
 
-    def refresh(self) -> None:
+    def refresh(self, fed: Input) -> None:
         """Compute anew when the first reading becomes stale."""
-        inputs = self._inputs
-        if len(inputs) == 1:
-            self.stale_at = inputs[0].stale_at
+        if self._is_alone:
+            self.stale_at = fed.stale_at
         else:
-            self.stale_at = min(each.stale_at for each in inputs)
-        if self._watch is None and self.on_reading:
-            self._watch = self._loop.call_at(self.stale_at, self._look)
+            self.stale_at = min(each.stale_at for each in self._inputs)
+        if self.stale_at < self._watch_at and self._watches:
+            self._watch_for_age()
 
     def park(self, reason: str, *, missing: int = 0) -> None:
         """Stop deciding and give the actuators back, until the sensors are back."""
         self.missing += missing
-        if self.parked or self._stopped:
+        if self.parked or self.stopped:
             return
         self.parked = self.blind = True
         if self.every:
@@ -310,15 +318,22 @@ class ReactionRunner:
         self._on_state(True, "")
 
     def _look(self) -> None:
-        """Park a reaction that nothing steps because no reading comes any more."""
-        self._watch = None
+        """Park a reaction that nothing steps before a reading is too old."""
+        self._watch, self._watch_at = None, FOR_EVER
         now = self._time()
         if self.stale_at == FOR_EVER:
             return  # it is parked; the next reading begins anew
         if now < self.stale_at:
-            self._watch = self._loop.call_at(self.stale_at, self._look)
+            self._watch_for_age()
         else:
             self._stale(now)
+
+    def _watch_for_age(self) -> None:
+        """Look when the first reading becomes stale: earlier than was thought, maybe."""
+        if self._watch is not None:
+            self._watch.cancel()
+        self._watch_at = self.stale_at
+        self._watch = self._loop.call_at(self.stale_at, self._look)
 
     def _stale(self, now: float) -> None:
         for each in self._inputs:
@@ -329,6 +344,8 @@ class ReactionRunner:
     def forget(self) -> None:
         """Compute anew when the first reading becomes stale, after one is gone."""
         self.stale_at = min((each.stale_at for each in self._inputs), default=FOR_EVER)
+        if self.stale_at < self._watch_at and self._watches and not self.stopped:
+            self._watch_for_age()
 
     # Steps.
 
@@ -337,61 +354,18 @@ class ReactionRunner:
         """What the scheduler calls; only who has a budget pays for the clock."""
         return self._step if self._budget is None else self._timed_step
 
-    def _sample(self, now: float) -> Awaitable[object] | None:
-        """Step when the polls of this instant are answered, half a period late at most."""
-        # One look for all: a thousand sensors that answer at once are not touched.
-        if self._scheduler.polled_in == self._scheduler.turns:
-            for channel in self._polled:
-                if channel.awaited_in and self._wait_for_samples(now):
-                    return None
-        assert self._deferred is not None
-        return self._deferred.function(now)
-
-    def _wait_for_samples(self, now: float) -> bool:
-        assert self.reaction.rate is not None
-        half, turn = 0.5 / self.reaction.rate, self._scheduler.turns
-        awaited = [
-            each
-            for each in self._polled
-            if each.awaited_in == turn and each.latency <= half
-        ]
-        if not awaited:
-            return False
-        self._awaits = len(awaited)
-        self._sampled_in = turn
-        for each in awaited:
-            each.when_answered(functools.partial(self._answered, turn))
-        self._lose_patience()
-        self._patience = self._scheduler.at(
-            now + half, self._wait_no_longer, order=Order.EXPIRY
-        )
-        return True
-
-    def _answered(self, turn: int) -> None:
-        """A sample has come; step when all have."""
-        if turn == self._sampled_in:
-            self._awaits -= 1
-            if self._awaits == 0:
-                self._wait_no_longer(0.0)
-
-    def _wait_no_longer(self, _now: float) -> None:
-        self._sampled_in = 0
-        self._lose_patience()
-        if self._deferred is not None:
-            self._deferred.soon()
-
-    def _lose_patience(self) -> None:
-        if self._patience is not None:
-            self._scheduler.cancel(self._patience)
-            self._patience = None
-
     def _timed_step(self, now: float) -> Awaitable[object] | None:
-        begin = self._time()
+        clock = clock_beside(self._loop)
+        begin = clock()
         rest = self._step(now)
-        failed = self.overran(self._time() - begin)
-        if failed is not None and not self._stopped:
+        failed = self.overran(self.took(lambda: clock() - begin))
+        if failed is not None and not self.stopped:
             self._crash(failed)
         return rest
+
+    def took(self, measured: Callable[[], float]) -> float:
+        """Return how long a step took, or has taken when it was recorded."""
+        return ask_outside((self.reaction.name, "took"), measured)
 
     def overran(self, took: float) -> BehaviorFailedError | None:
         """Count a step that took too long; return an error if there were too many."""
@@ -420,10 +394,10 @@ class ReactionRunner:
         if self.every is None:
             self._decide(now)
             return None
-        while not (self.missing or self._stopped):
+        while not (self.missing or self.stopped):
             if self.every:
-                name, value = self.every.popleft()
-                self.values[name] = value
+                place, value = self.every.popleft()
+                self.values[place] = value
             self._decide(now)
             if not self.every:
                 break
@@ -433,9 +407,16 @@ class ReactionRunner:
         """Make one step on the values that there are now."""
         self.steps += 1
         self._clock.step(now)
+        stepping = self._stepping
         stepping.owner = self._owner
+        values = self.values
         try:
-            result = self._react(**self.values)
+            if not self._by_place:
+                result = self._react(**self.readings())
+            elif len(values) == 1:
+                result = self._react(values[0])
+            else:
+                result = self._react(*values)
         except BaseException as error:  # contained: one component's failure
             self._crash(error)
             return
@@ -452,7 +433,11 @@ class ReactionRunner:
         elif result is not None or output.active:
             output.decide(result)
 
-    def queue(self, name: str, value: Any) -> None:
+    def readings(self) -> dict[str, Any]:
+        """Return the newest readings by their names."""
+        return dict(zip(self._names, self.values, strict=True))
+
+    def queue(self, place: int, value: Any) -> None:
         """Keep a reading for a step of its own."""
         waiting = self.every
         if waiting is None:
@@ -460,13 +445,13 @@ class ReactionRunner:
         if len(waiting) >= EVERY_LIMIT:
             waiting.popleft()
             self.overflow += 1
-        waiting.append((name, value))
+        waiting.append((place, value))
 
     def _is_over(self) -> bool:
         assert self._until is not None
         assert self._on_end is not None
         try:
-            over = self._until(self.values)
+            over = self._until(self.readings())
         except BaseException as error:  # contained: one component's failure
             self._crash(error)
             return True
@@ -505,88 +490,17 @@ class ReactionRunner:
         for output in self._outputs.values():
             output.forget()
 
-    def write(
-        self, output: Output, command: Any
-    ) -> tuple[bool, Awaitable[object] | None]:
-        """Send a command; return whether it was looked at, and the rest of the work."""
-        if output.pending:
-            if output.later is not None:
-                self.conflated += 1
-            output.later = command
-            return True, None
-        try:
-            outcome = output.channel.begin(output.registration, command, None)
-        except EsairError as error:
-            self._reject(output, error)
-            return False, None
-        kind = type(outcome)
-        if kind is Written:
-            output.active = True
-        elif kind is Refused:
-            self.refused += 1
-        else:
-            output.active = True
-            output.pending = True
-            return True, self._settle(output, outcome)  # type: ignore[arg-type]
-        return True, None
 
-    async def _settle(
-        self, output: Output, rest: Awaitable[Written[Any] | Refused]
-    ) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._settling.add(task)
-        try:
-            if not await rest:
-                self.refused += 1
-        except EsairError as error:
-            self._reject(output, error)
-            output.later = None
-        finally:
-            self._settling.discard(task)
-            output.pending = False
-            command, output.later = output.later, None
-        if command is None or self._stopped:
-            return
-        if output.decided:  # in this turn, and newer
-            self.conflated += 1
-        else:
-            output.decide(command)
+def _order(reaction: Reaction) -> tuple[tuple[str, ...], bool]:
+    """Return the names of the readings, and whether ``react`` gets them by place.
 
-    def _reject(self, output: Output, error: EsairError) -> None:
-        self.rejected += 1
-        if self.rejected == 1 or self.rejected % 1000 == 0:
-            _log.warning(
-                "%s: command %d for %s was rejected: %s",
-                self.reaction.name,
-                self.rejected,
-                output.name,
-                describe(error),
-            )
-
-
-def _by_name(
-    until: Callable[..., bool], reaction: Reaction
-) -> Callable[[Mapping[str, Any]], bool]:
-    """Adapt a condition that names the readings it wants."""
-    if not callable(until):
-        raise BadValueError(
-            reaction.name, "until", f"expected a function, not {until!r:.80}"
-        )
-    parameters = inspect.signature(until).parameters.values()
-    if any(p.kind is p.VAR_KEYWORD for p in parameters):
-        return lambda values: until(**values)
-    wanted = [
-        p.name
-        for p in parameters
-        if p.default is p.empty and p.kind is not p.VAR_POSITIONAL
-    ]
-    unknown = [name for name in wanted if name not in reaction.inputs]
-    if unknown:
-        raise BadValueError(
-            reaction.name,
-            "until",
-            f"its parameters must be readings ({', '.join(reaction.inputs)}), "
-            f"not {', '.join(unknown)}",
-        )
-    return lambda values: until(**{name: values[name] for name in wanted})
+    By place is three times as quick as by name, where its parameters are known.
+    """
+    inputs = tuple(reaction.inputs)
+    code = getattr(getattr(reaction.react, "__func__", None), "__code__", None)
+    if code is None or code.co_kwonlyargcount or code.co_flags & _COLLECTS:
+        return inputs, False
+    parameters = code.co_varnames[1 : code.co_argcount]
+    if sorted(parameters) != sorted(inputs):
+        return inputs, False
+    return parameters, bool(parameters)

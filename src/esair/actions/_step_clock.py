@@ -9,27 +9,54 @@ _EARLY = 1e-3
 
 
 class StepClock:
-    """Tells a reaction the moment of each of its steps.
+    """Knows the moments of a reaction's steps, and computes them when it asks.
 
     Args:
-        reaction: Who is told, by ``now_ms`` and ``elapsed_ms``.
         began: When its robot has started, in seconds.
+        reaction: Who is told at each step, because it cannot ask: one of MIN.
     """
 
-    __slots__ = ("_began", "_first", "_reaction")
+    __slots__ = ("_before", "_began", "_now", "_reaction")
 
-    def __init__(self, reaction: Any, began: float) -> None:
-        self._reaction = reaction
+    def __init__(self, began: float, reaction: Any = None) -> None:
         self._began = began
-        self._first = True
+        self._now: float | None = None
+        self._before: float | None = None
+        self._reaction = reaction
 
     def step(self, now: float) -> None:
         """Begin a step."""
-        reaction = self._reaction
-        at = int((now - self._began) * 1000.0 + _EARLY)
-        if self._first:
-            self._first = False
-            reaction.elapsed_ms = 0
-        else:
-            reaction.elapsed_ms = at - reaction.now_ms
-        reaction.now_ms = at
+        self._before = self._now
+        self._now = now
+        if self._reaction is not None:
+            self._reaction.now_ms = self.now_ms
+            self._reaction.elapsed_ms = self.elapsed_ms
+
+    @property
+    def now_ms(self) -> int:
+        """The moment of this step, in whole milliseconds since the robot started."""
+        return 0 if self._now is None else self._since_start(self._now)
+
+    @property
+    def elapsed_ms(self) -> int:
+        """Milliseconds since its previous step; 0 at the first."""
+        return (
+            0 if self._before is None else self.now_ms - self._since_start(self._before)
+        )
+
+    def _since_start(self, moment: float) -> int:
+        return int((moment - self._began) * 1000.0 + _EARLY)
+
+
+class Told:
+    """An attribute of a reaction that its clock answers.
+
+    Outside of a robot, in a test of ``react`` say, it is 0 or what it was set to.
+    """
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, reaction: Any, owner: type | None = None) -> int:
+        clock = None if reaction is None else vars(reaction).get("_step_clock")
+        return 0 if clock is None else getattr(clock, self._name)

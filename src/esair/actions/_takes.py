@@ -234,7 +234,7 @@ def _answers(cls: type, attribute: str, method: Any) -> Answers | ConfigError:
         )
     kinds = {p.kind for p in parameters} - {inspect.Parameter.POSITIONAL_OR_KEYWORD}
     wanted = hints.get(parameters[1].name) if len(parameters) == 2 else None
-    if kinds or not _is_request(wanted):
+    if kinds or not is_request(wanted):
         return ConfigError(
             cls.__name__,
             attribute,
@@ -255,34 +255,6 @@ def _or_none(kind: Any) -> Any:
     return type(None) if kind is None else kind
 
 
-def _is_request(kind: Any) -> typing.TypeGuard[type[Request[Any]]]:
+def is_request(kind: Any) -> typing.TypeGuard[type[Request[Any]]]:
+    """Tell whether something is a class of requests."""
     return inspect.isclass(kind) and issubclass(kind, Request) and kind is not Request
-
-
-def mistakes_in_requests(action: abc.Action) -> list[ConfigError]:
-    """Return what is wrong with the requests that an action takes."""
-    found: list[ConfigError] = []
-    by_type: dict[Any, str] = {}
-    for attribute, each in declared_requests(type(action)).items():
-        if isinstance(each, ConfigError):
-            found.append(ConfigError(action.name, each.field, _text(each)))
-            continue
-        if not _is_request(each.type):
-            message = (
-                f"expected a class derived from esair.Request, not {each.type!r:.80}"
-            )
-        elif type(each.queue) is not int or each.queue < 1:
-            message = f"expected a queue of 1 or more, not {each.queue!r:.80}"
-        elif type(each.newest) is not bool:
-            message = f"expected newest=True or False, not {each.newest!r:.80}"
-        elif each.type in by_type:
-            message = f"{each.type.__name__} is taken by {by_type[each.type]!r} already"
-        else:
-            by_type[each.type] = attribute
-            continue
-        found.append(ConfigError(action.name, attribute, message))
-    return found
-
-
-def _text(error: ConfigError) -> str:
-    return str(error).split(": ", 2)[-1]

@@ -1,0 +1,263 @@
+"""Sensors that are computed of the readings of others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, TypeVar
+
+import attrs
+
+from esair.actions._needs import Reads
+from esair.actions._reaction import Reaction
+from esair.actions._reaction_ports import FOR_EVER, Input
+from esair.actions._reaction_runner import ReactionRunner
+from esair.actions._step_clock import StepClock
+from esair.connections import DerivedChannel, Source
+from esair.exceptions import DeviceLostError, EsairError
+from esair.loop import Owner, Scheduler
+from esair.messages import ResourceState, Stamped
+from esair.resources import Sensor
+
+T = TypeVar("T")
+
+
+class Derived(Sensor[T]):
+    """A sensor that is computed of the readings of other sensors.
+
+    It is declared like a reaction and read like any sensor, by reactions and behaviors
+    alike. A value is computed on each new reading of its sources, in the turn in which
+    that came in and before anybody decides. It is as old as the oldest reading that it
+    was computed of, and too old when the first of them is. While a source is lost it
+    is lost as well.
+
+    Args:
+        reads: Sensors to read besides, or instead of, those of the class.
+        **options: What `Sensor` takes: a name, settings.
+
+    Example:
+        >>> class Odometry(esair.Derived[Pose]):
+        ...     left = esair.reads(float, name="left_encoder")
+        ...     right = esair.reads(float, name="right_encoder")
+        ...
+        ...     def compute(self, left: float, right: float) -> Pose | None: ...
+    """
+
+    is_computed: ClassVar[bool] = True
+
+    budget: float | None = None
+    """How long one computation may take, in seconds; None if there is no limit.
+
+    A longer one is counted, and logged.
+    """
+
+    now_ms: int = 0
+    """The moment of this computation, in whole milliseconds since the robot started."""
+
+    elapsed_ms: int = 0
+    """Milliseconds since the computation before; 0 at the first after an opening."""
+
+    _declared: ClassVar[Mapping[str, Reads[Any]]] = {}
+    _given: Mapping[str, Reads[Any]] = {}
+
+    def __init__(
+        self, *, reads: Mapping[str, Reads[Any]] | None = None, **options: Any
+    ) -> None:
+        super().__init__(**options)
+        self.set_reads(reads or {})
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        found: dict[str, Reads[Any]] = {}
+        for each in reversed(cls.__mro__):
+            for attribute, value in vars(each).items():
+                if isinstance(value, Reads):
+                    found[attribute] = value
+                else:
+                    found.pop(attribute, None)
+        cls._declared = found
+
+    @property
+    def inputs(self) -> dict[str, Reads[Any]]:
+        """What it is computed of, by the name of its port."""
+        return {**self._declared, **self._given}
+
+    def set_reads(self, reads: Mapping[str, Reads[Any]]) -> None:
+        """Read these besides, or instead of, those of the class; before its robot starts."""
+        self._given = {
+            attribute: attrs.evolve(need, attribute=attribute)
+            for attribute, need in reads.items()
+        }
+
+    def compute(self, *args: Any, **readings: Any) -> T | Stamped[T] | None:
+        """Compute a value of the newest readings, which come by the names of their ports.
+
+        Returns:
+            The value; an `esair.Stamped` one if it is of another time than the oldest
+            of the readings; or None if there is nothing new to say.
+        """
+        raise NotImplementedError
+
+    def open(self) -> None:
+        """Begin anew: its sources are there, at the start and again after a loss.
+
+        Meanwhile they may have missed something: here what was summed up is put back,
+        or marked as doubtful.
+        """
+
+
+class _Computing(Reaction):
+    """What a derived sensor does, as a reaction without an actuator."""
+
+    def __init__(self, derived: Derived[Any]) -> None:
+        super().__init__(name=derived.name, reads=derived.inputs)
+        self.budget = derived.budget
+        self._compute = derived.compute
+
+    def react(self, **readings: Any) -> Any:
+        return self._compute(**readings)
+
+
+class _Tap(Input):
+    """One source of a derived sensor."""
+
+    __slots__ = ()
+
+    def changed(self, error: EsairError | None) -> None:
+        """Learn that the source is gone for now (why), or back (None)."""
+        super().changed(error)
+        there = self.channel.state is ResourceState.READY and self.registration.usable
+        runner = self.runner
+        if self.channel.state is ResourceState.CLOSED:
+            return  # the robot has stopped
+        if not self.optional and isinstance(runner, Derivation):
+            if not there:
+                runner.on_change(self.absence())
+            elif error is None:
+                runner.on_change(None)
+
+    def absence(self) -> DeviceLostError:
+        """Make the error of what is computed of a source that is not there."""
+        runner, source = self.runner, self.channel
+        named = (
+            self.name if self.name == source.name else f"{self.name} ({source.name})"
+        )
+        why = source.error or source.state.value
+        if not self.registration.usable:
+            why = source.registrations.refusal(self.registration)
+        told = f"its source {named}: {why}"
+        if isinstance(why, DeviceLostError):
+            told = f"its source {named} is lost: {why.detail}"
+        lost = DeviceLostError(runner.reaction.name, told)
+        if isinstance(why, EsairError):
+            lost.__cause__ = why.with_traceback(None)
+        return lost
+
+
+class Derivation(ReactionRunner):
+    """Computes one derived sensor until it is stopped.
+
+    Args:
+        derived: What is computed.
+        channel: Where its values go.
+        on_change: Called when one of its sources is gone (why), or back (None).
+        began: When the robot has started, in seconds of the loop's clock.
+        owner: Whose random numbers it draws.
+    """
+
+    __slots__ = ("_began", "_channel", "_derived", "on_change")
+
+    input_type = _Tap
+
+    def __init__(
+        self,
+        derived: Derived[Any],
+        channel: DerivedChannel,
+        on_change: Callable[[DeviceLostError | None], None],
+        *,
+        began: float = 0.0,
+        owner: Owner | None = None,
+    ) -> None:
+        super().__init__(
+            _Computing(derived),
+            on_state=_ignore,
+            on_crash=_ignore,
+            began=began,
+            owner=owner,
+        )
+        self._derived = derived
+        self._channel = channel
+        self._began = began
+        self.on_change = on_change
+
+    def follow(self, sources: Mapping[str, Source]) -> None:
+        """Begin to follow the sources; nothing is computed before `begin`."""
+        self._channel.sources = tuple(sources.values())
+        self._channel.catch_up = self._catch_up
+        scheduler = Scheduler.of(self._loop)
+        self.job = scheduler.derived(
+            self._turn, name=self._derived.name, depth=self._channel.depth
+        )
+        self.start(
+            {
+                name: (each.channel, each.registration, each.max_age)
+                for name, each in sources.items()
+            },
+            {},
+        )
+
+    def stop(self) -> None:
+        """Compute nothing any more, and follow nothing."""
+        super().stop()
+        self._channel.sources = ()
+        self._channel.catch_up = None
+
+    def begin(self) -> None:
+        """Begin anew, if every source is there.
+
+        Raises:
+            DeviceLostError: One is not.
+            Exception: Whatever ``open`` has raised.
+        """
+        for each in self._inputs:
+            ready = each.channel.state is ResourceState.READY
+            if not each.optional and not (ready and each.registration.usable):
+                assert isinstance(each, _Tap)
+                raise each.absence()
+        self._clock = StepClock(self._began, self._derived)
+        self._derived.open()
+        if not self.missing:
+            self.job.soon()
+
+    def _catch_up(self) -> None:
+        if self.job.queued:
+            self.job.queued = False
+            self.job.function(self._time())
+
+    def _decide(self, now: float) -> None:
+        """Compute a value of the readings that there are now."""
+        channel = self._channel
+        if channel.state is not ResourceState.READY:
+            return
+        self.steps += 1
+        channel.is_current = False
+        self._clock.step(now)
+        stepping = self._stepping
+        stepping.owner = self._owner
+        try:
+            value = self._react(**self.readings())
+        except BaseException as error:  # contained: one component's failure
+            channel.fail(error)
+            return
+        finally:
+            stepping.owner = None
+        if value is None:
+            return
+        needed = [each for each in self._inputs if not each.optional]
+        known = [each.channel.newest for each in needed or self._inputs]
+        oldest = min((each.time for each in known if each is not None), default=now)
+        stale_at = min((each.stale_at for each in needed), default=FOR_EVER)
+        channel.publish_until(value, oldest, stale_at)
+
+
+def _ignore(*_: object) -> None:
+    """Tell nobody."""

@@ -1,0 +1,100 @@
+"""How a step at a rate waits for the sensors that are asked at the same moment."""
+
+from __future__ import annotations
+
+import functools
+
+from esair.connections import SensorChannel
+from esair.loop import Job, OneShot, Order, Scheduler, Step
+
+
+class Sampling:
+    """Has a step wait for the polls of its own instant, half a period at most.
+
+    A sensor that lately took longer than that is not waited for.
+
+    Args:
+        scheduler: Who calls the step.
+        polled: The sensors that are asked.
+        step: What decides.
+        name: Of the reaction.
+        rate: How often it steps, in Hz.
+    """
+
+    __slots__ = (
+        "_awaits",
+        "_deferred",
+        "_half",
+        "_patience",
+        "_polled",
+        "_sampled_in",
+        "_scheduler",
+        "_step",
+    )
+
+    def __init__(
+        self,
+        scheduler: Scheduler,
+        polled: tuple[SensorChannel, ...],
+        step: Step,
+        name: str,
+        rate: float,
+    ) -> None:
+        self._scheduler = scheduler
+        self._polled = polled
+        self._step = step
+        self._half = 0.5 / rate
+        self._deferred: Job = scheduler.on_demand(step, name=name)
+        self._awaits = 0
+        """For how many samples it waits,"""
+        self._sampled_in = 0
+        """and of which turn they are; 0 if it waits for none."""
+        self._patience: OneShot | None = None
+
+    def turn(self, now: float) -> None:
+        """Step, or see to it that the step comes when its samples are there."""
+        # One look for all: a thousand sensors that answer at once are not touched.
+        scheduler = self._scheduler
+        if scheduler.polled_in != scheduler.turns or not self._waits(now):
+            self._step(now)
+
+    def stop(self) -> None:
+        """Never step again."""
+        self._deferred.stop()
+        self._lose_patience()
+
+    def _waits(self, now: float) -> bool:
+        turn, half = self._scheduler.turns, self._half
+        awaited = [
+            each
+            for each in self._polled
+            if each.awaited_in == turn and each.latency <= half
+        ]
+        if not awaited:
+            return False
+        self._awaits = len(awaited)
+        self._sampled_in = turn
+        for each in awaited:
+            each.when_answered(functools.partial(self._answered, turn))
+        self._lose_patience()
+        self._patience = self._scheduler.at(
+            now + half, self._wait_no_longer, order=Order.EXPIRY
+        )
+        return True
+
+    def _answered(self, turn: int) -> None:
+        """A sample has come; step when all have."""
+        if turn == self._sampled_in:
+            self._awaits -= 1
+            if self._awaits == 0:
+                self._wait_no_longer(0.0)
+
+    def _wait_no_longer(self, _now: float) -> None:
+        self._sampled_in = 0
+        self._lose_patience()
+        self._deferred.soon()
+
+    def _lose_patience(self) -> None:
+        if self._patience is not None:
+            self._scheduler.cancel(self._patience)
+            self._patience = None
