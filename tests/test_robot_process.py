@@ -202,7 +202,9 @@ async def test_signals_are_heard_without_run_too(
 async def test_sys_exit_in_a_behavior_is_its_own_failure(tmp_path: Path) -> None:
     """The robot is not torn down; the behavior fails for good, and that is the end."""
     returned, lines, errors, _ = await live(
-        tmp_path / "log", step="Drive.restart = esair.Restart(max=1); sys.exit(7)"
+        tmp_path / "log",
+        step="sys.exit(7)",
+        main="Drive.restart = esair.Restart(max=1)\nesair.run(robot)",
     )
 
     assert returned == 1

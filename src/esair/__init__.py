@@ -16,6 +16,7 @@ reactions (its *actions*). Subclass those, hand them to a `Robot`, and `run` it:
 from esair.abc import Action, Connection, Supervisor
 from esair.actions import (
     Behavior,
+    Derived,
     Reaction,
     Request,
     ThreadBehavior,
@@ -97,6 +98,7 @@ __all__ = [
     "CircularRequestError",
     "ConfigError",
     "Connection",
+    "Derived",
     "DeviceFaultError",
     "DeviceLostError",
     "DriverStuckError",

@@ -47,6 +47,13 @@ class Sonar(esair.Sensor[float]):
         return 1.0
 
 
+class Double(esair.Derived[float]):
+    sonar = esair.reads(float)
+
+    def compute(self, sonar: float) -> float:
+        return 2.0 * sonar
+
+
 class FakeSonar(esair.Sensor[float]):
     def __init__(self, *, value: float = 1.0, **settings) -> None:
         super().__init__(**settings)

@@ -40,6 +40,29 @@ def test_devices_of_one_bus_share_it(project) -> None:
     assert all(device.bus is bus for device in described.resources.values())
 
 
+def test_a_derived_sensor_reads_what_the_file_says(project) -> None:
+    """Two of one class have sources of their own."""
+    text = (
+        '[sensor.left]\ndriver = "{m}:Sonar"\n'
+        '[sensor.double]\ndriver = "{m}:Double"\n'
+        '[sensor.double.reads]\nsonar = "left"\n'
+        '[sensor.speed]\ndriver = "{m}:Double"\n'
+        '[sensor.speed.reads.sonar]\nname = "left"\nmax_age = 0.5\n'
+    )
+    described = config.load(project.write(text))
+
+    double, speed = described.resources["double"], described.resources["speed"]
+    assert double.inputs["sonar"].resource == "left"
+    assert speed.inputs["sonar"].max_age == 0.5
+    with pytest.raises(ExceptionGroup) as caught:
+        config.load(project.write(text.replace('"left"', '"LEFT"')))
+    assert "sensor.double.reads.sonar" in str(caught.value.exceptions[0])
+    applied = text.replace('name = "left"', 'name = "wheels.applied"')
+    with pytest.raises(ExceptionGroup) as caught:
+        config.load(project.write(applied))
+    assert "no resource is named 'wheels.applied'" in str(caught.value.exceptions[0])
+
+
 def test_nothing_is_opened(project) -> None:
     """Loading opens no bus."""
     assert not config.load(project.write()).buses["front"].is_open

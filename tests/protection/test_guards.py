@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import threading
 from typing import Any
 
 import attrs
@@ -138,8 +139,7 @@ async def test_a_standing_command_is_made_weaker_never_stronger() -> None:
 
 
 @pytest.mark.promise("PRO-8")
-@pytest.mark.parametrize("plain", [False, True])
-async def test_a_command_that_waits_is_judged_when_it_is_its_turn(plain: bool) -> None:
+async def test_a_command_that_waits_is_judged_when_it_is_its_turn() -> None:
     """Behind a busy driver."""
     sonar, wheels, op = ranges(), Wheels(), user()
     async with esair.Robot(resources=[sonar, wheels], behaviors=[ObstacleGuard(), op]):
@@ -155,6 +155,42 @@ async def test_a_command_that_waits_is_judged_when_it_is_its_turn(plain: bool) -
         await asyncio.sleep(0.5)
         assert 0.2 not in wheels.commands
         assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("PRO-8", "CALL-1")
+@pytest.mark.real_clock
+@pytest.mark.parametrize("near", [False, True])
+async def test_a_command_in_the_queue_of_a_thread_is_fenced_by_its_guard(
+    near: bool,
+) -> None:
+    """It has passed the guard, who withdraws it before the thread comes to it."""
+    go, told = threading.Event(), []
+
+    class Blocking(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = 30.0
+        deadline = 10.0
+
+        def write(self, command: float) -> None:
+            told.append(command)
+
+    sonar, wheels, op = ranges(), Blocking(name="wheels"), user()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[ObstacleGuard(), op]
+    ) as robot:
+        executor = robot.actuators.channels["wheels"].driver.executor
+        blocker = asyncio.ensure_future(executor.call(go.wait, timeout=10.0))
+        writing = asyncio.ensure_future(op.wheels.write(0.3))
+        await asyncio.sleep(0.02)
+        sonar.feed(0.1 if near else 1.5)
+        await asyncio.sleep(0.01)
+        go.set()
+        await blocker
+        answer = await writing
+        assert bool(answer) is not near
+        assert (0.3 in told) is not near
+        if near:
+            assert answer.holder == "obstacle_guard"
 
 
 @pytest.mark.promise("PRO-6", "PRO-9")

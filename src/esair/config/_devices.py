@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from esair.actions import Derived
 from esair.buses import Bus
 from esair.config._construct import construct
 from esair.config._draft import Draft, Part
 from esair.config._mistakes import show
+from esair.config._profiles import set_profile
 from esair.config._records import hints_of
 from esair.config._tables import Variant, class_of, variant_of
 from esair.config._words import unknown, wanted
@@ -46,7 +48,9 @@ def make_device(
     before = len(draft.source.mistakes.errors)
     bus = _find_bus(draft, key, variant, cls, given)
     has_bus = len(draft.source.mistakes.errors) == before and None not in given.values()
-    _needs_simulation(draft, key, bus, variant)
+    derived = cls is not None and issubclass(cls, Derived)
+    if not derived:  # what is computed is the same in a simulation
+        _needs_simulation(draft, key, bus, variant)
     if cls is None:
         return Part(base.__name__.lower(), name, None, bus)
     made: Resource | None = construct(
@@ -60,9 +64,11 @@ def make_device(
         given=given,
         kinds={"safe": _command_type(cls)} if base is Actuator else {},
         inherited=variant.inherited,
-        later=frozenset({"driver", "bus"}),
+        later=frozenset({"driver", "bus", "reads"} if derived else {"driver", "bus"}),
         make=has_bus,
     )
+    if isinstance(made, Derived):
+        set_profile(made, variant.table, variant.keys, draft.source)
     return Part(base.__name__.lower(), name, adapt_resource(made), bus)
 
 

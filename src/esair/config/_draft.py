@@ -75,6 +75,7 @@ class Draft:
             behaviors=[each for each in made if isinstance(each, ProfiledAction)],
             policies=list(self.policies.values()),
             buses=self.made(Bus),
+            watchdog=self.robot.get("watchdog") is True,
             missing={
                 each.name: each.kind
                 for each in self.parts

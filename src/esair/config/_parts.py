@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from esair.config._actions import make_behavior
+from esair.config._boards import add_boards
 from esair.config._construct import keywords_of
 from esair.config._devices import make_bus, make_device
 from esair.config._draft import Draft, Part
@@ -21,7 +22,10 @@ from esair.values import check_name
 OF_ROBOT: Final = ("operator", "record", "page")
 """The tables that are keywords of the robot with fields of their own."""
 
-TABLES: Final = ("robot", "bus", "sensor", "actuator", "behavior", "access", *OF_ROBOT)
+TABLES: Final = (
+    *("robot", "board", "bus", "sensor", "actuator", "behavior", "access"),
+    *OF_ROBOT,
+)
 """The tables of a file."""
 
 
@@ -34,6 +38,10 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
         elif not isinstance(value, dict):
             source.mistakes.add(name, f"expected a table, not {show(value)}")
             del source.data[name]
+    add_boards(
+        source,
+        lambda other: make_draft(other, simulated=False, robot_class=robot_class),
+    )
     draft.robot = _read_robot(source, robot_class)
     for name, table in named_tables(source, "bus"):
         draft.parts.append(Part("bus", name, make_bus(draft, name, table)))

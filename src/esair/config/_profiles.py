@@ -7,12 +7,13 @@ from typing import Any, Final
 
 import attrs
 
-from esair.actions import Guards, Need, ProfiledAction, Reads, Writes
+from esair.actions import Derived, Guards, Need, ProfiledAction, Reads, Writes
 from esair.config._mistakes import below, show
 from esair.config._source import Source
 from esair.config._values import INVALID, convert
 from esair.config._words import unknown, wanted
 from esair.exceptions import ConfigError
+from esair.resources import APPLIED
 from esair.values import check_name
 
 FLOWS: Final = ("reads", "writes", "guards")
@@ -43,7 +44,7 @@ _FIELDS: Final[Mapping[str, Mapping[str, Any]]] = {
 
 
 def set_profile(
-    action: ProfiledAction,
+    action: ProfiledAction | Derived[Any],
     table: Mapping[str, object],
     keys: Mapping[str, str],
     source: Source,
@@ -51,16 +52,18 @@ def set_profile(
     """Change what an action reads, writes or guards as the file says, or note why not.
 
     Args:
-        action: A behavior or reaction.
+        action: A behavior or reaction, or a derived sensor.
         table: Its table in the file.
         keys: The key in the file of each key in the table.
         source: The file.
     """
     before = len(source.mistakes.errors)
     given: dict[str, dict[str, Any]] = {flow: {} for flow in FLOWS}
-    for attribute, need in action.needs.items():
+    needs: Mapping[str, Need]
+    needs = action.inputs if isinstance(action, Derived) else action.needs
+    for attribute, need in needs.items():
         given[_flow_of(need)][attribute] = need
-    for flow in FLOWS:
+    for flow in FLOWS[:1] if isinstance(action, Derived) else FLOWS:
         if flow not in table:
             continue
         ports = table[flow]
@@ -72,7 +75,7 @@ def set_profile(
             continue
         for attribute, changes in ports.items():
             where = below(keys[flow], attribute)
-            declared = action.needs.get(attribute)
+            declared = needs.get(attribute)
             if declared is not None and _flow_of(declared) != flow:
                 doing = _flow_of(declared)
                 told = f"its class declares {attribute!r} the other way round: it {doing} it"
@@ -81,7 +84,11 @@ def set_profile(
             changed = _changed(flow, given[flow].get(attribute), changes, where, source)
             if changed is not None:
                 given[flow][attribute] = changed
-    if len(source.mistakes.errors) == before:
+    if len(source.mistakes.errors) > before:
+        return
+    if isinstance(action, Derived):
+        action.set_reads(given["reads"])
+    else:
         # Again, and not through the class: its own constructor may not hand them on.
         ProfiledAction.__init__(action, name=action.name, **given)
 
@@ -128,7 +135,7 @@ def _changed(
 
 def _is_name(name: str, key: str, source: Source) -> bool:
     try:
-        check_name("resource", name)
+        check_name("resource", name.removesuffix(APPLIED))
     except ConfigError as error:
         source.mistakes.add(key, f"expected {str(error).rpartition('expected ')[2]}")
         return False

@@ -10,6 +10,7 @@ file, from a script, and for each component that comes into a running one::
 A new rule goes into the file of its subject, and is asked in ``_examine.py``.
 """
 
+from esair.plan._derived import depths
 from esair.plan._examine import (
     examine,
     examine_action,
@@ -21,11 +22,19 @@ from esair.plan._looking import only_looking, refuse_while_looking
 from esair.plan._names import in_use
 from esair.plan._needs import unmet
 from esair.plan._plan import Plan
-from esair.plan._protection import Guard, Protection, Writer, protection
+from esair.plan._protection import (
+    UNWATCHED,
+    Guard,
+    Protection,
+    Writer,
+    protection,
+    when_alone,
+)
 from esair.plan._resources import wrong_bus
 from esair.plan._rights import denial, not_alone
 
 __all__ = [
+    "UNWATCHED",
     "Finding",
     "Guard",
     "Plan",
@@ -33,6 +42,7 @@ __all__ = [
     "Severity",
     "Writer",
     "denial",
+    "depths",
     "errors_in",
     "examine",
     "examine_action",
@@ -45,5 +55,6 @@ __all__ = [
     "refuse",
     "refuse_while_looking",
     "unmet",
+    "when_alone",
     "wrong_bus",
 ]

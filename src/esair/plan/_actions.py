@@ -7,14 +7,15 @@ from collections.abc import Iterator
 from esair.actions import (
     Behavior,
     Guards,
+    Need,
     Reaction,
     Reads,
     Writes,
-    mistakes_in_requests,
 )
 from esair.exceptions import ConfigError
 from esair.messages import Restart
 from esair.plan._finding import Finding, because, mistake
+from esair.plan._requests import mistakes_in_requests
 from esair.plan._signatures import (
     wrong_blind,
     wrong_methods,
@@ -54,21 +55,7 @@ def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
 
 def _in_needs(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
     for attribute, need in action.needs.items():
-        try:
-            check_name("resource", need.resource)
-        except ConfigError as error:
-            yield attribute, str(error)
-        if need.type is None or isinstance(need.type, str | bytes | int | float):
-            yield (
-                attribute,
-                f"expected a type such as float, not {need.type!r:.80} "
-                "(a name is given by name=)",
-            )
-        for field in ("max_age", "hold"):
-            seconds = getattr(need, field, None)
-            if seconds is not None and not is_positive(seconds):
-                told = f"expected seconds > 0, not {seconds!r:.80}"
-                yield f"{attribute}.{field}", told
+        yield from wrong_port(attribute, need)
         if isinstance(need, Guards) and isinstance(action, Behavior):
             yield attribute, "only a reaction guards: make one of it"
         if isinstance(need, Writes) and need.blind not in {None, "safe", "release"}:
@@ -77,6 +64,25 @@ def _in_needs(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
         if not isinstance(need, Reads) and type(need.priority) is not int:
             told = f"expected a whole number, not {need.priority!r:.80}"
             yield f"{attribute}.priority", told
+
+
+def wrong_port(attribute: str, need: Need) -> Iterator[tuple[str, str]]:
+    """Yield each field of a declared port that is wrong, and what was expected."""
+    try:
+        check_name("resource", need.provider)
+    except ConfigError as error:
+        yield attribute, str(error)
+    if need.type is None or isinstance(need.type, str | bytes | int | float):
+        yield (
+            attribute,
+            f"expected a type such as float, not {need.type!r:.80} "
+            "(a name is given by name=)",
+        )
+    for field in ("max_age", "hold"):
+        seconds = getattr(need, field, None)
+        if seconds is not None and not is_positive(seconds):
+            told = f"expected seconds > 0, not {seconds!r:.80}"
+            yield f"{attribute}.{field}", told
 
 
 def _in_reaction(reaction: Reaction) -> Iterator[tuple[str, str]]:

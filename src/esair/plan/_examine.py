@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from typing import Any
 
-from esair.actions import Behavior, Reaction
+from esair.actions import Behavior, Derived, Reaction
 from esair.exceptions import ConfigError
 from esair.plan._actions import mistakes_in_action, mistyped
 from esair.plan._buses import claimed_twice, odd_buses
+from esair.plan._derived import underivable
 from esair.plan._finding import Finding, because
 from esair.plan._names import in_use, taken, used_already, wrong_kind
 from esair.plan._needs import unmet, untimely
@@ -113,6 +114,8 @@ def _about_resources(
             yield strange
             continue
         found = list(mistakes_in_resource(resource))
+        if isinstance(resource, Derived) and not found:
+            found += underivable(plan, resource)
         if in_use(resource) and resource is not instead_of:
             found.insert(0, used_already(resource))
         yield from found
@@ -148,5 +151,5 @@ def _about_action(
             yield missing
         else:
             yield from untimely(plan, action, attribute, need)
-        if need.resource in plan.resource_names:
+        if need.provider in plan.resource_names:
             yield from denied(plan, action, need, user=user or action.name)

@@ -5,24 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Final
 
-from esair.actions import Behavior, Guards, Need, Reaction, Reads, Writes
+from esair.actions import Behavior, Derived, Guards, Need, Reaction, Reads, Writes
 from esair.exceptions import UnknownNameError
 from esair.plan._finding import Finding, mistake, warning
 from esair.plan._plan import Plan
-from esair.resources import Actuator, Sensor
+from esair.resources import APPLIED, Actuator, Sensor
 from esair.values import is_positive, same_type, type_name
 
 _DOING: Final = {Reads: "reads", Writes: "writes", Guards: "guards"}
 
 
 def unmet(
-    plan: Plan, action: Behavior | Reaction, attribute: str, need: Need
+    plan: Plan,
+    action: Behavior | Reaction | Derived[Any],
+    attribute: str,
+    need: Need,
 ) -> Finding | None:
-    """Find out if nobody provides what a port of an action asks for."""
+    """Find out if nobody provides what a port of an action, or a derived sensor, asks for."""
     name, wanted = action.name, need.resource
-    resource = plan.resource_of.get(wanted)
+    resource = plan.provided(need)
     if resource is None:
-        if wanted in plan.resource_names:
+        if (
+            need.provider in plan.resource_names
+            and need.provider not in plan.resource_of
+        ):
             return None  # its own mistakes are told already
         user = f"{name}: {attribute}"
         cause = UnknownNameError("resource", wanted, plan.resource_names, user=user)
@@ -33,7 +39,9 @@ def unmet(
     if writes is not isinstance(resource, Actuator):
         is_a = "a sensor" if writes else "an actuator"
         told = f"it {doing} {wanted!r}, which is {is_a}"
-        return mistake("need", action, name, attribute, told)
+        applied = f"its last command is read as name={wanted + APPLIED!r}"
+        advice = "" if writes else applied
+        return mistake("need", action, name, attribute, told, advice)
     has = resource.value_type
     if not (same_type(need.type, has) if writes else same_type(has, need.type)):
         told = (
@@ -50,7 +58,7 @@ def untimely(
     """Find times that can never be met; both numbers are named."""
     if not isinstance(action, Reaction):
         return  # a behavior asks the device again when a reading is too old for it
-    resource = plan.resource_of.get(need.resource)
+    resource = plan.provided(need)
     if isinstance(need, Reads) and isinstance(resource, Sensor):
         yield from _too_young(action, attribute, need, resource)
         yield from _silent(action, attribute, need, resource)
@@ -74,7 +82,7 @@ def untimely(
 def _too_young(
     action: Reaction, attribute: str, need: Reads[Any], sensor: Sensor[Any]
 ) -> Iterator[Finding]:
-    if need.max_age is None or sensor.pushes:
+    if need.max_age is None or not sensor.can_be_asked or sensor.pushes:
         return
     period = 1 / sensor.rate
     if need.max_age <= period * (1 + 1e-9):  # 1 / 0.1 is not quite 10

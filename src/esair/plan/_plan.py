@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 
-from esair.actions import Behavior, Need, Reaction, Writes
+from esair.actions import Behavior, Derived, Need, Reaction, Writes
+from esair.connections import Applied
 from esair.exceptions import EsairError
 from esair.messages import Policy
-from esair.resources import Resource
+from esair.resources import Actuator, Resource
 
 if TYPE_CHECKING:
     from esair.buses import Bus
@@ -32,6 +33,7 @@ class Plan:
         missing: Parts that were named and could not be made, for reasons that were
             told already: their names, and the kind of each (``sensor``, ``actuator``,
             ``behavior``).
+        watchdog: Whether a second process makes safe what this one cannot.
         writers: In a robot that runs, who is registered to write each actuator; None
             if whoever declares it will be.
     """
@@ -42,6 +44,7 @@ class Plan:
     policies: Sequence[Any] = ()
     buses: Mapping[str, Bus] = attrs.field(factory=dict)
     missing: Mapping[str, str] = attrs.field(factory=dict)
+    watchdog: bool = False
     writers: Mapping[str, Sequence[str]] | None = None
 
     @functools.cached_property
@@ -51,6 +54,21 @@ class Plan:
         for each in self.resources:
             if isinstance(each, Resource) and (name := name_of(each)):
                 found.setdefault(name, each)
+        return found
+
+    @functools.cached_property
+    def derived_of(self) -> dict[str, Derived[Any]]:
+        """The sensors that are computed of others, by name."""
+        found = self.resource_of.items()
+        return {name: each for name, each in found if isinstance(each, Derived)}
+
+    def provided(self, need: Need) -> Resource | None:
+        """Return what a port is for: a resource, or the last command of an actuator."""
+        found = self.resource_of.get(need.resource)
+        if found is None and need.provider != need.resource:
+            actuator = self.resource_of.get(need.provider)
+            if isinstance(actuator, Actuator):
+                return Applied(actuator)
         return found
 
     @functools.cached_property

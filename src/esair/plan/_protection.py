@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import attrs
 
@@ -11,6 +12,9 @@ from esair.plan._finding import Finding, warning
 from esair.plan._plan import Plan
 from esair.resources import Actuator
 from esair.values import is_positive
+
+UNWATCHED = "UNWATCHED"
+"""What is said of an actuator that no watchdog makes safe."""
 
 _MUTE_LIMIT = Reaction.mute_limit
 """What a class has that says nothing about it, in seconds."""
@@ -65,7 +69,9 @@ class Protection:
         sent_by: Who sends the safe command, and when.
         own_timeout: After how many seconds the device stops by itself when it
             hears nothing more; None if it does not.
-        when_the_host_dies: What that means.
+        when_the_process_dies: Whether the watchdog process makes it safe then, or why
+            it is UNWATCHED.
+        when_the_host_dies: What it does when this computer is gone.
     """
 
     name: str
@@ -76,6 +82,7 @@ class Protection:
     guards: tuple[Guard, ...]
     sent_by: str
     own_timeout: float | None
+    when_the_process_dies: str
     when_the_host_dies: str
 
     def __str__(self) -> str:
@@ -92,6 +99,7 @@ class Protection:
         )
         lines += [
             f"  safe is sent by {self.sent_by}",
+            f"  when this process dies: {self.when_the_process_dies}",
             f"  when this computer dies: {self.when_the_host_dies}",
         ]
         return "\n".join(lines)
@@ -127,12 +135,27 @@ def _of(plan: Plan, name: str, actuator: Actuator[object]) -> Protection:
         ),
         sent_by=f"esair: {after}at every exit",
         own_timeout=own,
-        when_the_host_dies=(
-            f"it stops itself after {own:g} s"
-            if is_positive(own)
-            else "it keeps its last command"
-        ),
+        when_the_process_dies=_unwatched(plan, actuator)
+        or "the watchdog sends its safe command",
+        when_the_host_dies=when_alone(actuator),
     )
+
+
+def when_alone(actuator: Actuator[Any]) -> str:
+    """Say what a device does that hears nothing more from anybody."""
+    own = actuator.own_timeout
+    if is_positive(own):
+        return f"it stops itself after {own:g} s"
+    return "it keeps its last command"
+
+
+def _unwatched(plan: Plan, actuator: Actuator[Any]) -> str:
+    """Say why no watchdog makes an actuator safe; empty if one does."""
+    if not plan.watchdog:
+        return f"{UNWATCHED}: the robot has no watchdog"
+    if type(actuator).safe_frames is Actuator.safe_frames:
+        return f"{UNWATCHED}: its driver cannot say its safe command as bytes"
+    return ""
 
 
 def _writers(plan: Plan, resource: str) -> Iterator[Writer]:
@@ -181,6 +204,8 @@ def unprotected(plan: Plan) -> Iterator[Finding]:
 
 
 def _bare(plan: Plan, name: str, row: Protection) -> Iterator[Finding]:
+    if "behavior" in plan.missing.values():
+        return  # what could not be made may be what protects it
     actuator = plan.resource_of[name]
     behaviors = [each.priority for each in row.writers if each.kind == "behavior"]
     if not behaviors or row.guards or not _moves(actuator):

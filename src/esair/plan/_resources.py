@@ -6,8 +6,10 @@ import inspect
 from collections.abc import Iterator
 from typing import Any
 
+from esair.actions import Derived
 from esair.connections import CommandCheck, limits_by_field, part_of
 from esair.exceptions import BadValueError
+from esair.plan._derived import wrong_derived
 from esair.plan._finding import Finding, mistake, warning
 from esair.plan._signatures import wrong_signatures
 from esair.resources import (
@@ -43,7 +45,10 @@ def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Find
         if repeats is not None and (type(repeats) is not int or repeats < 1):
             told = f"expected a whole number > 0, not {repeats!r:.80}"
             yield wrong("max_repeat", told)
-        if not (resource.can_be_asked or resource.pushes):
+        if isinstance(resource, Derived):
+            for field, told in wrong_derived(resource):
+                yield wrong(field, told)
+        elif not (resource.can_be_asked or resource.pushes):
             yield wrong("read", "a sensor must have a read or stream method")
     for field, told in wrong_signatures(resource):
         yield wrong(field, told)
@@ -66,7 +71,8 @@ def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Find
 
 def blocks_safe(actuator: Actuator[Any], operation: str, limit: object) -> bool:
     """Tell whether an operation keeps the safe command waiting for too long."""
-    if inspect.iscoroutinefunction(getattr(actuator, operation)):
+    plain = not inspect.iscoroutinefunction(getattr(actuator, operation))
+    if not (plain and actuator.blocking):
         return False
     return is_positive(limit) and float(str(limit)) > actuator.deadline
 

@@ -69,7 +69,7 @@ def denied(
         need: What it asks for.
         user: The name in which it is registered.
     """
-    policy = plan.policy_of.get(need.resource)
+    policy = plan.policy_of.get(need.provider)
     if policy is None:
         return
     priority = 0 if isinstance(need, Reads) else need.priority
@@ -80,6 +80,13 @@ def denied(
         others = [each for each in _writers(plan, action, need) if each != user]
         if others:
             yield _against(policy, "exclusive", not_alone(policy, user, others[0]))
+
+
+def refused(plan: Plan, derived: str, need: Reads[Any]) -> Iterator[Finding]:
+    """Find out if a policy keeps what a derived sensor is computed of from it."""
+    policy = plan.policy_of.get(need.provider)
+    if policy is not None and (refusal := denial(policy, derived, need.access, 0)):
+        yield _against(policy, *refusal)
 
 
 def _writers(
@@ -138,6 +145,8 @@ def _in_policy(plan: Plan, policy: Policy) -> Iterator[Finding]:
     for who in dict.fromkeys((*policy.allow, *policy.max_priority)):
         if who == "*" or who in plan.action_names:
             continue
+        if who in plan.derived_of:
+            continue  # it reads what it is computed of in its own name
         field = f"allow.{who}" if who in policy.allow else f"max_priority.{who}"
         if nearest := did_you_mean(who, left):
             told = f"no behavior is named {who!r}{nearest}"
@@ -155,7 +164,8 @@ def _useless(plan: Plan, policy: Policy) -> Iterator[Finding]:
     )
     asked = Access.WRITE if is_actuator else Access.READ
     everybody = policy.allow.get("*", Access(0))
-    if not any(asked in policy.allow.get(n, everybody) for n in plan.action_names):
+    users = [*plan.action_names, *plan.derived_of]
+    if not any(asked in policy.allow.get(name, everybody) for name in users):
         doing = "write" if is_actuator else "read"
         told = f"nobody here may {doing} it: no behavior of the robot is allowed to"
         yield warning("rights", policy, _title(policy), "", told)

@@ -5,10 +5,18 @@ from __future__ import annotations
 import inspect
 import types
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from esair.actions import Behavior, MinimalReaction, Need, Reaction, Reads, Writes
+from esair.actions import (
+    Behavior,
+    Derived,
+    MinimalReaction,
+    Need,
+    Reaction,
+    Reads,
+    Writes,
+)
 from esair.messages import Reading
 from esair.resources import Actuator, Sensor, settings_of
 from esair.values import same_type, type_name
@@ -62,16 +70,31 @@ def wrong_methods(behavior: Behavior) -> Iterator[tuple[str, str]]:
 
 def wrong_react(reaction: Reaction) -> Iterator[str]:
     """Yield what is wrong with ``react``: its kind, its parameters, their types."""
-    react = reaction.react
-    if getattr(react, "__func__", None) is Reaction.react:
+    if getattr(reaction.react, "__func__", None) is Reaction.react:
         yield "a reaction must have a react method"
-    elif inspect.iscoroutinefunction(react):
-        yield "expected a plain function, not async"
-    elif yields(react):
-        yield "expected a plain function that does not yield"
-    elif told := _cannot(react, **dict.fromkeys(_given(reaction))):
-        names = ", ".join(_given(reaction)) or "none"
+    else:
         kind = "readings and the command" if reaction.guarded else "readings"
+        yield from _wrong_step(reaction.react, _given(reaction), kind)
+
+
+def wrong_compute(derived: Derived[Any]) -> Iterator[str]:
+    """Yield what is wrong with ``compute``: its kind, its parameters, their types."""
+    if getattr(derived.compute, "__func__", None) is Derived.compute:
+        yield "a derived sensor must have a compute method"
+        return
+    wrong = list(_wrong_step(derived.compute, derived.inputs, "readings"))
+    yield from wrong or _mistyped(derived.compute, derived.inputs)
+
+
+def _wrong_step(
+    step: Callable[..., Any], given: Mapping[str, Need], kind: str
+) -> Iterator[str]:
+    if inspect.iscoroutinefunction(step):
+        yield "expected a plain function, not async"
+    elif yields(step):
+        yield "expected a plain function that does not yield"
+    elif told := _cannot(step, **dict.fromkeys(given)):
+        names = ", ".join(given) or "none"
         yield f"its parameters must be its {kind} ({names}): {told}"
 
 
@@ -97,8 +120,12 @@ def wrong_types(reaction: Reaction) -> Iterator[str]:
     """Yield each annotated parameter of ``react`` that its port does not fit."""
     if isinstance(reaction, MinimalReaction):
         return  # its types are for readers only
-    hints = _hints(reaction.react)
-    for name, need in _given(reaction).items():
+    yield from _mistyped(reaction.react, _given(reaction))
+
+
+def _mistyped(step: Callable[..., Any], given: Mapping[str, Need]) -> Iterator[str]:
+    hints = _hints(step)
+    for name, need in given.items():
         hint = hints.get(name, Any)
         if typing.get_origin(hint) is typing.Annotated:
             hint = typing.get_args(hint)[0]

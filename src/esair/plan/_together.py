@@ -51,7 +51,9 @@ def unused(plan: Plan) -> Iterator[Finding]:
     """Find resources that no action declares to use."""
     if "behavior" in plan.missing.values():
         return
-    used = {need.resource for _, _, _, need in plan.needs()}
+    used = {need.provider for _, _, _, need in plan.needs()}
+    for derived in plan.derived_of.values():
+        used |= {need.provider for need in derived.inputs.values()}
     for name, resource in plan.resource_of.items():
         if name not in used:
             doing = "writes" if isinstance(resource, Actuator) else "reads"

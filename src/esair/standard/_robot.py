@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import logging
-import os
 import secrets
 import signal
-import sys
-import threading
 import time
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Iterable
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import anyio
 
@@ -26,26 +22,9 @@ from esair.connections import (
     SensorConnection,
     Stopped,
 )
-from esair.exceptions import (
-    ConfigError,
-    RecordingError,
-    StoppingError,
-    describe,
-)
+from esair.exceptions import ConfigError, StoppingError, describe
 from esair.journal import Journal, LogLines
-from esair.loop import (
-    GLANCE,
-    Ending,
-    Gaps,
-    Job,
-    OwnedTasks,
-    Scheduler,
-    SignalWatch,
-    StallWatch,
-    run_and_end,
-    spawn,
-    threads_that_keep_the_process,
-)
+from esair.loop import News, SignalWatch, leave_behind, outside, spawn
 from esair.messages import (
     BehaviorsPolicy,
     Operator,
@@ -56,7 +35,17 @@ from esair.messages import (
 )
 from esair.plan import Plan, errors_in, examine, refuse_while_looking
 from esair.resources import Resource, adapt_resource
-from esair.supervisors import BehaviorSupervisor, Halts, Keeper, ResourceSupervisor
+from esair.standard._buses import close_buses, open_buses
+from esair.standard._care import STALL_WARNING, LoopCare
+from esair.standard._recording import Keeping, repeats
+from esair.supervisors import (
+    BehaviorDeployment,
+    BehaviorSupervisor,
+    Halts,
+    Keeper,
+    ResourceDeployment,
+    ResourceSupervisor,
+)
 from esair.values import check_name, check_seconds
 from esair.watchdog import LIMIT
 
@@ -64,21 +53,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from esair.buses import Bus
-    from esair.recording import Recorder
     from esair.seat import Seat
-
-BUS_TIMEOUT = 2.0
-"""How long a bus may take to open or to close, in seconds."""
 
 LAST_WAIT = 2.0
 """How long `run` may take to end beside the grace period, in seconds."""
 
-STALL_WARNING = 0.1
-"""How long code may hold the event loop before it is named, in seconds."""
-
 _log = logging.getLogger("esair")
-
-T = TypeVar("T", bound=str)
 
 
 class Robot:
@@ -154,13 +134,20 @@ class Robot:
         self._has_socket = socket
         self._page = page
         self._seat: Seat | None = None
-        self._recording = record
-        self._recorder: Recorder | None = None
+        self._keeping = Keeping(record)
         self._grace = check_seconds(f"robot {name!r}", "grace", grace)
         # What was written for a microcontroller runs here as well, in an adapter.
         self._list_of_resources: list[Any] = [adapt_resource(r) for r in resources]
         self._list_of_behaviors: list[Any] = [adapt_action(b) for b in behaviors]
         given: list[Any] = list(policies)
+        self._rules: dict[str, Any] = {
+            "name": name,
+            "policies": given,
+            "grace": grace,
+            "start_patience": start_patience,
+            "seed": seed,
+            "operator": operator,
+        }
         self._list_of_policies: list[Any] = [
             each for each in given if not isinstance(each, BehaviorsPolicy)
         ]
@@ -168,54 +155,41 @@ class Robot:
         self.actuators = ActuatorConnection()
         self.journal = Journal()
         registrations = Registrations(self.journal)
-        self.resources = ResourceSupervisor(
+        self._resources = ResourceDeployment(
             self.sensors,
             self.actuators,
             registrations,
             policies=self._list_of_policies,
-            declared=lambda behavior, resource: self.behaviors.declared(
-                behavior, resource
-            ),
+            declared=lambda *names: self._behaviors.declared(*names),
             grace=self._grace,
         )
+        self.resources = ResourceSupervisor(self._resources)
         self._halts = Halts(
             name,
             self.actuators,
             registrations,
             self.journal,
-            lambda: self.behaviors.forget_waiting(),
+            lambda: self._behaviors.forget_waiting(),
         )
-        self.behaviors = BehaviorSupervisor(
-            self.resources,
-            self.sensors,
-            self.actuators,
+        self._behaviors = BehaviorDeployment(
+            self._resources,
             grace=self._grace,
             start_patience=check_seconds(
                 f"robot {name!r}", "start_patience", start_patience
             ),
             halt=self._halts.halt,
             stop=self.stop,
-            command=self._typed,
+            policies=given,
         )
-        self.behaviors.managers = frozenset(
-            manager
-            for each in given
-            if isinstance(each, BehaviorsPolicy)
-            for manager in each.allow
-        )
+        self.behaviors = BehaviorSupervisor(self._behaviors, self._typed)
         self._keeper: Keeper | None = None
         if watchdog:
             self._keeper = Keeper(
-                self.resources,
-                limit=check_seconds(
-                    f"robot {name!r}", "watchdog_limit", watchdog_limit
-                ),
-                policy=_one_of(
-                    name, "watchdog_policy", watchdog_policy, "kill", "freeze"
-                ),
-                on_death=_one_of(
-                    name, "watchdog_death", watchdog_death, "stop", "alarm"
-                ),
+                self._resources,
+                robot=name,
+                limit=watchdog_limit,
+                policy=watchdog_policy,
+                on_death=watchdog_death,
                 halt=self._halts.halt,
             )
         if seed is not None and type(seed) is not int:
@@ -230,19 +204,18 @@ class Robot:
         self._buses: list[Bus] = []
         self._entered = False
         self._signal: int | None = None
+        self._signals: News
         self._host: asyncio.Task[Any] | None = None
         self._interrupts = False
         if stall_warning is not None:
             check_seconds(f"robot {name!r}", "stall_warning", stall_warning)
-        self._stall_warning = stall_warning
-        self._watch = SignalWatch(self._end_by_signal, self._hurry, self._is_safe)
-        self._owned: OwnedTasks | None = None
-        self._stalls: tuple[StallWatch, float] | None = None
-        self._glances: Job | None = None
+        self._care = LoopCare(stall_warning, self._resources.resumed)
+        self._watch = SignalWatch(
+            lambda number: self._signals.tell(number), self._hurry, self._is_safe
+        )
         self._log_lines: LogLines | None = None
         self._stopping: asyncio.Task[None] | None = None
-        self._reason = ""
-        """Why it stops; empty until somebody says so."""
+        self._reason = ""  # why it stops
         self._is_up = False
         self._latched = False
         self._stops = asyncio.Event()
@@ -264,6 +237,23 @@ class Robot:
         return load_robot(path, cls, simulated=simulated)
 
     @property
+    def grace(self) -> float:
+        """How long a component may take to end when it is removed, in seconds."""
+        return self._grace
+
+    def alike(self, resources: Iterable[Any], behaviors: Iterable[Any]) -> Robot:
+        """Make a robot of other parts by the same rules, and with nothing around it.
+
+        It has no watchdog, no recording, no control socket and no page: it is for
+        trials on the virtual clock.
+
+        Args:
+            resources: Its resources.
+            behaviors: Its behaviors and reactions.
+        """
+        return Robot(resources=resources, behaviors=behaviors, **self._rules)
+
+    @property
     def plan(self) -> Plan:
         """What this robot starts with, as the rulebook sees it."""
         return Plan(
@@ -271,6 +261,7 @@ class Robot:
             resources=self._list_of_resources,
             behaviors=self._list_of_behaviors,
             policies=self._list_of_policies,
+            watchdog=self._keeper is not None,
         )
 
     async def __aenter__(self) -> Self:
@@ -285,41 +276,48 @@ class Robot:
         refuse_while_looking(self.name)
         if mistakes := errors_in(examine(self.plan)):
             raise ExceptionGroup(f"robot {self.name!r} cannot start", mistakes)
-        seat = self._take_seat() if self._has_socket or self._page else None
-        self._entered = True
-        self.behaviors.seed = self._take_seed()
-        self.resources.wake()
-        self.behaviors.wake()
         loop = asyncio.get_running_loop()
+        has_seat = self._keeping.has_seat = bool(self._has_socket or self._page)
+        seat = self._make_seat() if has_seat and not repeats(loop) else None
+        self._entered = True
+        self._resources.wake()
+        self._behaviors.wake()
+        if self.seed is None:
+            virtual = getattr(loop, "virtual", False)
+            self.seed = 0 if virtual else secrets.randbits(64)
+        self._behaviors.seed = self._resources.seed = self.seed
         self._host = asyncio.current_task()
-        if self._recording is not None:
-            self._recorder = self._start_recorder(self._recording, loop)
+        try:
+            self._keeping.begin(self.plan, self.journal, self.seed, self.source)
+        except BaseException:
+            if seat is not None:  # its name is free again
+                await seat.close()
+            raise
         self.journal.start(loop)
         self._halts.start(loop)
         self._log_lines = LogLines(self.journal)
         self._log_lines.start()
-        self._watch.start(interrupts=self._interrupts)
-        self._owned = OwnedTasks.of(loop)
-        self._owned.install()
-        Scheduler.of(loop).suspends.listen(self.resources.resumed)
+        if not repeats(loop):
+            self._watch.start(interrupts=self._interrupts)
+        self._signals = News(loop, ("robot", "signal"), self._end_by_signal)
         for components in (self._list_of_resources, self._list_of_behaviors):
-            components.sort(key=_by_name)
-            Scheduler.of(loop).expect(len(components))
-        if not getattr(loop, "virtual", False):  # there it would hide a deadlock
-            if self._stall_warning is not None:
-                self._stalls = StallWatch.of(loop), self._stall_warning
-                self._stalls[0].start(self._stall_warning)
-            self._glances = Scheduler.of(loop).every(GLANCE, lambda _now: None)
+            # Nothing depends on the order in which they were given.
+            components.sort(key=lambda component: component.name)
+        self._care.start(
+            loop, len(self._list_of_resources), len(self._list_of_behaviors)
+        )
         try:
-            if seat is not None:
-                self._seat = seat
-                await seat.start(self)
-            self.behaviors.accept(self._list_of_behaviors)
+            self._seat = seat
+            if has_seat:
+                await outside(("seat", "start"), self._start_seat)
+            self._behaviors.accept(self._list_of_behaviors)
             if self._keeper is not None:
                 await self._keeper.start()
-            await self._open_buses()
-            await self.resources.start(self._list_of_resources)
-            await self.behaviors.start()
+            there = (each.bus for each in self._list_of_resources)
+            self._buses = list(dict.fromkeys(bus for bus in there if bus is not None))
+            await open_buses(self._buses)
+            await self._resources.start(self._list_of_resources)
+            await self._behaviors.start()
         except BaseException as error:
             asked = self._reason
             await self._stop_for_sure(describe(error))
@@ -333,7 +331,7 @@ class Robot:
                 ) from None
             raise
         self._is_up = True
-        Gaps.of(loop).start()
+        self._care.is_up(loop)
         return self
 
     async def __aexit__(
@@ -357,8 +355,8 @@ class Robot:
         Raises:
             BehaviorFailedError: One has failed for good (the first one, if several).
         """
-        await self.behaviors.all_ended()
-        for failed in self.behaviors.failures():
+        await self._behaviors.all_ended()
+        for failed in self._behaviors.failures():
             raise failed
 
     # What ends it, and what keeps it still.
@@ -427,59 +425,22 @@ class Robot:
 
     # Inside.
 
-    def _take_seed(self) -> int:
-        if self.seed is None:
-            virtual = getattr(asyncio.get_running_loop(), "virtual", False)
-            self.seed = 0 if virtual else secrets.randbits(64)
-        return self.seed
-
-    def _take_seat(self) -> Seat:
+    def _make_seat(self) -> Seat:
         from esair.seat import Seat
 
         return Seat(self.name, socket=self._has_socket, page=self._page)
+
+    async def _start_seat(self) -> None:
+        if self._seat is not None:
+            await self._seat.start(self)
 
     async def _typed(self, text: str) -> str:
         if self._seat is None:
             if not self._is_up:
                 raise StoppingError(f"robot {self.name!r}", "it does not run")
-            self._seat = self._take_seat()
+            self._seat = self._make_seat()
             await self._seat.start(self)
         return await self._seat.typed(text)
-
-    def _start_recorder(
-        self, recording: Recording, loop: asyncio.AbstractEventLoop
-    ) -> Recorder | None:
-        from esair.recording import Recorder, facts_about
-
-        components = [*self._list_of_resources, *self._list_of_behaviors]
-        try:
-            recorder = Recorder(
-                recording,
-                self.journal,
-                name=self.name,
-                facts=facts_about(self.name, components, seed=str(self.seed)),
-            )
-        except RecordingError as error:
-            _log.error("%s; the robot starts without it", describe(error))
-            return None
-        self.journal.count("recording", lambda: [("recording", recorder.counts())])
-        recorder.start(loop.time())
-        return recorder
-
-    async def _open_buses(self) -> None:
-        for resource in self._list_of_resources:
-            if resource.bus is not None and resource.bus not in self._buses:
-                self._buses.append(resource.bus)
-
-        async def open_bus(bus: Bus) -> None:
-            # One that is not there is tried again by the devices on it.
-            try:
-                async with asyncio.timeout(BUS_TIMEOUT):
-                    await bus.open()
-            except Exception as error:
-                _log.debug("bus %s: %s", bus.name, describe(error))
-
-        await _all(open_bus(bus) for bus in self._buses)
 
     def _stop_once(self) -> asyncio.Task[None]:
         """Begin to stop, once; again only if a stranger has cancelled it."""
@@ -514,57 +475,35 @@ class Robot:
         _log.info("robot %s: stops: %s", self.name, reason)
         if self._is_up:
             self._is_up = False
-            Gaps.of(asyncio.get_running_loop()).stop()
-        self.behaviors.halt()
-        self.resources.latch()
+            self._care.is_down()
+        self._behaviors.halt()
+        self._resources.latch()
         self._latched = True
         if self._watch.last is not None:
             self._watch.last.because(time.monotonic())
         if self._seat is not None:
             self._seat.leave()
         try:
-            await self.behaviors.stop()
-            self.stopped = Stopped(await self.resources.make_safe(), reason)
+            await self._behaviors.stop()
+            self.stopped = Stopped(await self._resources.make_safe(), reason)
             for told in self.stopped:
                 good = told.safe and told.answered
                 _log.log(logging.INFO if good else logging.ERROR, "stop: %s", told)
         finally:
             await self._halts.close()
-            await self.resources.stop()
-            await self._close_buses()
+            await self._resources.stop()
+            await close_buses({*self._buses, *self._resources.buses})
             if self._keeper is not None:
                 await self._keeper.close()
-            Scheduler.of(asyncio.get_running_loop()).suspends.forget(
-                self.resources.resumed
-            )
-            if self._glances is not None:
-                self._glances.stop()
-            if self._stalls is not None:
-                self._stalls[0].stop(self._stalls[1])
-                self._stalls = None
-            if self._owned is not None:
-                self._owned.uninstall()
-                self._owned = None
+            self._care.stop()
             self._watch.stop()
             if self._log_lines is not None:
                 self._log_lines.stop()
             self.journal.close()
+            leave_behind(self._behaviors.undead)
             if self._seat is not None:
                 await self._seat.close()
-            if self._recorder is not None:
-                await asyncio.to_thread(self._recorder.close)
-
-    async def _close_buses(self) -> None:
-        buses = {*self._buses, *self.resources.buses}
-
-        async def close_bus(bus: Bus) -> None:
-            try:
-                async with asyncio.timeout(BUS_TIMEOUT):
-                    await bus.close()
-            except Exception as error:
-                _log.warning("bus %s: close: %s", bus.name, describe(error))
-
-        await _all(close_bus(bus) for bus in sorted(buses, key=lambda bus: bus.name))
+            await self._keeping.end()
 
     def _end_by_signal(self, number: int) -> None:
         self._signal = number
@@ -581,104 +520,7 @@ class Robot:
 
     def _hurry(self) -> None:
         """Somebody is impatient: no more grace for components; safe comes first still."""
-        self.behaviors.grace = 0.0
-
-
-def run(
-    robot: Robot,
-    *,
-    duration: float | None = None,
-    loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None,
-    stall_warning: float | None = STALL_WARNING,
-) -> None:
-    """Run a robot until its behaviors have ended, or until a signal.
-
-    SIGINT (Ctrl-C), SIGTERM and SIGHUP stop it in order, with every actuator safe;
-    the program then exits with 128 plus the number of the signal. A second signal
-    shortens the stop, a third one ends the program within a second, also while code
-    holds the event loop. It returns, or ends the process, at most `grace` and two
-    seconds after the reason to end, whatever behaviors and threads do.
-
-    Args:
-        robot: What to run.
-        duration: Stop after this many seconds.
-        loop_factory: Makes the event loop, such as ``uvloop.new_event_loop``;
-            asyncio's own unless given.
-        stall_warning: As for `Robot`; what was said there counts unless given.
-
-    Raises:
-        ConfigError: It is no robot, or an event loop is running already.
-        ExceptionGroup: The robot cannot start; every mistake is named.
-        BehaviorFailedError: A behavior has failed for good.
-        SystemExit: A signal came.
-    """
-    if not isinstance(robot, Robot):
-        raise ConfigError("run", "robot", f"expected an esair.Robot, not {robot!r:.80}")
-    if asyncio._get_running_loop() is not None:  # noqa: SLF001 - it does not raise
-        raise ConfigError(
-            "run", "", "an event loop is running: write 'async with robot:' in it"
-        )
-    if duration is not None:
-        check_seconds(f"robot {robot.name!r}", "duration", duration)
-    gc.collect()
-
-    if stall_warning != STALL_WARNING:
-        robot._stall_warning = stall_warning  # noqa: SLF001 - run is the robot's own entry
-    before = set(threading.enumerate())
-    ending: Ending | None = None
-
-    async def main() -> None:
-        nonlocal ending
-        loop = asyncio.get_running_loop()
-        ending = Ending(loop, patience=robot._grace + LAST_WAIT)  # noqa: SLF001 - as above
-        ending.start()
-        robot._watch.last = ending  # noqa: SLF001 - as above
-        robot._interrupts = True  # noqa: SLF001 - as above
-        async with robot:
-            if duration is not None:
-                ending.because(time.monotonic() + duration)
-            with anyio.move_on_after(duration) as scope:
-                await robot.ended()
-            reason = "its behaviors have ended"
-            if scope.cancelled_caught:
-                reason = f"it has run for {duration} s"
-            robot._reason = robot._reason or reason  # noqa: SLF001 - as above
-
-    try:
-        run_and_end(main(), loop_factory)
-    except SystemExit:
-        if robot._signal is not None:  # noqa: SLF001 - as above
-            _leave_threads(before, 128 + robot._signal)  # noqa: SLF001 - as above
-        raise
-    finally:
-        if ending is not None:
-            ending.stop()
-
-
-def _leave_threads(before: set[threading.Thread], code: int) -> None:
-    """End the process here if threads of the robot would keep it from ending."""
-    names = threads_that_keep_the_process(before)
-    if names:
-        _log.warning("threads are left behind: %s", ", ".join(names))
-        logging.shutdown()
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
-
-
-async def _all(work: Iterable[Coroutine[Any, Any, None]]) -> None:
-    """Do several things at a time, whatever factory of tasks the loop has."""
-    loop = asyncio.get_running_loop()
-    tasks = [spawn(loop, each, name="esair bus") for each in work]
-    if not tasks:
-        return
-    try:
-        await asyncio.wait(tasks)
-    except asyncio.CancelledError:
-        for task in tasks:
-            task.cancel()
-        await asyncio.wait(tasks)
-        raise
+        self._behaviors.grace = 0.0
 
 
 def _reason_of(error: BaseException | None) -> str:
@@ -687,17 +529,3 @@ def _reason_of(error: BaseException | None) -> str:
     if isinstance(error, asyncio.CancelledError):
         return "it was cancelled"
     return describe(error)
-
-
-def _by_name(component: Any) -> str:
-    """Order components: nothing depends on the order in which they were given."""
-    return str(component.name)
-
-
-def _one_of(robot: str, field: str, value: T, *choices: T) -> T:
-    if value in choices:
-        return value
-    expected = " or ".join(repr(choice) for choice in choices)
-    raise ConfigError(
-        f"robot {robot!r}", field, f"expected {expected}, not {value!r:.80}"
-    )

@@ -1,0 +1,17 @@
+"""ESAIR STD: the robot, its four resident objects, and their order of start and stop."""
+
+from esair.standard._care import STALL_WARNING
+from esair.standard._recording import FORMAT
+from esair.standard._robot import LAST_WAIT, Robot
+from esair.standard._run import prepare_replay, recorded_as, run, run_to_its_end
+
+__all__ = [
+    "FORMAT",
+    "LAST_WAIT",
+    "STALL_WARNING",
+    "Robot",
+    "prepare_replay",
+    "recorded_as",
+    "run",
+    "run_to_its_end",
+]

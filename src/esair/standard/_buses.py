@@ -1,0 +1,60 @@
+"""All buses of a robot are opened and closed at the same time, each in its time."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Coroutine, Iterable
+from typing import TYPE_CHECKING, Any
+
+from esair.exceptions import describe
+from esair.loop import outside, spawn
+
+if TYPE_CHECKING:
+    from esair.buses import Bus
+
+BUS_TIMEOUT = 2.0
+"""How long a bus may take to open or to close, in seconds."""
+
+_log = logging.getLogger("esair")
+
+
+async def open_buses(buses: Iterable[Bus]) -> None:
+    """Open buses; one that is not there is tried again by the devices on it."""
+
+    async def open_bus(bus: Bus) -> None:
+        try:
+            async with asyncio.timeout(BUS_TIMEOUT):
+                await outside((bus.name, "open the bus"), bus.open)
+        except Exception as error:
+            _log.debug("bus %s: %s", bus.name, describe(error))
+
+    await _all(open_bus(bus) for bus in buses)
+
+
+async def close_buses(buses: Iterable[Bus]) -> None:
+    """Close buses, whatever state they are in."""
+
+    async def close_bus(bus: Bus) -> None:
+        try:
+            async with asyncio.timeout(BUS_TIMEOUT):
+                await outside((bus.name, "close the bus"), bus.close)
+        except Exception as error:
+            _log.warning("bus %s: close: %s", bus.name, describe(error))
+
+    await _all(close_bus(bus) for bus in sorted(buses, key=lambda bus: bus.name))
+
+
+async def _all(work: Iterable[Coroutine[Any, Any, None]]) -> None:
+    """Do several things at a time, whatever factory of tasks the loop has."""
+    loop = asyncio.get_running_loop()
+    tasks = [spawn(loop, each, name="esair bus") for each in work]
+    if not tasks:
+        return
+    try:
+        await asyncio.wait(tasks)
+    except asyncio.CancelledError:
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
+        raise

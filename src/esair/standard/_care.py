@@ -1,0 +1,65 @@
+"""What a robot needs of its event loop and its process while it runs."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from esair.loop import GLANCE, Gaps, Job, OwnedTasks, Scheduler, StallWatch
+
+STALL_WARNING = 0.1
+"""How long code may hold the event loop before it is named, in seconds."""
+
+
+class LoopCare:
+    """Owns tasks, looks for stalls and sleep, and collects garbage in gaps.
+
+    Args:
+        stall_warning: How long code may hold the loop before it is named, in seconds;
+            None for never.
+        resumed: Called after the computer slept, with the seconds.
+    """
+
+    def __init__(
+        self, stall_warning: float | None, resumed: Callable[[float], None]
+    ) -> None:
+        self.stall_warning = stall_warning
+        self._resumed = resumed
+        self._undo: list[Callable[[], None]] = []
+        self._gaps: Gaps | None = None
+
+    def start(self, loop: asyncio.AbstractEventLoop, *crowds: int) -> None:
+        """Begin, for so many components of each kind; nothing is deployed yet."""
+        owned = OwnedTasks.of(loop)
+        owned.install()
+        self._undo.append(owned.uninstall)
+        scheduler = Scheduler.of(loop)
+        scheduler.suspends.listen(self._resumed)
+        self._undo.append(lambda: scheduler.suspends.forget(self._resumed))
+        for components in crowds:
+            scheduler.expect(components)
+        if getattr(loop, "virtual", False):  # there it would hide a deadlock
+            return
+        seconds = self.stall_warning
+        if seconds is not None:
+            stalls = StallWatch.of(loop)
+            stalls.start(seconds)
+            self._undo.append(lambda: stalls.stop(seconds))
+        glances: Job = scheduler.every(GLANCE, lambda _now: None)
+        self._undo.append(glances.stop)
+
+    def is_up(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Everything runs: garbage is collected in the gaps from now on."""
+        self._gaps = Gaps.of(loop)
+        self._gaps.start()
+
+    def is_down(self) -> None:
+        """The stop has begun: it is no time for garbage."""
+        if self._gaps is not None:
+            self._gaps.stop()
+            self._gaps = None
+
+    def stop(self) -> None:
+        """Leave everything as it was found."""
+        while self._undo:
+            self._undo.pop()()

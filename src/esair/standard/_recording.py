@@ -1,0 +1,115 @@
+"""The start of a robot's recording; a robot that cannot record starts all the same."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from esair.exceptions import ConfigError, RecordingError, describe
+from esair.journal import Journal
+from esair.loop import TurnLoop
+from esair.messages import Recording
+from esair.plan import Plan
+
+if TYPE_CHECKING:
+    from esair.recording import Recorder
+
+FORMAT = "1"
+"""That of the turns in a recording."""
+
+_log = logging.getLogger("esair")
+
+
+def repeats(loop: asyncio.AbstractEventLoop) -> bool:
+    """Tell whether a loop repeats a run: then there is nothing outside of the robot."""
+    return isinstance(loop, TurnLoop) and loop.player is not None
+
+
+class Keeping:
+    """Keeps a run from its start to its end, or repeats one that was kept.
+
+    Args:
+        recording: Where it is kept; None if nowhere.
+    """
+
+    def __init__(self, recording: Recording | None) -> None:
+        self.recording = recording
+        self.duration: float | None = None
+        """After how many seconds `run` stops the robot."""
+        self.has_seat = False
+        self.script: tuple[str, dict[str, Any]] | None = None
+        """What repeats the run, if not `run` alone, and with which options."""
+        self.recorder: Recorder | None = None
+
+    def begin(
+        self, plan: Plan, journal: Journal, seed: int, source: tuple[Path, bool] | None
+    ) -> None:
+        """Begin with the start of a robot.
+
+        Args:
+            plan: The robot.
+            journal: What happens.
+            seed: That of its random numbers.
+            source: The file it was made from, and whether simulated.
+
+        Raises:
+            ConfigError: A package is missing.
+        """
+        loop = asyncio.get_running_loop()
+        if isinstance(loop, TurnLoop) and loop.player is not None:
+            loop.play()
+        elif self.recording is not None:
+            try:
+                self._begin(self.recording, loop, plan, journal, seed, source)
+            except ImportError as error:
+                told = f"it needs {error.name}: pip install 'esair[record]'"
+                raise ConfigError("recording", "", told) from None
+            except RecordingError as error:
+                _log.error("%s; the robot starts without it", describe(error))
+
+    def _begin(
+        self,
+        recording: Recording,
+        loop: asyncio.AbstractEventLoop,
+        plan: Plan,
+        journal: Journal,
+        seed: int,
+        source: tuple[Path, bool] | None,
+    ) -> None:
+        from esair.recording import Recorder, facts_about
+
+        file, simulated = (None, False) if source is None else source
+        text = "" if file is None else file.read_text(encoding="utf-8")
+        components = [*plan.resources, *plan.behaviors]
+        facts = facts_about(plan.name, components, text, str(seed))
+        recorder = Recorder(recording, journal, name=plan.name, facts=facts)
+        exact = isinstance(loop, TurnLoop)
+        about = {
+            "format": FORMAT,
+            "exact": "yes" if exact else "no",
+            "why": "" if exact else f"its event loop is {type(loop).__name__}",
+            "file": "" if file is None else str(file.resolve()),
+            "simulated": "yes" if simulated else "no",
+            "duration": "" if self.duration is None else repr(self.duration),
+            "seat": "yes" if self.has_seat else "no",
+            "script": "" if self.script is None else self.script[0],
+            "options": "{}" if self.script is None else json.dumps(self.script[1]),
+        }
+        recorder.note("replay", about)
+        journal.count("recording", lambda: [("recording", recorder.counts())])
+        if isinstance(loop, TurnLoop):
+            loop.keep(recorder.keep_turns())
+        recorder.start(loop.time())
+        self.recorder = recorder
+
+    async def end(self) -> None:
+        """Keep nothing any more, and write what waits."""
+        if self.recorder is None:
+            return
+        loop = asyncio.get_running_loop()
+        if isinstance(loop, TurnLoop):
+            loop.keep(None)
+        await asyncio.to_thread(self.recorder.close)

@@ -1,0 +1,131 @@
+"""When a reading is too old, or a hold over: at that moment, whoever steps when."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+import esair
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("PRO-1")]
+
+
+def motor(**options: Any) -> FakeActuator[float]:
+    return FakeActuator("motor", safe=0.0, **{"command_timeout": 5.0, **options})
+
+
+class Two(esair.Reaction):
+    """Needs a slow sensor that may be old, and a quick one that may not."""
+
+    slow = esair.reads(float, max_age=3.0)
+    quick = esair.reads(float, max_age=0.1)
+    motor = esair.writes(float)
+
+    def react(self, slow: float, quick: float) -> float:
+        return 0.5
+
+
+@pytest.mark.parametrize("rate", [None, 2.0, 50.0])
+async def test_the_first_reading_that_is_too_old_counts(rate: float | None) -> None:
+    """Not the one that is waited for already, and not the reaction's next step."""
+    slow = FakeSensor("slow", 1.0, type=float, rate=1.0)
+    quick = FakeSensor("quick", 1.0, type=float, rate=50.0)
+    wheels, two = motor(), Two()
+    two.rate = rate
+    async with esair.Robot(resources=[slow, quick, wheels], behaviors=[two]):
+        await wheels.until(0.5, timeout=1.0)
+        await asyncio.sleep(0.2)
+        quick.stall()
+        await asyncio.sleep(0.15)
+        assert wheels.commands[-1] == 0.0
+
+
+async def test_an_optional_reading_that_is_gone_hides_no_other() -> None:
+    """The one that is needed is looked at as well, after it."""
+
+    class Maybe(esair.Reaction):
+        needed = esair.reads(float, max_age=0.2)
+        extra = esair.reads(float, max_age=0.1, optional=True)
+        motor = esair.writes(float)
+        rate = 5.0
+
+        def react(self, needed: float, extra: float | None) -> float:
+            return 0.5 if extra is None else 0.25
+
+    needed = FakeSensor("needed", 1.0, type=float, rate=50.0)
+    extra = FakeSensor("extra", 1.0, type=float, rate=50.0)
+    wheels = motor()
+    async with esair.Robot(resources=[needed, extra, wheels], behaviors=[Maybe()]):
+        await wheels.until(0.25, timeout=1.0)
+        await asyncio.sleep(0.41)
+        needed.stall()
+        extra.stall()
+        await asyncio.sleep(0.12)
+        assert wheels.commands[-1] == 0.5
+        await asyncio.sleep(0.1)
+        assert wheels.commands[-1] == 0.0
+
+
+class Blind(esair.Reaction):
+    """Never sees anything."""
+
+    gone = esair.reads(float, max_age=0.1)
+    motor = esair.writes(float, priority=1)
+
+    def react(self, gone: float) -> float | None:
+        return None
+
+
+async def test_a_hold_that_is_over_keeps_no_blind_one_away() -> None:
+    """Also if it was blind before the higher priority wrote."""
+    gone: FakeSensor[float] = FakeSensor("gone", type=float, rate=50.0)
+    wheels = motor()
+    user: Any = esair.Behavior(
+        name="user", writes={"motor": esair.writes(float, priority=2, hold=0.2)}
+    )
+    async with esair.Robot(resources=[gone, wheels], behaviors=[Blind(), user]):
+        await asyncio.sleep(0.5)
+        assert await user.motor.write(0.5)
+        await asyncio.sleep(0.15)
+        assert wheels.commands[-1] == 0.5
+        await asyncio.sleep(0.1)
+        assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("REA-1", "PRO-5")
+async def test_what_a_guard_has_stopped_is_given_back_too() -> None:
+    """None gives the actuator back at once, whether the last command left or not."""
+
+    class High(esair.Reaction):
+        sonar = esair.reads(float)
+        motor = esair.writes(float, priority=2, hold=3.0)
+
+        def react(self, sonar: float) -> float | None:
+            return -0.5 if sonar < 1.0 else None
+
+    class Forward(esair.Reaction):
+        sonar = esair.reads(float)
+        motor = esair.guards(float)
+
+        def react(self, sonar: float, motor: float) -> float | None:
+            return None if motor < 0.0 else motor
+
+    class Low(esair.Reaction):
+        sonar = esair.reads(float)
+        motor = esair.writes(float)
+
+        def react(self, sonar: float) -> float:
+            return 0.25
+
+    sonar = FakeSensor("sonar", 0.5, type=float, rate=50.0)
+    wheels = motor()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[High(), Forward(), Low()]
+    ):
+        await asyncio.sleep(0.5)
+        assert set(wheels.commands) == {0.0}
+        sonar.feed(2.0)
+        await wheels.until(0.25, timeout=0.1)

@@ -1,0 +1,200 @@
+"""The last command of an actuator, as a reading."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+import esair
+from esair.plan import Plan, examine
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("PRO-11")]
+
+
+class Look(esair.Behavior):
+    """Remember everything that the wheels have applied."""
+
+    applied = esair.reads(float, name="wheels.applied")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[float] = []
+
+    async def run(self) -> None:
+        async for value in self.applied:
+            self.seen.append(value)
+
+
+class Drive(esair.Behavior):
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        await asyncio.sleep(0.1)
+        for speed in (1.0, 4.0):
+            await self.wheels.write(speed)
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(10.0)
+
+
+class Half(esair.Reaction):
+    """Let half pass."""
+
+    bumper = esair.reads(bool)
+    wheels = esair.guards(float)
+
+    def react(self, bumper: bool, wheels: float) -> float | None:
+        return None if bumper else wheels / 2
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.01])
+async def test_it_is_what_the_device_has_taken(seconds: float) -> None:
+    """Limited, weakened by a guard, withdrawn, and made safe: all of it, in order."""
+    wheels: FakeActuator[float] = FakeActuator(
+        "wheels", safe=0.0, limits=(-2.0, 2.0), clamp=True, command_timeout=0.2
+    )
+    wheels.slow(seconds)
+    bumper = FakeSensor("bumper", False, type=bool)
+    look = Look()
+    async with esair.Robot(
+        resources=[wheels, bumper], behaviors=[look, Drive(), Half()]
+    ):
+        await asyncio.sleep(0.19)
+        bumper.feed(True)
+        await asyncio.sleep(0.3)
+        assert look.seen == [0.5, 1.0, 0.0]
+        assert wheels.commands == [0.0, 0.5, 1.0, 0.0]
+
+
+async def test_it_is_what_the_driver_says_that_it_has_applied() -> None:
+    """Which may be another value than it was told."""
+
+    class Wheels(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = 1.0
+
+        async def write(self, command: float) -> float:
+            return round(command)
+
+    look = Look()
+
+    class Drive(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            await asyncio.sleep(0.05)
+            await self.wheels.write(1.7)
+            await asyncio.sleep(1.0)
+
+    async with esair.Robot(resources=[Wheels()], behaviors=[look, Drive()]):
+        await asyncio.sleep(0.1)
+        assert look.seen == [2.0]
+
+
+async def test_it_comes_and_goes_with_its_actuator() -> None:
+    """Lost, back, removed, added, replaced: it is never what another one was told."""
+
+    class Hear(esair.Reaction):
+        applied = esair.reads(float, name="wheels.applied")
+        lamp = esair.writes(float)
+
+        def react(self, applied: float) -> float:
+            return applied
+
+    class Drive(esair.Behavior):
+        wheels = esair.writes(float)
+        speed = 1.0
+
+        async def run(self) -> None:
+            async for _ in esair.every(0.05):
+                try:
+                    await self.wheels.write(self.speed)
+                except (esair.DeviceLostError, esair.ResourceRemovedError):
+                    continue
+
+    def wheels() -> FakeActuator[float]:
+        return FakeActuator("wheels", safe=0.0)
+
+    lamp: FakeActuator[float] = FakeActuator("lamp", safe=-1.0)
+    first, drive = wheels(), Drive()
+    async with esair.Robot(resources=[first, lamp], behaviors=[Hear(), drive]) as robot:
+        await lamp.until(1.0, timeout=1.0)
+        first.unplug()
+        await lamp.until(-1.0, timeout=0.1)
+        drive.speed = 2.0
+        first.plug()
+        await lamp.until(2.0, timeout=0.5)
+        await robot.resources.remove("wheels")
+        await lamp.until(-1.0, timeout=0.1)
+        drive.speed = 3.0
+        await robot.resources.add(wheels())
+        await lamp.until(3.0, timeout=0.5)
+        drive.speed = 4.0
+        await robot.resources.replace("wheels", wheels())
+        await lamp.until(4.0, timeout=0.5)
+        assert robot.resources.query("wheels").users == ("drive",)
+
+
+async def test_one_that_stays_is_unknown_until_its_driver_says_where() -> None:
+    """`esair.HOLD` is no command that anybody could read."""
+
+    class Arm(esair.Actuator[float]):
+        safe = esair.HOLD
+        command_timeout = 0.2
+        at: float | None = None
+
+        async def write(self, command: Any) -> float | None:
+            return self.at if command is esair.HOLD else None
+
+    arm = Arm()
+    async with esair.Robot(resources=[arm]) as robot:
+        right = await robot.resources.register("user", "arm.applied", esair.Access.READ)
+        with pytest.raises(esair.StaleReadingError):
+            await robot.sensors.read(right, timeout=0.1)
+        arm.at = 0.7
+        await robot.resources.restart("arm")
+        assert (await robot.sensors.read(right)).value == 0.7
+
+
+async def test_the_right_to_it_is_that_to_read_the_actuator() -> None:
+    """By the policy of the actuator; open without one."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    policy = esair.Policy("wheels", allow={"drive": esair.Access.WRITE})
+    (found,) = [
+        each.text
+        for each in examine(
+            Plan(resources=[wheels], behaviors=[Look()], policies=[policy])
+        )
+        if each.is_error
+    ]
+    assert "allow 'look' READ there" in found
+    async with esair.Robot(resources=[wheels], policies=[policy]) as robot:
+        with pytest.raises(esair.AccessDeniedError, match="'wheels'"):
+            await robot.resources.register("look", "wheels.applied", esair.Access.READ)
+        with pytest.raises(esair.UnknownNameError):
+            await robot.resources.register("look", "lamp.applied", esair.Access.READ)
+
+
+@pytest.mark.parametrize(
+    ("port", "told"),
+    [
+        (esair.reads(str, name="wheels.applied"), "'wheels.applied' gives float"),
+        (esair.reads(float, name="sonar.applied"), "no resource is named"),
+        (esair.writes(float, name="wheels.applied"), "name"),
+    ],
+)
+def test_a_port_that_does_not_fit_stops_the_start(port: Any, told: str) -> None:
+    """As of any resource."""
+
+    class Odd(esair.Behavior):
+        it = port
+
+        async def run(self) -> None: ...
+
+    sonar = FakeSensor("sonar", 1.0, type=float)
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    found = examine(Plan(resources=[wheels, sonar], behaviors=[Odd()]))
+    (wrong,) = [each.text for each in found if each.is_error]
+    assert told in wrong

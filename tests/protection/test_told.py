@@ -1,0 +1,76 @@
+"""What `check` and `why` tell of each actuator agrees, and says all of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from tests.protection.road import Drive, ObstacleGuard, ObstacleStop
+
+import esair
+from esair.plan import Plan, examine, protection
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("PRO-13", "GRD-2")]
+
+
+class Framed(FakeActuator[float]):
+    """Its driver can say its safe command ahead."""
+
+    own_timeout = 0.5
+
+    def safe_frames(self) -> Any:
+        raise AssertionError("check opens nothing, and asks nobody")
+
+
+def test_check_tells_who_writes_who_guards_and_what_happens_when() -> None:
+    """Of each actuator: blind, this process dead, this computer dead."""
+    sonar = FakeSensor("sonar", 2.0, type=float)
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    framed = Framed("framed", safe=0.0)
+    behaviors = [Drive(), ObstacleStop(), ObstacleGuard()]
+    plan = Plan(resources=[sonar, wheels, framed], behaviors=behaviors, watchdog=True)
+    bare, watched = protection(plan)
+
+    assert str(bare).splitlines()[1:] == [
+        "  guarded by obstacle_guard (0); blind: nothing passes",
+        "  written by obstacle_stop (reaction, 100); blind: the actuator is kept safe",
+        "  written by drive (behavior, 0); blind: it has no say",
+        "  safe is sent by esair: 0.2 s after the last command, and at every exit",
+        "  when this process dies: UNWATCHED: its driver cannot say its safe command as "
+        "bytes",
+        "  when this computer dies: it keeps its last command",
+    ]
+    assert watched.when_the_process_dies == "the watchdog sends its safe command"
+    assert watched.when_the_host_dies == "it stops itself after 0.5 s"
+    (bare, watched) = protection(Plan(resources=[wheels, framed]))
+    assert watched.when_the_process_dies == "UNWATCHED: the robot has no watchdog"
+
+
+async def test_why_tells_the_same_of_a_robot_that_runs() -> None:
+    """And how each of them stands now."""
+    sonar = FakeSensor("sonar", 2.0, type=float)
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(
+        resources=[sonar, wheels],
+        behaviors=[Drive(), ObstacleStop(), ObstacleGuard()],
+    ) as robot:
+        (why,) = robot.resources.why()
+        assert len(why.writers) == 2
+        assert why.writers[0].startswith("obstacle_stop writes with priority 100")
+        assert any("obstacle_guard guards it" in each for each in why.guards)
+        assert why.dies == (
+            "when this process dies: UNWATCHED, the robot has no watchdog; "
+            "when this computer dies: it keeps its last command"
+        )
+        assert why.dies in str(why)
+
+
+def test_what_could_not_be_made_is_not_said_to_be_missing() -> None:
+    """A guard with a mistake in the file is a mistake, not a robot without a guard."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0, command_timeout=0.2)
+    parts: Any = {"resources": [wheels], "behaviors": [Drive()]}
+    bare = [each.rule for each in examine(Plan(**parts))]
+    assert bare == ["protect"]
+    unmade = Plan(**parts, missing={"keep_clear": "behavior"})
+    assert [each.rule for each in examine(unmade)] == []
