@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import math
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import attrs
+import numpy as np
 import pytest
 
 import esair
-from esair.journal import Event
-from esair.recording import Recorder, events_of, facts_of, is_whole
+from esair.journal import Event, Journal, Kind
+from esair.messages import Reading
+from esair.recording import Recorder, events_of, facts_of, is_whole, plain
 
 pytest.importorskip("foxglove", reason="needs esair[record]")
 
@@ -138,7 +145,7 @@ async def test_a_full_disk_ends_the_recording_and_never_the_robot(
     made, wheels = robot(fake_sensor, fake_actuator, record=record)
     with caplog.at_level(logging.ERROR, "esair"):
         async with made:
-            recorder = made._recorder
+            recorder = made._keeping.recorder
             assert isinstance(recorder, Recorder)
             await asyncio.to_thread(recorder._thread.join, 5.0)
             await asyncio.sleep(1.2)
@@ -161,6 +168,20 @@ async def test_a_place_that_cannot_be_written_stops_no_start(
     assert len(wheels.commands) > 3
 
 
+async def test_what_is_not_named_mcap_is_a_folder(
+    fake_sensor, fake_actuator, tmp_path: Path
+):
+    """It is made, and gets a file for each run."""
+    for _ in range(2):
+        record = esair.Recording(tmp_path / "kept" / "recordings")
+        made, _ = robot(fake_sensor, fake_actuator, record=record)
+        async with made:
+            await asyncio.sleep(0.3)
+    files = list((tmp_path / "kept" / "recordings").iterdir())
+    assert len(files) == 2
+    assert all(is_whole(file) and file.suffix == ".mcap" for file in files)
+
+
 @pytest.mark.promise("REC-4")
 async def test_the_oldest_segment_goes(fake_sensor, fake_actuator, tmp_path: Path):
     """There are never more bytes than allowed, but for the segment being written."""
@@ -169,7 +190,7 @@ async def test_the_oldest_segment_goes(fake_sensor, fake_actuator, tmp_path: Pat
     )
     made, _ = robot(fake_sensor, fake_actuator, record=record)
     async with made:
-        recorder = made._recorder
+        recorder = made._keeping.recorder
         assert recorder is not None
         for _ in range(12):
             await asyncio.sleep(0.1)
@@ -209,8 +230,6 @@ async def test_a_second_recording_keeps_the_first(
 )
 async def test_any_value_can_be_recorded(value, tmp_path: Path):
     """What has no form of its own is a text; nothing ends the recording."""
-    from esair.journal import Journal, Kind
-
     journal = Journal()
     recorder = Recorder(esair.Recording(tmp_path / "run.mcap"), journal)
     loop = asyncio.get_running_loop()
@@ -227,8 +246,6 @@ async def test_any_value_can_be_recorded(value, tmp_path: Path):
 
 async def test_a_huge_value_is_left_out_and_told_once(tmp_path: Path, caplog):
     """The event is there without it."""
-    from esair.journal import Journal, Kind
-
     journal = Journal()
     recorder = Recorder(esair.Recording(tmp_path / "run.mcap"), journal)
     loop = asyncio.get_running_loop()
@@ -242,3 +259,133 @@ async def test_a_huge_value_is_left_out_and_told_once(tmp_path: Path, caplog):
     assert [e.value for e in events_of(tmp_path / "run.mcap")] == [None] * 3
     assert recorder.counts()["left_out"] == 3
     assert sum("left out" in line for line in caplog.messages) == 1
+
+
+async def recorded(path: Path, events: Iterable[tuple[Kind, str, object]]) -> Recorder:
+    """Record events of the journal to a file."""
+    journal = Journal()
+    recorder = Recorder(esair.Recording(path), journal)
+    loop = asyncio.get_running_loop()
+    recorder.start(loop.time())
+    journal.start(loop)
+    for kind, component, value in events:
+        journal.publish(kind, component, "", value)
+    journal.close()
+    await asyncio.to_thread(recorder.close)
+    return recorder
+
+
+@attrs.frozen
+class Turn:
+    """What viewers know as a laser scan."""
+
+    angles: tuple[float, ...]
+    ranges: tuple[float, ...]
+
+
+@pytest.mark.promise("REC-2")
+async def test_a_value_may_change_its_shape(tmp_path: Path):
+    """The kind of a topic is that of its first value; no later one is lost."""
+    from mcap.reader import make_reader
+
+    values = [
+        Turn((0.0, 0.1), (1.0, 2.0)),
+        1.5,
+        {"a": 1},
+        [1, 2],
+        None,
+        "text",
+        Turn((), ()),
+    ]
+    path = tmp_path / "run.mcap"
+    readings = [
+        (Kind.READING, "laser", Reading(value, 0.0, number))
+        for number, value in enumerate(values)
+    ]
+    await recorded(path, readings)
+
+    told = [event.value for event in events_of(path)]
+    assert told == [plain(value) for value in values]
+    with path.open("rb") as file:  # another program's reader
+        messages = [
+            (channel.topic, json.loads(message.data))
+            for _, channel, message in make_reader(file).iter_messages()
+        ]
+    assert [topic for topic, _ in messages] == ["/sensor/laser"] * len(values)
+
+
+@pytest.mark.promise("REC-4", "REC-5")
+@pytest.mark.parametrize(
+    "value",
+    [
+        np.zeros((10, 1 << 20), np.uint8),
+        Turn((0.0,), (1.0,) * 1_000_000),
+        {"image": np.zeros(10 << 20, np.uint8)},
+        bytearray(10 << 20),
+    ],
+    ids=["array", "a field of it", "in a table", "bytes"],
+)
+async def test_ten_megabytes_are_left_out_wherever_they_are(value, tmp_path: Path):
+    """They are not encoded first: the event is there without them, in no time."""
+    began = time.thread_time()
+    recorder = await recorded(tmp_path / "run.mcap", [(Kind.PUT, "host", value)] * 3)
+    assert time.thread_time() - began < 0.5
+    assert [event.value for event in events_of(tmp_path / "run.mcap")] == [None] * 3
+    assert recorder.counts()["left_out"] == 3
+
+
+FULL = """
+import asyncio, logging, resource, sys
+from pathlib import Path
+import esair
+from esair.journal import Journal, Kind
+from esair.recording import Recorder, events_of
+
+async def main(path, room):
+    journal = Journal()
+    recorder = Recorder(esair.Recording(path), journal)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+    loop = asyncio.get_running_loop()
+    recorder.start(loop.time())
+    journal.start(loop)
+    for number in range(600):
+        journal.publish(Kind.PUT, "guest", "host", f"{number} " + "x" * 200)
+        if number % 100 == 0:
+            await asyncio.sleep(0.01)
+    journal.close()
+    assert await asyncio.to_thread(recorder.close)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+    return recorder.error
+
+for room in map(int, sys.argv[2:]):
+    path = Path(sys.argv[1]) / f"{room}.mcap"
+    error = asyncio.run(main(path, room))
+    try:
+        numbers = [event.number for event in events_of(path)]
+    except esair.RecordingBrokenError:
+        numbers = []
+    print(room, error is not None, numbers == list(range(1, len(numbers) + 1)), len(numbers))
+"""
+
+
+@pytest.mark.promise("REC-4")
+@pytest.mark.real_clock
+def test_a_disk_that_is_full_from_some_byte_on(tmp_path: Path):
+    """Whichever: one error, no exception, no hang; what was written before is read."""
+    rooms = [0, 1, 60, 500, 4_000, 20_000, 10_000_000]
+    ended = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path), *map(str, rooms)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert ended.returncode == 0, ended.stderr
+    found = [line.split() for line in ended.stdout.splitlines()]
+    assert [int(room) for room, *_ in found] == rooms
+    assert [failed for _, failed, *_ in found] == ["True"] * (len(rooms) - 1) + [
+        "False"
+    ]
+    assert {in_order for _, _, in_order, _ in found} == {"True"}
+    counts = [int(count) for *_, count in found]
+    assert counts == sorted(counts)
+    assert counts[-1] == 600

@@ -4,20 +4,37 @@ Recording is a listener of the journal. It needs ``esair[record]``.
 """
 
 from esair.messages import Recording
-from esair.recording._plain import plain
-from esair.recording._reading import Recorded, events_of, facts_of
+from esair.recording._messages import Seen, seen_as, size_of
+from esair.recording._plain import fields_of, plain, schema_of
+from esair.recording._reading import (
+    Contents,
+    Recorded,
+    contents_of,
+    events_of,
+    facts_of,
+)
 from esair.recording._recorder import Recorder, facts_about
 from esair.recording._recover import Recovered, is_whole, recover
+from esair.recording._turns import Kept, turns_of
 
 __all__ = [
+    "Contents",
+    "Kept",
     "Recorded",
     "Recorder",
     "Recording",
     "Recovered",
+    "Seen",
+    "contents_of",
     "events_of",
     "facts_about",
     "facts_of",
+    "fields_of",
     "is_whole",
     "plain",
     "recover",
+    "schema_of",
+    "seen_as",
+    "size_of",
+    "turns_of",
 ]

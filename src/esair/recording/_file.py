@@ -72,6 +72,7 @@ class Segment:
         except OSError as error:
             raise RecordingError(str(path), error.strerror or str(error)) from error
         self._channel_of = foxglove.Channel
+        self._schema_of = foxglove.Schema
         # Held here: channels of a context that nobody holds are closed silently.
         self._context = foxglove.Context()
         self._channels: dict[str, Any] = {}
@@ -110,6 +111,18 @@ class Segment:
             )
         self._guarded(channel.log, data, log_time=int(when * 1e9))
         self.messages += 1
+
+    def write_bytes(self, topic: str, encoding: str, data: bytes, when: float) -> None:
+        """Write bytes as a message of an encoding that is esair's own."""
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._channel_of(
+                topic,
+                schema=self._schema_of(name=encoding, encoding="", data=b""),
+                message_encoding=encoding,
+                context=self._context,
+            )
+        self._guarded(channel.log, data, log_time=int(when * 1e9))
 
     def flush(self) -> None:
         """End the chunk, so that what was written survives the process."""

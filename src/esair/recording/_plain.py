@@ -34,7 +34,7 @@ def plain(value: Any, depth: int = DEPTH) -> Any:
         return value.name if isinstance(value, enum.Enum) else int(value)
     if depth <= 0:
         return _text(value)
-    fields = _fields(value)
+    fields = fields_of(value)
     if fields is not None:
         return {name: plain(part, depth - 1) for name, part in fields.items()}
     if isinstance(value, Mapping):
@@ -60,7 +60,7 @@ def plain(value: Any, depth: int = DEPTH) -> Any:
     return _text(value)
 
 
-def _fields(value: Any) -> dict[str, Any] | None:
+def fields_of(value: Any) -> dict[str, Any] | None:
     """Return the fields of a structured value by name; None if it has none."""
     kind = type(value)
     if attrs.has(kind):

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from esair.exceptions import RecordingBrokenError
+
+TURNS = "esair-turns"
+"""The encoding of the messages that hold the turns of a run."""
 
 
 class Recorded(NamedTuple):
@@ -51,29 +55,9 @@ def events_of(path: str | Path) -> Iterator[Recorded]:
     Raises:
         RecordingBrokenError: It is no recording of esair at all.
     """
-    from mcap.records import Channel, Header, Message
-
-    topics: dict[int, str] = {}
-    is_ours = False
-    for record in records_of(Path(path)):
-        if isinstance(record, Header):
-            is_ours = record.profile == "esair"
-        elif isinstance(record, Channel):
-            topics[record.id] = record.topic
-        elif isinstance(record, Message) and is_ours:
-            message = json.loads(record.data)
-            told = message.get("esair", message)
-            yield Recorded(
-                told["number"],
-                told["time"],
-                told["kind"],
-                told["component"],
-                told["peer"],
-                told.get("value"),
-                told["text"],
-            )
-    if not is_ours:
-        raise RecordingBrokenError(str(path), "it is no recording of esair")
+    for kind, found in _parts_of(Path(path)):
+        if kind == "event":
+            yield found
 
 
 def facts_of(path: str | Path) -> dict[str, dict[str, str]]:
@@ -85,3 +69,81 @@ def facts_of(path: str | Path) -> dict[str, dict[str, str]]:
         for record in records_of(Path(path))
         if isinstance(record, Metadata)
     }
+
+
+class Contents(NamedTuple):
+    """All of a recording, its later segments too.
+
+    Attributes:
+        facts: What it tells about itself, by name.
+        events: What has happened.
+        turns: The turns of the run, as bytes.
+    """
+
+    facts: dict[str, dict[str, str]]
+    events: list[Recorded]
+    turns: list[bytes]
+
+
+def contents_of(path: Path) -> Contents:
+    """Read all of a recording, as far as it is readable.
+
+    Raises:
+        RecordingBrokenError: It is no recording of esair at all.
+    """
+    contents = Contents({}, [], [])
+    for segment in segments_of(path):
+        for kind, found in _parts_of(segment):
+            if kind == "event":
+                contents.events.append(found)
+            elif kind == "turns":
+                contents.turns.append(found)
+            else:
+                contents.facts.update(found)
+    return contents
+
+
+def segments_of(path: Path) -> Iterator[Path]:
+    """Yield the files of one recording: ``run.mcap``, ``run.2.mcap``, ..."""
+    yield path
+    for number in itertools.count(2):
+        later = path.with_stem(f"{path.stem}.{number}")
+        if not later.exists():
+            return
+        yield later
+
+
+def _parts_of(path: Path) -> Iterator[tuple[str, Any]]:
+    """Yield what is in a file: events, turns as bytes, and facts."""
+    from mcap.records import Channel, Header, Message, Metadata
+
+    topics: dict[int, str] = {}
+    is_ours = False
+    for record in records_of(path):
+        if isinstance(record, Header):
+            is_ours = record.profile == "esair"
+        elif isinstance(record, Channel):
+            if record.message_encoding in {"json", TURNS}:
+                topics[record.id] = record.message_encoding
+        elif isinstance(record, Metadata):
+            yield "facts", {record.name: dict(record.metadata)}
+        elif isinstance(record, Message) and is_ours and record.channel_id in topics:
+            if topics[record.channel_id] == TURNS:
+                yield "turns", record.data
+                continue
+            message = json.loads(record.data)
+            told = message.get("esair", message)
+            yield (
+                "event",
+                Recorded(
+                    told["number"],
+                    told["time"],
+                    told["kind"],
+                    told["component"],
+                    told["peer"],
+                    told.get("value"),
+                    told["text"],
+                ),
+            )
+    if not is_ours:
+        raise RecordingBrokenError(str(path), "it is no recording of esair")

@@ -17,12 +17,15 @@ from pathlib import Path
 from typing import Any
 
 from esair.exceptions import RecordingError, describe
-from esair.journal import Event, Journal, Kind
+from esair.journal import Event, Journal
+from esair.loop import TapeWriter
 from esair.messages import Recording
 from esair.recording._file import Segment
+from esair.recording._messages import seen_as, size_of
 from esair.recording._plain import plain
+from esair.recording._reading import TURNS
 from esair.recording._recover import RECOVERED, is_whole
-from esair.recording._schemas import known, log_line
+from esair.recording._turns import TOPIC, Turns
 
 BACKLOG = 65_536
 """How many events may wait to be written; the oldest are dropped, and counted."""
@@ -36,9 +39,6 @@ SYNC = 1.0
 OLD_FILES = 16
 """How many recordings beside the new one are looked at, whether they were cut."""
 
-EVENT = "esair.Event"
-"""The name of the kind of all messages that viewers know no better name for."""
-
 SLICE = 16
 """How many events are written at once: a thread that computes holds up the loop."""
 
@@ -46,16 +46,6 @@ VALUE_LIMIT = 1 << 20
 """The greatest size of a message in bytes; a larger value is left out, and told once."""
 
 _PAUSE = 0.001
-
-_EXCHANGE = {Kind.PUT, Kind.GOT, Kind.ASKED, Kind.ANSWERED}
-_COMMANDS = {
-    Kind.COMMAND,
-    Kind.REFUSED,
-    Kind.SENT,
-    Kind.APPLIED,
-    Kind.SAFE,
-    Kind.UNANSWERED,
-}
 
 _log = logging.getLogger("esair")
 
@@ -97,6 +87,7 @@ class Recorder:
         self._waiting: collections.deque[Event] = collections.deque()
         self._told_once: set[str] = set()
         self._offset = 0.0
+        self._turns: Turns | None = None
         self._over = threading.Event()
         self._segment = self._next_segment()
         self._thread = threading.Thread(
@@ -114,6 +105,15 @@ class Recorder:
         facts = {"offset": repr(self._offset), "python": sys.version.split()[0]}
         self._facts.append(("clock", facts))
         self._thread.start()
+
+    def keep_turns(self) -> TapeWriter:
+        """Return what the event loop writes its turns on, for an exact replay."""
+        self._turns = Turns()
+        return self._turns.tape
+
+    def note(self, name: str, facts: dict[str, str]) -> None:
+        """Write facts that are known only now; before `start`."""
+        self._facts.append((name, facts))
 
     def close(self, timeout: float = 2.0) -> bool:
         """Write what waits, and the index; tells whether that was done in time."""
@@ -185,8 +185,9 @@ class Recorder:
                 self._write(self._waiting.popleft())
                 wrote += 1
             now = time.monotonic()
-            if now - flushed >= FLUSH:
+            if now - flushed >= FLUSH or over:
                 flushed = now
+                wrote += self._write_turns()
                 self._segment.flush()
             if now - synced >= SYNC:
                 synced = now
@@ -198,11 +199,20 @@ class Recorder:
                 return
             time.sleep(_PAUSE if wrote else 0.02)
 
+    def _write_turns(self) -> int:
+        """Write all turns until now; tell how many chunks there were."""
+        turns, count = self._turns, 0
+        while turns is not None and (data := turns.chunk()):
+            self._segment.write_bytes(TOPIC, TURNS, data, time.time())
+            count += 1
+            time.sleep(_PAUSE)
+        return count
+
     def _write(self, event: Event) -> None:
-        when = event.time + self._offset
         try:
-            topic, schema, message = self._message(event, when)
-            self._segment.write(topic, schema, message, when)
+            self._segment.write(
+                *seen_as(event, self._offset, lambda value: self._bounded(event, value))
+            )
             self.written += 1
         except RecordingError:
             raise
@@ -216,46 +226,9 @@ class Recorder:
                 self._segment.note(name, facts)
             self._make_room()
 
-    def _message(self, event: Event, when: float) -> tuple[str, str, dict[str, Any]]:
-        kind = event.kind
-        envelope = {
-            "number": event.number,
-            "time": event.time,
-            "kind": str(kind),
-            "component": event.component,
-            "peer": event.peer,
-            "text": event.text,
-        }
-        if kind is Kind.LOG:
-            line = log_line(event.component, event.peer, event.text, when)
-            return "/log", "foxglove.Log", {**line, "esair": envelope}
-        value = event.value
-        if kind is Kind.READING:
-            topic = f"/sensor/{event.component}"
-            envelope["sequence"] = value.sequence
-            seen = known(value.value, value.time + self._offset)
-            value = self._bounded(event, value.value)
-            if seen is not None:
-                return (
-                    topic,
-                    seen[0],
-                    {**seen[1], "esair": {**envelope, "value": value}},
-                )
-            return topic, EVENT, {**envelope, "value": value}
-        envelope["value"] = self._bounded(event, value)
-        if kind in _COMMANDS:
-            return f"/actuator/{event.component}", EVENT, envelope
-        if kind in _EXCHANGE:
-            return "/exchange", EVENT, envelope
-        if kind is Kind.OPERATOR:
-            return "/operator", EVENT, envelope
-        return "/state", EVENT, envelope
-
     def _bounded(self, event: Event, value: Any) -> Any:
-        size = getattr(value, "nbytes", None)
-        if size is None and isinstance(value, bytes | str):
-            size = len(value)
-        if isinstance(size, int) and size > VALUE_LIMIT:
+        size = size_of(value)
+        if size > VALUE_LIMIT:
             self._leave_out(event, f"{size} bytes, at most {VALUE_LIMIT} are recorded")
             return None
         return plain(value)
@@ -300,8 +273,12 @@ class Recorder:
 
 
 def _place(path: Path, name: str) -> Path:
-    """Return a file that is not there yet."""
-    if path.is_dir():
+    """Return a file that is not there yet; what is not named ``.mcap`` is a folder."""
+    if path.suffix != ".mcap" or path.is_dir():
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError(str(path), error.strerror or str(error)) from error
         path /= time.strftime(f"{name}-%Y%m%d-%H%M%S.mcap")
     place, number = path, 1
     while place.exists():

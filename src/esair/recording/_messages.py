@@ -1,0 +1,102 @@
+"""Events as messages: what viewers see, in a recording and live."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, NamedTuple
+
+from esair.journal import Event, Kind
+from esair.recording._plain import fields_of, plain
+from esair.recording._schemas import known, log_line
+
+EVENT = "esair.Event"
+"""The name of the kind of all messages that viewers know no better name for."""
+
+NUMBER = 8
+"""How many bytes an item of a list counts for."""
+
+LONG = 256
+"""From how many items on none of them is looked at."""
+
+_EXCHANGE = {Kind.PUT, Kind.GOT, Kind.ASKED, Kind.ANSWERED}
+_COMMANDS = {
+    Kind.COMMAND,
+    Kind.REFUSED,
+    Kind.SENT,
+    Kind.APPLIED,
+    Kind.SAFE,
+    Kind.UNANSWERED,
+}
+
+
+class Seen(NamedTuple):
+    """What one event is for a viewer.
+
+    Attributes:
+        topic: Its topic.
+        schema: The name of its kind.
+        fields: Plain values.
+        when: The wall clock, in seconds.
+    """
+
+    topic: str
+    schema: str
+    fields: dict[str, Any]
+    when: float
+
+
+def size_of(value: Any, depth: int = 3) -> int:
+    """Return about how many bytes a value has; of a long list it looks at no item."""
+    size = getattr(value, "nbytes", None)
+    if isinstance(size, int):
+        return size
+    if isinstance(value, bytes | bytearray | str):
+        return len(value)
+    parts: Any = fields_of(value)
+    if parts is None:
+        if not isinstance(value, Collection):
+            return NUMBER
+        if len(value) > LONG:
+            return NUMBER * len(value)
+        parts = value if isinstance(value, Mapping) else dict(enumerate(value))
+    return sum((size_of(part, depth - 1) for part in parts.values()), 0) if depth else 0
+
+
+def seen_as(event: Event, offset: float, encode: Callable[[Any], Any] = plain) -> Seen:
+    """Return the message of an event.
+
+    Args:
+        event: What happened.
+        offset: The wall clock minus the robot's, in seconds.
+        encode: Makes a value plain, or leaves it out.
+    """
+    kind, when = event.kind, event.time + offset
+    envelope: dict[str, Any] = {
+        "number": event.number,
+        "time": event.time,
+        "kind": str(kind),
+        "component": event.component,
+        "peer": event.peer,
+        "text": event.text,
+    }
+    if kind is Kind.LOG:
+        line = log_line(event.component, event.peer, event.text, when)
+        return Seen("/log", "foxglove.Log", {**line, "esair": envelope}, when)
+    value = event.value
+    if kind is Kind.READING:
+        topic = f"/sensor/{event.component}"
+        envelope["sequence"] = value.sequence
+        seen = known(value.value, value.time + offset)
+        envelope["value"] = encode(value.value)
+        if seen is not None:
+            name, fields = seen
+            return Seen(topic, name, {**fields, "esair": envelope}, when)
+        return Seen(topic, EVENT, envelope, when)
+    envelope["value"] = encode(value)
+    if kind in _COMMANDS:
+        topic = f"/actuator/{event.component}"
+    elif kind in _EXCHANGE:
+        topic = "/exchange"
+    else:
+        topic = "/operator" if kind is Kind.OPERATOR else "/state"
+    return Seen(topic, EVENT, envelope, when)

@@ -1,0 +1,160 @@
+"""Runs a robot on a recording: its own code, the recorded world."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import importlib
+import json
+import time
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+from esair.exceptions import RecordingBrokenError
+from esair.loop import Player, TurnLoop, run_and_end
+from esair.recording import contents_of, turns_of
+from esair.replay._compare import Comparison, Divergence
+from esair.standard import FORMAT, Robot, prepare_replay, run_to_its_end
+
+
+@attrs.frozen
+class Outcome:
+    """What came of a replay.
+
+    Attributes:
+        equal: How many events were equal, from the first one on.
+        divergence: The first that was not; None if all were.
+        turns: How many turns were repeated.
+        seconds: How long the run took that was recorded.
+        took: How long the replay took, in seconds.
+        short: Why it was not compared to the end of the recording; empty if it was.
+    """
+
+    equal: int
+    divergence: Divergence | None
+    turns: int
+    seconds: float
+    took: float
+    short: str = ""
+
+
+class Replay:
+    """A recording that can be repeated.
+
+    Args:
+        path: The recording.
+
+    Raises:
+        RecordingBrokenError: It cannot be repeated, and why.
+        OSError: It cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        contents = contents_of(path)
+        facts = contents.facts
+        if "replay" not in facts:
+            raise RecordingBrokenError(
+                str(path), "it was made by an earlier esair, which kept no turns"
+            )
+        self.facts = facts
+        self.about = facts["replay"]
+        if self.about.get("format") != FORMAT:
+            raise RecordingBrokenError(
+                str(path), "its turns were kept by another version of esair"
+            )
+        if self.about["exact"] != "yes":
+            raise RecordingBrokenError(
+                str(path), f"it is not exact: {self.about['why']}"
+            )
+        self._events = contents.events
+        kept = turns_of(path, contents.turns)
+        self._items = kept.items
+        self.spoiled = kept.spoiled or ""
+        """Why its end cannot be repeated; empty if it can."""
+        self.seed = int(facts["robot"]["seed"])
+
+    @property
+    def file(self) -> Path | None:
+        """The robot.toml that the robot was made of; None if of none."""
+        return Path(self.about["file"]) if self.about["file"] else None
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the robot was simulated."""
+        return self.about["simulated"] == "yes"
+
+    def run_script(self) -> Outcome | None:
+        """Repeat a run that was not one of `esair.run` alone; None if it was."""
+        name = self.about.get("script", "")
+        if not name:
+            return None
+        module, _, function = name.partition(":")
+        if module.partition(".")[0] != "esair":
+            raise RecordingBrokenError(
+                str(self.path), f"it wants to be repeated by {name!r:.80}"
+            )
+        repeat = getattr(importlib.import_module(module), function)
+        outcome: Outcome = repeat(self, **json.loads(self.about["options"]))
+        return outcome
+
+    def run(
+        self,
+        robot: Robot,
+        script: Callable[[Robot], Coroutine[Any, Any, None]] | None = None,
+    ) -> Outcome:
+        """Repeat the run with a robot that was made as the recorded one.
+
+        No driver is called, and it returns at the first difference.
+
+        Args:
+            robot: The robot, not started.
+            script: A coroutine function that runs it, as the recorded one was run;
+                `esair.run` unless given.
+        """
+        player = Player(self._items)
+        loop = TurnLoop(player=player)
+        found: list[Divergence] = []
+
+        def diverged(divergence: Divergence) -> None:
+            found.append(divergence)
+            loop.call_soon(player.end)
+
+        comparison = Comparison(
+            self._events,
+            player.moments,
+            whole="end" in self.facts and not self.spoiled,
+            diverged=diverged,
+        )
+        prepare_replay(robot, self.seed, has_seat=self.about["seat"] == "yes")
+        robot.journal.listen(comparison.hear, backlog=1 << 20)
+        duration = float(self.about["duration"]) if self.about["duration"] else None
+
+        async def main() -> None:
+            run = run_to_its_end(robot, duration) if script is None else script(robot)
+            task = asyncio.ensure_future(run)
+
+            def over() -> None:
+                comparison.end()
+                task.cancel()
+
+            player.on_over = over
+            await asyncio.wait({task})
+            comparison.end()
+            with contextlib.suppress(BaseException):  # it is the recorded run's own end
+                task.result()
+
+        began = time.monotonic()
+        run_and_end(main(), lambda: loop)
+        lost = comparison.lost
+        return Outcome(
+            equal=comparison.equal,
+            divergence=found[0] if found else None,
+            turns=min(loop.turn, len(player.moments)),
+            seconds=player.moments[-1] - player.moments[0],
+            took=time.monotonic() - began,
+            short=self.spoiled or (f"{lost} events were not recorded" if lost else ""),
+        )

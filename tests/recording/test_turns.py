@@ -1,0 +1,103 @@
+"""The turns of a run as bytes: any value and any error, and nothing that runs code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import pytest
+
+from esair.exceptions import DeviceLostError, RecordingBrokenError
+from esair.loop import First
+from esair.recording import turns_of
+from esair.recording._turns import Turns
+
+HERE = Path("run.mcap")
+
+
+@attrs.frozen
+class Pose:
+    """What a driver gives."""
+
+    x: float
+    y: float
+
+
+class Odd(Exception):  # noqa: N818 - somebody else's
+    """An error that cannot be made by its arguments."""
+
+    def __init__(self, *, code: int) -> None:
+        super().__init__(f"code {code}")
+        self.code = code
+
+
+def through(*items: Any) -> list[Any]:
+    """Return items after they were bytes."""
+    turns = Turns()
+    turns.tape.turn(0.0)
+    for item in items:
+        turns.tape.arrived(("device", "news"), item)
+    chunks = list(iter(turns.chunk, b""))
+    kept = turns_of(HERE, chunks)
+    assert kept.spoiled is None
+    return [item[2] for item in kept.items[1:]]
+
+
+@pytest.mark.promise("REP-2")
+def test_values_of_drivers_come_back() -> None:
+    """Plain ones, those of attrs classes, arrays, times."""
+    pose, first = Pose(1.0, float("inf")), First(waits=False, value=3, error=None)
+    array = np.arange(6.0).reshape(2, 3)
+    values = through(pose, first, {"a": [1, b"x", None]}, array, np.float32(2.5))
+
+    assert values[:3] == [pose, tuple(first), {"a": [1, b"x", None]}]
+    assert (values[3] == array).all()
+    assert values[4] == np.float32(2.5)
+
+
+@pytest.mark.promise("REP-2")
+def test_errors_come_back_with_all_that_is_asked_of_them() -> None:
+    """Class, number of the system, attributes, cause; also in a circle."""
+    lost, gone, odd = DeviceLostError("sonar", "gone"), OSError(19, "no"), Odd(code=7)
+    lost.__cause__, gone.__cause__ = gone, lost
+    back, system, strange = through(lost, gone, odd)
+
+    assert (type(back), str(back), back.resource) == (type(lost), str(lost), "sonar")
+    assert (type(system), system.errno) == (OSError, 19)
+    assert back.__cause__.errno == 19
+    assert back.__cause__.__cause__ is back
+    assert (type(strange), strange.code, str(strange)) == (Odd, 7, "code 7")
+
+
+@pytest.mark.promise("REP-2")
+def test_a_value_that_cannot_be_kept_ends_what_can_be_repeated() -> None:
+    """What is before it stays, and it is said what it was."""
+    turns = Turns()
+    for moment in (0.0, 1.0):
+        turns.tape.turn(moment)
+    turns.tape.arrived(("sonar", "pushed"), lambda: None)
+    turns.tape.turn(2.0)
+    kept = turns_of(HERE, list(iter(turns.chunk, b"")))
+
+    assert kept.items == [0.0, 1.0]
+    assert "what sonar pushed gave cannot be kept" in str(kept.spoiled)
+
+
+@pytest.mark.promise("REP-2")
+@pytest.mark.parametrize("missing", [0, 1])
+def test_a_missing_part_is_noticed(missing: int) -> None:
+    """Nothing is repeated without its beginning, and nothing past a gap."""
+    turns, chunks = Turns(), []
+    for moment in (0.0, 1.0, 2.0):
+        turns.tape.turn(moment)
+        chunks.append(turns.chunk())
+    del chunks[missing]
+
+    if missing == 0:
+        with pytest.raises(RecordingBrokenError, match="beginning is not there"):
+            turns_of(HERE, chunks)
+    else:
+        kept = turns_of(HERE, chunks)
+        assert kept == ([0.0], "a part of it is missing")

@@ -1,0 +1,278 @@
+"""A recorded run is repeated by the robot's code, without its devices, and compared."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.replay import robots
+
+import esair
+from esair.exceptions import RecordingBrokenError
+from esair.recording import events_of
+from esair.replay import Replay, unrepeatable
+
+pytestmark = pytest.mark.real_clock
+
+ROOT = Path(__file__).parents[2]
+
+FILE = """
+[robot]
+name = "waver"
+[sensor.sonar]
+driver = "robots:Sonar"
+[sensor.compass]
+driver = "robots:Compass"
+[sensor.bumper]
+driver = "robots:Bumper"
+[actuator.wheel]
+driver = "robots:Wheel"
+[actuator.arm]
+driver = "robots:Arm"
+[behavior.follow]
+driver = "robots:Follow"
+[behavior.wander]
+driver = "robots:Wander"
+[behavior.wave]
+driver = "robots:Wave"
+"""
+
+
+def never(*_: object) -> Any:
+    """No driver is called."""
+    raise AssertionError("a driver was called")
+
+
+@pytest.fixture
+def no_drivers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have every driver call fail the test."""
+    monkeypatch.setattr(robots.Sonar, "read", never)
+    monkeypatch.setattr(robots.Compass, "read", never)
+    monkeypatch.setattr(robots.Wheel, "write", never)
+    monkeypatch.setattr(robots.Arm, "write", never)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a part of a second."""
+    return robots.recorded(tmp_path_factory.mktemp("run") / "run.mcap", 0.7)
+
+
+@pytest.mark.promise("REP-2")
+@pytest.mark.usefixtures("no_drivers")
+def test_the_same_code_decides_the_same(recording: Path) -> None:
+    """To the last event of the stop, far quicker than it was."""
+    outcome = Replay(recording).run(robots.make())
+
+    assert outcome.divergence is None
+    assert outcome.short == ""
+    assert outcome.equal > 100
+    assert outcome.took < outcome.seconds
+
+
+@pytest.mark.promise("REP-2")
+@pytest.mark.usefixtures("no_drivers")
+def test_a_changed_constant_is_named_as_the_first_difference(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who, what it did and does now, and what it had read."""
+    monkeypatch.setattr(robots, "GAIN", 0.6)
+    found = Replay(recording).run(robots.make()).divergence
+
+    assert found is not None
+    assert found.component == "follow"
+    assert found.expected is not None
+    assert found.actual is not None
+    assert found.actual.value == pytest.approx(found.expected.value / 0.5 * 0.6)
+    assert {seen.sensor for seen in found.readings} == {"sonar", "bumper"}
+    (sonar,) = (seen for seen in found.readings if seen.sensor == "sonar")
+    assert found.expected.value == pytest.approx(0.5 * sonar.value)
+    assert found.turn > 0
+    assert found.expected.time - sonar.time < 0.1
+
+
+def verbs(folder: Path, *words: str, hash_seed: int = 1) -> tuple[int, str]:
+    """Run ``esair`` in a process; return its exit code and all that it has said."""
+    done = subprocess.run(
+        [sys.executable, "-m", "esair", *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONHASHSEED": str(hash_seed), "COLUMNS": "200"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    return done.returncode, done.stdout
+
+
+def folder_of_robot(folder: Path) -> Path:
+    """Make a folder with the robot and its file."""
+    (folder / "robot.toml").write_text(FILE)
+    (folder / "robots.py").write_text(Path(robots.__file__).read_text())
+    return folder
+
+
+@pytest.mark.promise("REP-2")
+def test_the_command_repeats_and_names_what_was_changed(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """In another process with another hash seed: exit 0, and 3 after a change."""
+    folder = folder_of_robot(tmp_path)
+    count, seconds = (20, 5.0) if request.config.getoption("--esair-soak") else (1, 0.4)
+    for number in range(count):
+        name = f"{number}.mcap"
+        options = ("--for", str(seconds), "--record", name)
+        code, said = verbs(folder, "run", "robot.toml", *options)
+        assert code == 0, said
+        code, said = verbs(folder, "replay", name, hash_seed=4711)
+        assert (code, said[:5]) == (0, "equal"), said
+
+    code_file = folder / "robots.py"
+    code_file.write_text(code_file.read_text().replace("GAIN = 0.5", "GAIN = 0.6"))
+    code, said = verbs(folder, "replay", "0.mcap")
+    assert code == 3
+    assert said.startswith("follow does otherwise at "), said
+    for word in (
+        "recorded  command wheel <- follow",
+        "now       ",
+        "sonar, ",
+        "bumper, ",
+    ):
+        assert word in said
+
+
+@pytest.mark.promise("REP-2", "REC-3")
+@pytest.mark.usefixtures("no_drivers")
+def test_what_a_killed_robot_has_left_is_repeated(
+    recording: Path, tmp_path: Path
+) -> None:
+    """A file that is cut anywhere is repeated up to there."""
+    data = recording.read_bytes()
+    equal = []
+    for part in (0.7, 0.9, 0.97):
+        cut = tmp_path / f"{part}.mcap"
+        cut.write_bytes(data[: int(part * len(data))])
+        outcome = Replay(cut).run(robots.make())
+        assert outcome.divergence is None
+        equal.append(outcome.equal)
+    assert equal == sorted(equal)
+    assert equal[0] > 50
+
+
+@pytest.mark.promise("REP-2")
+def test_a_loop_of_another_kind_is_said_to_be_inexact(tmp_path: Path) -> None:
+    """The user's own loop has no border; its file says so."""
+    import asyncio
+
+    path = tmp_path / "own.mcap"
+    esair.run(robots.make(path), duration=0.05, loop_factory=asyncio.new_event_loop)
+
+    with pytest.raises(RecordingBrokenError, match="not exact: its event loop is"):
+        Replay(path)
+
+
+@pytest.mark.promise("REP-2")
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [(b"", "no recording of esair"), (b"motor,1.0\n" * 50, "no recording of esair")],
+    ids=["empty", "text"],
+)
+def test_what_is_no_recording_is_named(tmp_path: Path, data: bytes, words: str) -> None:
+    """A clear line, and the exit code of what cannot be used."""
+    path = tmp_path / "run.mcap"
+    path.write_bytes(data)
+
+    with pytest.raises(RecordingBrokenError, match=words):
+        Replay(path)
+
+
+class Evil:
+    """Would be made by a call, if it were read back."""
+
+    def __reduce__(self) -> Any:
+        return os.system, ("true",)
+
+
+@pytest.mark.promise("REP-2")
+def test_a_recording_runs_no_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is in it may only make plain data."""
+    path = tmp_path / "run.mcap"
+
+    async def read(_: object) -> Any:
+        return Evil()
+
+    monkeypatch.setattr(robots.Sonar, "read", read)
+    robots.recorded(path, 0.1)
+
+    with pytest.raises(RecordingBrokenError, match="no plain data"):
+        Replay(path)
+
+
+def draws() -> float:
+    """Draw from what nobody seeds."""
+    import time
+
+    assert time.time() > 0
+    drawn: float = robots.random.random()
+    return drawn + float(os.urandom(1)[0])
+
+
+class Guesses(esair.Reaction):
+    """Decides on what no recording has."""
+
+    wheel = esair.writes(float)
+    rate = 10.0
+
+    def react(self) -> float:
+        with open(os.devnull) as file:
+            return len(file.read()) + draws()
+
+
+@pytest.mark.promise("REP-3")
+def test_what_cannot_repeat_is_named() -> None:
+    """Files, randomness: with the line, and what to use instead."""
+    found = unrepeatable([Guesses()])
+
+    assert {(each.component, each.call) for each in found} == {
+        ("guesses", "io.open"),
+        ("guesses", "random.random"),
+        ("guesses", "os.urandom"),
+        ("guesses", "time.time"),
+    }
+    lines = Path(__file__).read_text().splitlines()
+    assert all(each.call.rpartition(".")[2] in lines[each.line - 1] for each in found)
+    assert any("esair.random" in each.why for each in found)
+
+
+@pytest.mark.promise("REP-3")
+def test_what_repeats_is_not_named() -> None:
+    """Neither the random numbers of the robot, nor its time, nor drivers."""
+    assert unrepeatable([robots.Follow(), robots.Wander()]) == []
+
+
+@pytest.mark.promise("REP-3")
+def test_the_command_names_them(tmp_path: Path) -> None:
+    """``--check`` runs nothing, and its exit code says whether there is any."""
+    folder = folder_of_robot(tmp_path)
+    verbs(folder, "run", "robot.toml", "--for", "0.1", "--record", "run.mcap")
+    code, said = verbs(folder, "replay", "run.mcap", "--check")
+
+    assert code == 3
+    assert "wave: " in said
+    assert "random.choice: randomness" in said
+
+
+@pytest.mark.promise("REP-2")
+def test_random_numbers_are_those_of_the_run(recording: Path) -> None:
+    """The seed is in the file: else what wander asks for would differ."""
+    events = [e for e in events_of(recording) if e.peer == "wander"]
+    asked = {e.value for e in events if e.kind == "command"}
+
+    assert len(asked) > 2

@@ -1,0 +1,66 @@
+"""Threads on the virtual clock: what waits for time does not hold it up."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+
+import pytest
+
+import esair
+from esair.loop import Executor
+from esair.testing import VirtualLoop
+
+pytestmark = pytest.mark.virtual_clock
+
+
+def wait(seconds: float) -> float:
+    """Wait in a thread of an executor; return when it goes on."""
+    loop = waits_on[0]
+    loop.wait_in_thread(seconds)
+    return loop.time()
+
+
+waits_on: list[VirtualLoop] = []
+
+
+@pytest.fixture
+async def executor() -> Executor:
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    waits_on[:] = [loop]
+    return Executor("arm")
+
+
+@pytest.mark.promise("TURN-6")
+async def test_a_thread_waits_for_virtual_time(executor: Executor) -> None:
+    """An hour passes at once, in the thread and in the loop."""
+    assert await executor.call(wait, 3600.0, timeout=4000.0) == 3600.0
+    assert await executor.join(1.0)
+
+
+@pytest.mark.fault("D21")
+async def test_what_is_queued_behind_it_does_not_stop_the_clock(
+    executor: Executor,
+) -> None:
+    """A call that waits behind one that waits has its deadline in time."""
+    loop = asyncio.get_running_loop()
+    first = asyncio.ensure_future(executor.call(wait, 5.0, timeout=10.0))
+    await asyncio.sleep(1.0)
+    with pytest.raises(esair.DriverStuckError):
+        await executor.call(wait, 0.1, timeout=2.0)
+    assert loop.time() == 3.0
+    assert await first == 5.0
+    assert await executor.join(1.0)
+
+
+@pytest.mark.fault("O16")
+async def test_a_call_comes_before_the_end_that_was_asked_for_later(
+    executor: Executor,
+) -> None:
+    """Given out in the turn in which the executor is closed, it still goes."""
+    await executor.call(threading.get_ident, timeout=1.0)
+    last = asyncio.ensure_future(executor.call(wait, 0.5, timeout=1.0))
+    await asyncio.sleep(0)
+    executor.close()
+    assert await last == 0.5
