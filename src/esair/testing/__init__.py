@@ -10,6 +10,7 @@ from esair.buses import MEDIA
 from esair.testing._clock import DeadlockError, LivelockError, VirtualLoop
 from esair.testing._fakes import FakeActuator, FakeSensor
 from esair.testing._leaks import Leaks
+from esair.testing._threads import BlockedError
 
 if TYPE_CHECKING:
     from esair.buses.can import FakeCan
@@ -17,9 +18,11 @@ if TYPE_CHECKING:
     from esair.buses.serial import FakeSerial
     from esair.testing._bus_contract import BusContract
     from esair.testing._contracts import ActuatorContract, SensorContract
+    from esair.testing._recorded import RecordedRun, RecordedSensor, recording
 
 __all__ = [
     "ActuatorContract",
+    "BlockedError",
     "BusContract",
     "DeadlockError",
     "FakeActuator",
@@ -29,15 +32,22 @@ __all__ = [
     "FakeSerial",
     "Leaks",
     "LivelockError",
+    "RecordedRun",
+    "RecordedSensor",
     "SensorContract",
     "VirtualLoop",
+    "recording",
 ]
 
 _LATER = {
     # The suites need pytest.
     "ActuatorContract": "_contracts",
     "BusContract": "_bus_contract",
+    # Recordings need ``esair[record]``.
+    "RecordedRun": "_recorded",
+    "RecordedSensor": "_recorded",
     "SensorContract": "_contracts",
+    "recording": "_recorded",
 }
 
 

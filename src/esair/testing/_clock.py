@@ -7,10 +7,12 @@ import concurrent.futures
 import heapq
 import math
 import random
+import threading
 from collections.abc import Callable
 from typing import Any
 
 from esair.loop import Door, works_for
+from esair.testing._threads import LOOK, Threads
 
 STEP_BUDGET = 200_000
 """How many turns of the loop may pass without any time passing."""
@@ -29,7 +31,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     An hour of a robot's life takes seconds, and the same seed gives the same order
     of tasks. It waits in real time while a worker thread of esair computes, because
-    time must not jump ahead of a thread.
+    time must not jump ahead of a thread. Waiting is not computing: while the thread
+    of a plain ``stream`` sleeps, time passes.
 
     Args:
         seed: Shuffles the order of tasks that are ready at the same time; None or 0
@@ -37,6 +40,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         start: What the clock shows at first, in seconds.
 
     Raises:
+        BlockedError: A thread has slept in a call for ten seconds of real time.
         DeadlockError: Every task waits and nothing can wake one.
         LivelockError: Time does not pass for very many turns.
     """
@@ -50,6 +54,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._now = start
         self._random = random.Random(seed) if seed else None
         self._turns = 0
+        self._threads = Threads()
         super().__init__()
 
     def time(self) -> float:
@@ -73,6 +78,22 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def threads_in_flight(self, count: int) -> None:
         Door.of(self).at_work = count
 
+    def wait_in_thread(self, seconds: float) -> None:
+        """Let virtual time pass in a thread that works for a robot, and wait for that.
+
+        A blocking driver of a fake takes its time so; `time.sleep` takes real time.
+        """
+        door, thread = Door.of(self), threading.current_thread()
+        woken = threading.Event()
+
+        def wake() -> None:
+            door.go_on(thread)
+            woken.set()
+
+        door.rest(thread)
+        self.call_soon_threadsafe(self.call_later, seconds, wake)
+        woken.wait()
+
     def run_in_executor(  # type: ignore[override]
         self, executor: Any, func: Callable[..., Any], *args: Any
     ) -> asyncio.Future[Any]:
@@ -85,15 +106,16 @@ class VirtualLoop(asyncio.SelectorEventLoop):
                 )
                 self._default_executor = executor
 
-        def work_for_loop(*args: Any) -> Any:
-            works_for(self)
-            return func(*args)
-
         door = Door.of(self)
         future: asyncio.Future[Any] = self.create_future()
 
+        def work_for_loop(work: int, *args: Any) -> Any:
+            works_for(self)
+            door.begun(work)
+            return func(*args)
+
         def begin(work: int) -> None:
-            inner = executor.submit(work_for_loop, *args)
+            inner = executor.submit(work_for_loop, work, *args)
             inner.add_done_callback(
                 lambda _: door.post(work, ("run_in_executor",), _settle, future, inner)
             )
@@ -115,7 +137,13 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         if ready:
             if self._random is not None and len(ready) > 1:
                 self._shuffle(ready)
-        elif self._door_is_quiet() and not self._stopping:  # type: ignore[attr-defined]
+        elif self._stopping:  # type: ignore[attr-defined]
+            pass
+        elif not self._door_is_quiet():
+            if not ready:
+                self._wait_for_threads()
+                return
+        else:
             while scheduled and scheduled[0]._cancelled:
                 heapq.heappop(scheduled)._scheduled = False
                 self._timer_cancelled_count = max(0, self._timer_cancelled_count - 1)  # type: ignore[has-type]
@@ -125,6 +153,9 @@ class VirtualLoop(asyncio.SelectorEventLoop):
                     # Late in a long life the clock is coarser than what asyncio adds.
                     self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
                     self._turns = 0
+            elif self._threads.outside(Door.of(self)):
+                self._wait_for_threads()
+                return
             elif self._watches_nothing():
                 raise DeadlockError(f"every task waits:\n{self._tasks()}")
         if self._turns > STEP_BUDGET:
@@ -138,6 +169,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         door = Door.of(self)
         while True:
             door.let_go()
+            self._threads.wake(door)
             if door.at_work > 0:
                 return False
             if not door.waiting:
@@ -145,6 +177,14 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             door.take(by_work=True)
             if self._ready:  # type: ignore[attr-defined]
                 return False
+
+    def _wait_for_threads(self) -> None:
+        """Wait in real time until something comes in, or a thread has fallen asleep."""
+        events = self._selector.select(LOOK)  # type: ignore[attr-defined]
+        if events:
+            self._process_events(events)  # type: ignore[attr-defined]
+        else:
+            self._threads.look(Door.of(self))
 
     def _watches_nothing(self) -> bool:
         own = self._ssock.fileno()  # type: ignore[attr-defined]

@@ -42,6 +42,9 @@ class ResourceContract(abc.ABC):
         pytest.mark.virtual_clock,
     ]
 
+    silent_for: ClassVar[float] = 12.0
+    """How long its power is away at first, in seconds; less on the real clock."""
+
     @abc.abstractmethod
     def make(self) -> Resource:
         """Make a device that is there, closed; a new one for each test."""
@@ -123,7 +126,7 @@ class ResourceContract(abc.ABC):
         await self.silence(device)
         async with Robot(resources=[device]) as robot:
             for _ in range(12):
-                await asyncio.sleep(1.0)
+                await asyncio.sleep(self.silent_for / 12)
                 state = robot.resources.query(device.name).state
                 assert state in {ResourceState.LOST, ResourceState.OPENING}
             await self.speak(device)
@@ -180,7 +183,7 @@ class SensorContract(ResourceContract):
         sensor = driver.resource
         assert isinstance(sensor, Sensor)
         if sensor.can_be_asked:
-            return await driver.call("read")()
+            return await driver.call("read")
         stream: Any = sensor.stream()
         async with asyncio.timeout(PATIENCE):
             if hasattr(stream, "__anext__"):
@@ -224,7 +227,7 @@ class ActuatorContract(ResourceContract):
         """Tell the open actuator its safe command."""
         actuator = driver.resource
         assert isinstance(actuator, Actuator)
-        return await driver.call("write")(actuator.safe)
+        return await driver.call("write", actuator.safe)
 
     async def test_it_declares_what_is_safe(self) -> None:
         """It has a safe command, within its limits, and a command time-out above 0."""
@@ -279,4 +282,4 @@ class _Session:
         await self.call("close")
 
     async def call(self, method: str, *args: Any, **options: Any) -> Any:
-        return await self.driver.call(method)(*args, **options)
+        return await self.driver.call(method, *args, **options)

@@ -1,0 +1,108 @@
+"""Threads on the virtual clock: which compute, which wait, and which are stuck."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+import traceback
+from pathlib import Path
+
+from esair.loop import Door
+
+LOOK = 0.02
+"""How often threads are looked at while the loop waits for them, in real seconds."""
+
+ASLEEP = 0.05
+"""After how long a sleep a thread waits for the outside, in real seconds."""
+
+BLOCKED = 10.0
+"""After how long a sleep a thread that time waits for is stuck, in real seconds."""
+
+
+class BlockedError(RuntimeError):
+    """Time stands still: a thread sleeps in a call, and nobody knows for how long."""
+
+
+class Threads:
+    """Tells what the threads do that a loop on the virtual clock has given work to."""
+
+    def __init__(self) -> None:
+        self._slept: dict[threading.Thread, tuple[float, float]] = {}
+        """How much each has computed, and since when it has not, in real seconds."""
+
+    def wake(self, door: Door) -> None:
+        """Let time wait again for those that have heard from the outside."""
+        for thread, outside, holds in door.at_hand():
+            if outside and not holds and self._asleep_for(thread) == 0.0:
+                door.go_on(thread)
+
+    def outside(self, door: Door) -> bool:
+        """Tell whether some wait for the outside, which may have something to say."""
+        return any(outside for _, outside, _ in door.at_hand())
+
+    def look(self, door: Door) -> None:
+        """Let time pass by those that wait for the outside.
+
+        Raises:
+            BlockedError: Another one sleeps, or one of them does and there is nothing
+                else that time could pass to.
+        """
+        stuck = []
+        at_hand = door.at_hand()
+        for thread, outside, holds in at_hand:
+            slept = self._asleep_for(thread)
+            if outside and holds and slept >= ASLEEP:
+                door.rest(thread)
+            elif slept >= BLOCKED and (holds or outside):
+                stuck.append(thread)
+        known = {thread for thread, _, _ in at_hand}
+        self._slept = {key: it for key, it in self._slept.items() if key in known}
+        if not stuck:
+            return
+        told = "\n".join(f"  thread {each.name!r}: {_where(each)}" for each in stuck)
+        for thread in stuck:  # told once: the end of the test does not wait for it
+            self._slept.pop(thread, None)
+            door.rest(thread)
+        raise BlockedError(
+            f"time stands still, for {BLOCKED:g} s of real time by now:\n{told}\n"
+            "let it take its time by loop.wait_in_thread(seconds), write it as "
+            "async def, or mark the test real_clock"
+        )
+
+    def _asleep_for(self, thread: threading.Thread) -> float:
+        """Return for how long a thread has not computed, in real seconds."""
+        now, computed = time.monotonic(), _computed(thread)
+        before, since = self._slept.get(thread, (-1.0, now))
+        if computed != before or _runs(thread):
+            since = now
+        self._slept[thread] = computed, since
+        return now - since
+
+
+def _computed(thread: threading.Thread) -> float:
+    """Return how long a thread has computed, in seconds."""
+    with contextlib.suppress(OSError, TypeError, AttributeError):
+        return time.clock_gettime(time.pthread_getcpuclockid(thread.ident))  # type: ignore[arg-type]
+    return 0.0
+
+
+def _runs(thread: threading.Thread) -> bool:
+    """Tell whether a thread computes, or would if a processor were free."""
+    with contextlib.suppress(OSError, IndexError):
+        stat = Path(f"/proc/self/task/{thread.native_id}/stat").read_text()
+        return stat.rpartition(")")[2].split()[0] == "R"
+    return False
+
+
+def _where(thread: threading.Thread) -> str:
+    """Say in which line of which function a thread is: of somebody's own, if it is."""
+    frame = sys._current_frames().get(thread.ident or 0)  # noqa: SLF001 - the way to it
+    if frame is None:
+        return "it has ended"
+    stack = traceback.extract_stack(frame)
+    own = [each for each in stack if "/esair/loop/" not in each.filename]
+    own = [each for each in own if not each.filename.endswith("threading.py")]
+    line = (own or stack)[-1]
+    return f"{line.filename}:{line.lineno} in {line.name}: {line.line}"

@@ -1,0 +1,345 @@
+"""What lies between esair and one device: its faults, and what the device was told."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import inspect
+import random
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from typing import Any, Protocol
+
+import attrs
+
+from esair.resources import HOLD, Actuator, Resource, Sensor
+from esair.testing import VirtualLoop
+from esair.torture._values import make, wrong
+
+CALLS = ("open", "close", "identify", "apply", "is_set_up", "read", "write")
+"""The methods of a driver that esair calls, beside ``stream`` and operations."""
+
+MOODS = (0.0, 0.1, 1.0, 1.0, 2.0)
+"""How late the calls of a late device are, times what was said: not equally."""
+
+SOON = 0.1
+"""How often the stand-in of a sensor that pushes does so, in seconds."""
+
+
+@attrs.define(eq=False)
+class Told:
+    """One command that a driver was called with.
+
+    Attributes:
+        command: The command.
+        safe: Whether it is the safe one, or to stay.
+        begun: When the driver was called, in seconds of the loop's clock.
+        landed: When the device had it; None if it never did.
+    """
+
+    command: Any
+    safe: bool
+    begun: float
+    landed: float | None = None
+
+
+class Watcher(Protocol):
+    """Who judges what a device is told."""
+
+    def begins(self, gate: Gate, told: Told) -> None:
+        """The driver is called with a command, at this moment."""
+
+    def lands(self, gate: Gate, told: Told) -> None:
+        """The device has it."""
+
+
+class UnprintableError(Exception):
+    """An error of a driver that cannot even be printed."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("this error has no words")
+
+
+ERRORS: dict[str, Callable[[], BaseException]] = {
+    "OSError": lambda: OSError(5, "injected"),
+    "ValueError": lambda: ValueError("injected"),
+    "TimeoutError": lambda: TimeoutError("injected"),
+    "SystemExit": lambda: SystemExit(3),
+    "KeyboardInterrupt": KeyboardInterrupt,
+    "CancelledError": asyncio.CancelledError,
+    "unprintable": UnprintableError,
+}
+"""What a driver, or a behavior, may raise."""
+
+
+class Gate:
+    """Every call of one driver passes here.
+
+    Each fault is a moment until which it lasts, on the loop's clock.
+
+    Args:
+        resource: Whose driver's methods are called through it from now on.
+        loop: The event loop, on the virtual clock.
+        seed: Decides what a stand-in of a sensor says.
+        watcher: Who judges what the device is told.
+        alone: Whether the driver itself is never called: a stand-in answers.
+
+    Attributes:
+        told: Every command, in the order in which the driver was called.
+        heard: When the robot got a good value from it last.
+        left: When it was taken away from the robot; None while it belongs to it.
+        faulty: When its last fault is over.
+        was_here: Whether its driver was ever called.
+    """
+
+    def __init__(
+        self,
+        resource: Resource,
+        loop: VirtualLoop,
+        seed: int,
+        watcher: Watcher,
+        *,
+        alone: bool,
+    ) -> None:
+        self.resource = resource
+        self.name = resource.name
+        self.told: list[Told] = []
+        self.heard = -1e9
+        self.left: float | None = None
+        self.faulty = -1.0
+        self.gone = self.silent = self.late = self.fails = -1.0
+        self.bad = self.frozen = self.flood = -1.0
+        self.deaf = self.unpowered = False
+        self.was_here = False
+        self.before = self.after = 0.0
+        self.error = "OSError"
+        self.how_bad = "nan"
+        self.times = 1
+        self._loop = loop
+        self._dice = random.Random(f"{seed}/{resource.name}")
+        self._moods = random.Random(seed)
+        self._watcher = watcher
+        self._last: Any = None
+        self._good: Any = None
+        self._install(alone)
+
+    @property
+    def safe(self) -> Any:
+        """The safe command, if it is an actuator."""
+        return getattr(self.resource, "safe", None)
+
+    def is_safe(self, command: Any) -> bool:
+        """Tell whether a command does not move it."""
+        if command is HOLD:
+            return True
+        same = command == self.safe
+        return same if isinstance(same, bool) else bool(all(same))
+
+    # In front of the driver.
+
+    def _install(self, alone: bool) -> None:
+        resource, own = self.resource, vars(self.resource)
+        stand_in = _StandIn(self, self._dice) if alone else None
+        if stand_in is not None and resource.bus is not None:
+            vars(resource.bus).update(open=stand_in.open, close=stand_in.close)
+        for name in CALLS:
+            if _has(resource, name):
+                inner = getattr(resource, name)
+                if stand_in is not None:
+                    inner = _instead_of(inner, getattr(stand_in, name))
+                own[name] = self._passing(name, inner)
+        if isinstance(resource, Sensor) and resource.pushes:
+            values = resource.stream if stand_in is None else stand_in.stream
+            own["stream"] = self._stream(values)
+        if stand_in is not None:
+            for name in resource.operations:
+                inner = _instead_of(getattr(resource, name), stand_in.operate)
+                own[name] = self._passing(name, inner)
+
+    def _passing(self, name: str, inner: Callable[..., Any]) -> Callable[..., Any]:
+        if inspect.iscoroutinefunction(inner):
+
+            @functools.wraps(inner)
+            async def call(*args: Any, **options: Any) -> Any:
+                told = self._begins(name, args)
+                await self._wait(self._pause())
+                self._check(name)
+                result = await inner(*args, **options)
+                result = self._ended(name, told, result)
+                await self._wait(self._after())
+                self._returns(result)
+                return result
+
+            return call
+
+        @functools.wraps(inner)
+        def blocking(*args: Any, **options: Any) -> Any:
+            told = self._begins(name, args)
+            self._sleep(self._pause())
+            self._check(name)
+            result = self._ended(name, told, inner(*args, **options))
+            self._sleep(self._after())
+            self._returns(result)
+            return result
+
+        return blocking
+
+    def _stream(self, values: Callable[[], Any]) -> Callable[[], Any]:
+        if not inspect.isasyncgenfunction(values):
+            if inspect.isgeneratorfunction(values):
+                return functools.wraps(values)(lambda: self._blocking_stream(values))
+            return values
+
+        @functools.wraps(values)
+        async def stream() -> AsyncIterator[Any]:
+            async for value in values():
+                await self._wait(self._pause())
+                for each in self._passes(value):
+                    yield each
+
+        return stream
+
+    def _blocking_stream(self, values: Callable[[], Any]) -> Iterator[Any]:
+        for value in values():
+            yield from self._passes(value)
+
+    def _passes(self, value: Any) -> list[Any]:
+        """Return what comes out if a device pushes a value."""
+        self._check("stream")
+        value = self._reading(value)
+        self._returns(value)
+        return [value] * (self.times if self._loop.time() < self.flood else 1)
+
+    # Faults.
+
+    def _begins(self, name: str, args: tuple[Any, ...]) -> Told | None:
+        self.was_here = True
+        if name != "write":
+            return None
+        told = Told(args[0], self.is_safe(args[0]), self._loop.time())
+        self.told.append(told)
+        self._watcher.begins(self, told)
+        return told
+
+    def _ended(self, name: str, told: Told | None, result: Any) -> Any:
+        if told is not None:
+            told.landed = self._loop.time()
+            self._watcher.lands(self, told)
+        elif name == "read":
+            return self._reading(result)
+        elif name == "open":
+            self.unpowered = False
+            if hasattr(self.resource, "initial"):  # that is its value now
+                self.heard = self._loop.time()
+        elif name == "is_set_up" and self.unpowered:
+            return False
+        return result
+
+    def _pause(self) -> float:
+        """How long a call waits before the device has it, in seconds."""
+        now = self._loop.time()
+        late = self.before * self._moods.choice(MOODS) if now < self.late else 0.0
+        return max(late, self.silent - now)
+
+    def _after(self) -> float:
+        return self.after if self._loop.time() < self.late else 0.0
+
+    def _check(self, name: str) -> None:
+        """Raise what the device's absence, or a fault of its driver, raises."""
+        now = self._loop.time()
+        if now < self.gone and name != "close":
+            raise ConnectionResetError(104, "unplugged")
+        if now < self.fails:
+            raise ERRORS[self.error]()
+
+    def _reading(self, value: Any) -> Any:
+        now = self._loop.time()
+        if now < self.bad:
+            value = wrong(value, self.how_bad)
+            self._good = value if self.how_bad == "huge" else None
+            return value
+        if now < self.frozen:
+            value = self._last
+        self._last = self._good = value
+        return value
+
+    def _returns(self, value: Any) -> None:
+        """Take note that the robot gets a value now, if it is a good one."""
+        if value is not None and value is self._good:
+            self.heard = self._loop.time()
+
+    async def _wait(self, seconds: float) -> None:
+        if seconds <= 0.0:
+            return
+        until = self._loop.time() + seconds
+        while (left := until - self._loop.time()) > 1e-9:
+            try:
+                await asyncio.sleep(left)
+            except asyncio.CancelledError:
+                if not self.deaf:
+                    raise
+
+    def _sleep(self, seconds: float) -> None:
+        if seconds > 0.0:
+            self._loop.wait_in_thread(seconds)
+
+
+class _StandIn:
+    """Answers in the place of a driver that must not be called."""
+
+    def __init__(self, gate: Gate, dice: random.Random) -> None:
+        self._gate = gate
+        self._dice = dice
+
+    async def open(self) -> None: ...
+
+    async def close(self) -> None: ...
+
+    async def apply(self, **_changes: Any) -> None: ...
+
+    async def write(self, _command: Any) -> None: ...
+
+    async def operate(self, *_args: Any, **_options: Any) -> None: ...
+
+    async def identify(self) -> Any:
+        return self._gate.resource.identity or "stand-in"
+
+    async def is_set_up(self) -> bool:
+        return True
+
+    async def read(self) -> Any:
+        return self.value()
+
+    async def stream(self) -> AsyncIterator[Any]:
+        resource: Any = self._gate.resource
+        while True:
+            yield self.value()
+            await asyncio.sleep((resource.period or 3 * SOON) / 3)
+
+    def value(self) -> Any:
+        resource: Any = self._gate.resource
+        return make(resource.value_type, self._dice, resource.limits)
+
+
+def _instead_of(
+    inner: Callable[..., Any], answer: Callable[..., Coroutine[Any, Any, Any]]
+) -> Callable[..., Any]:
+    """Return a coroutine function that looks like a method, and answers for it."""
+
+    @functools.wraps(inner)
+    async def instead(*args: Any, **options: Any) -> Any:
+        return await answer(*args, **options)
+
+    return instead
+
+
+def _has(resource: Resource, name: str) -> bool:
+    """Tell whether esair calls a method of this driver at all."""
+    if name == "read":
+        return isinstance(resource, Sensor) and resource.can_be_asked
+    if name == "write":
+        return isinstance(resource, Actuator)
+    if name == "identify":
+        return resource.identifies
+    if name == "is_set_up":
+        return resource.can_tell_set_up
+    return True

@@ -1,0 +1,339 @@
+"""What must hold whatever is done to a robot; looked at where a device is told."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import attrs
+
+from esair.actions import Guards, Reaction, Reads, Writes
+from esair.exceptions import EsairError, describe
+from esair.messages import BehaviorState, ResourceState
+from esair.torture._gate import Gate, Told
+from esair.torture._values import is_good
+
+if TYPE_CHECKING:
+    from esair.torture._world import World
+
+SLACK = 0.02
+"""By how much what is bounded by time may be late, in seconds."""
+
+WELL_AFTER = 11.0
+"""How long after its last fault a robot is itself again, in seconds."""
+
+AGAIN_WITHIN = 0.6
+"""How soon safe is sent again after a motion that came too late, in seconds."""
+
+STOP_WITHIN = 2.0
+"""How long a stop may take beside the grace period, in seconds: then `esair.run` ends."""
+
+
+@attrs.frozen
+class Violation:
+    """Something that must never be, and was.
+
+    Attributes:
+        rule: What must hold, by a short name.
+        component: Where it did not.
+        text: What was seen, in one sentence.
+        at: When, in seconds since the start of the robot.
+    """
+
+    rule: str
+    component: str
+    text: str
+    at: float
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What makes two of them the same finding."""
+        return self.rule, self.component
+
+    def __str__(self) -> str:
+        return f"{self.at:7.3f} s  {self.component}: {self.text}"
+
+
+class Judge:
+    """Watches what every device is told.
+
+    Args:
+        world: The robot and what is done to it.
+
+    Attributes:
+        found: Every violation, in order.
+        slowest: For each kind of fault, how long after the last of that kind an
+            actuator that moved had its safe command, at most, in seconds.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.found: list[Violation] = []
+        self.slowest: dict[str, float] = {}
+        self._world = world
+        self._causes: dict[str, tuple[float, float, str]] = {}
+        self._moving: dict[str, Told] = {}
+
+    def say(self, rule: str, component: str, text: str) -> None:
+        """Take note of a violation; the first of each rule and component counts."""
+        new = Violation(rule, component, text, self._world.now)
+        if all(each.key != new.key for each in self.found):
+            self.found.append(new)
+
+    # Where an actuator is told something.
+
+    def begins(self, gate: Gate, told: Told) -> None:
+        """The driver of an actuator is called with a command."""
+        self._alive(gate, told)
+        if not told.safe:
+            self._moves(gate, told)
+
+    def lands(self, gate: Gate, told: Told) -> None:
+        """The device has a command."""
+        if not told.safe:
+            self._moving[gate.name] = told
+            self._undoes(gate, told)
+            return
+        if self._moving.pop(gate.name, None) is not None:
+            now = self._world.now
+            cause = self._causes.pop(gate.name, None)
+            if cause is not None and now <= cause[1] + 2.0:
+                took = now - cause[0]
+                self.slowest[cause[2]] = max(self.slowest.get(cause[2], 0.0), took)
+
+    def cause(self, kind: str, until: float) -> None:
+        """Something happens that may make what moves safe."""
+        for name in self._moving:
+            self._causes[name] = self._world.now, until, kind
+
+    def _moves(self, gate: Gate, told: Told) -> None:
+        world, name, command = self._world, gate.name, told.command
+        now, robot = world.now, world.robot
+        what = f"it was told {command!r:.60}"
+        if gate.left is not None and now > gate.left:
+            self.say(
+                "removed", name, f"{what} {now - gate.left:.3f} s after its removal"
+            )
+            return
+        if world.halted:
+            self.say("halted", name, f"{what} while the robot was halted")
+        if not is_good(command):
+            self.say("value", name, f"{what}: not all of it is finite")
+        channel = robot.actuators.channels.get(name)
+        if channel is None or channel.actuator is not gate.resource:
+            self.say("unregistered", name, f"{what} by somebody who calls its driver")
+            return
+        if channel.latched:
+            self.say("stopped", name, f"{what} after the stop of the robot had begun")
+        if not _same(channel.told().command, command):
+            self.say("unregistered", name, f"{what} by somebody who calls its driver")
+        holder = channel.holder
+        if holder is None or holder.reason is not None:
+            self.say("unregistered", name, f"{what}, and nobody holds it by right")
+            return
+        self._sees(gate, what, holder.behavior, holder.priority)
+
+    # Who moves blind.
+
+    def _sees(self, gate: Gate, what: str, mover: str, priority: int) -> None:
+        """Look whether those who have to see for this actuator do."""
+        for action in self._world.actions():
+            for need in action.needs.values():
+                if need.resource != gate.name:
+                    continue
+                if isinstance(need, Guards):
+                    if _guards_strictly(action):
+                        self._check_sight(gate, action, what)
+                elif isinstance(need, Writes) and isinstance(action, Reaction):
+                    if need.blind != "release":
+                        if priority <= min(need.priority, 999):
+                            self._check_sight(gate, action, what)
+                    elif (
+                        gate.name not in self._world.protected
+                        and action.name != mover
+                        and priority < need.priority
+                    ):
+                        self._check_sight(gate, action, what, f" by {mover}")
+
+    def _check_sight(self, gate: Gate, action: Any, what: str, more: str = "") -> None:
+        world = self._world
+        if world.now < world.muted.get(action.name, -1.0):
+            return
+        lever = world.levers.get(id(action))
+        if lever is not None and lever.crashed:
+            text = f"{what}{more} while {action.name} had crashed and not decided anew"
+            self.say("blind", gate.name, text)
+            return
+        for need in action.needs.values():
+            if not isinstance(need, Reads) or need.optional:
+                continue
+            channel = world.robot.sensors.channels.get(need.resource)
+            sensor = None if channel is None else world.gate_of(channel.sensor)
+            if channel is None or sensor is None:
+                self.say("blind", gate.name, f"{what}{more} while {action.name} had no "
+                         f"{need.resource}: it was removed")  # fmt: skip
+                return
+            limit = channel.max_age if need.max_age is None else need.max_age
+            slack = SLACK + (1.0 / action.rate if action.rate else 0.0)
+            age = world.now - sensor.heard - world.jumped(sensor.heard)
+            if math.isfinite(limit) and age > limit + slack:
+                text = (
+                    f"{what}{more} while {action.name} could not see: {need.resource} "
+                    f"was silent for {age:.3f} s, its limit is {limit:g} s"
+                )
+                self.say("blind", gate.name, text)
+                return
+
+    # The dead man.
+
+    def _alive(self, gate: Gate, told: Told) -> None:
+        """Look, at each command, whether the one before was followed in time."""
+        before = gate.told[-2] if len(gate.told) > 1 else None
+        self.followed(gate, before, told.begun)
+
+    def followed(self, gate: Gate, last: Told | None, now: float) -> None:
+        """Say so if a motion stood for longer than its time-out."""
+        if last is None or last.safe or last.landed is None:
+            return
+        timeout = gate.resource.command_timeout  # type: ignore[attr-defined]
+        stood = now - last.landed - self._world.jumped(last.landed)
+        if stood <= timeout + 2 * SLACK or gate.faulty >= last.begun:
+            return
+        world = self._world
+        channel = world.robot.actuators.channels.get(gate.name)
+        if channel is not None and channel.state is ResourceState.READY:
+            self.say("dead man", gate.name, f"{last.command!r:.60} stood for "
+                     f"{stood:.3f} s, its command_timeout is {timeout:g} s")  # fmt: skip
+
+    def _undoes(self, gate: Gate, told: Told) -> None:
+        """See to it that safe is sent again after a motion that has come too late."""
+        world = self._world
+        place = gate.told.index(told)
+        later = gate.told[place + 1 :]
+        channel = world.robot.actuators.channels.get(gate.name)
+        if (
+            channel is not None
+            and channel.actuator is gate.resource
+            and channel.state is ResourceState.READY
+            and any(each.safe and each.landed is not None for each in later)
+        ):
+            opening = channel.calls.opening
+
+            def look() -> None:
+                again = gate.told[place + 1 :]
+                if (
+                    world.ends is None
+                    and channel.calls.opening == opening
+                    and all(e.begun < (told.landed or 0.0) for e in again if e.safe)
+                ):
+                    text = f"{told.command!r:.60} landed after the safe command that "
+                    text += "it was begun before, and safe was not sent again"
+                    self.say("undone", gate.name, text)
+
+            world.loop.call_soon_threadsafe(world.loop.call_later, AGAIN_WITHIN, look)
+
+    # When all is well.
+
+    def calm(self) -> None:
+        """Look, before the end, whether the robot is itself again."""
+        world, robot = self._world, self._world.robot
+        story = world.story
+        if story.steps and world.now - world.story.over_at < WELL_AFTER:
+            return
+        for name in robot.resources.names():
+            status = robot.resources.query(name)
+            if status.state is not ResourceState.READY and not (
+                story.steps and status.state is ResourceState.FAILED
+            ):
+                why = "" if status.error is None else f": {describe(status.error)}"
+                text = f"it is {status.state.value}, though nothing is wrong{why}"
+                self.say("ready", name, text[:300])
+        if not story.steps and world.target.alone is not None:
+            for name in robot.behaviors.names():
+                member = robot.behaviors.query(name)
+                if member.state is BehaviorState.FAILED:
+                    why = "" if member.error is None else f": {describe(member.error)}"
+                    text = f"it has failed for good, though nothing is wrong{why}"
+                    self.say("well", name, text[:300])
+
+    # The end.
+
+    def ended(self, took: float) -> None:
+        """The robot has stopped: look at its time and at each actuator."""
+        world = self._world
+        grace = world.grace + STOP_WITHIN
+        if took > grace + SLACK:
+            self.say(
+                "stop",
+                world.robot.name,
+                f"its stop has taken {took:.2f} s; esair.run ends the process after "
+                f"{grace:g} s, whatever is not safe by then",
+            )
+        for gate in world.gates:
+            moves = _last(gate)
+            if moves is None or gate.left is not None:
+                continue
+            if gate.faulty < (world.ends or 0.0) - SLACK:
+                self.say("end", gate.name, f"{moves.command!r:.60} was the last thing "
+                         "that it was told when the robot had stopped")  # fmt: skip
+
+    def drained(self) -> None:
+        """Nothing happens any more: what was said of each actuator must be true."""
+        world = self._world
+        answered = {each.resource for each in world.robot.stopped if each.answered}
+        for gate in world.gates:
+            moves = _last(gate)
+            if moves is not None and gate.left is None and gate.name in answered:
+                self.say("end", gate.name, f"{moves.command!r:.60} is the last thing that "
+                         "it was told, but the stop says that it is safe")  # fmt: skip
+
+    def outcome(self, title: str, component: str, task: asyncio.Task[Any]) -> None:
+        """Look at the outcome of something that was asked for."""
+        if not task.done():
+            self.say("outcome", component, f"{title} has no outcome")
+        elif not task.cancelled():
+            error = task.exception()
+            if error is not None and not _is_answer(error):
+                text = f"{title} ended with {type(error).__name__}: {error}"
+                self.say("outcome", component, text[:300])
+
+
+def _is_answer(error: BaseException) -> bool:
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(_is_answer, error.exceptions))
+    return isinstance(error, EsairError | TimeoutError)
+
+
+def _last(gate: Gate) -> Told | None:
+    """Return the motion that an actuator had last; None if it is safe."""
+    landed = [each for each in gate.told if each.landed is not None]
+    last = max(landed, key=lambda each: each.landed or 0.0, default=None)
+    if last is not None:  # of several in one instant the last that was begun
+        last = [each for each in landed if each.landed == last.landed][-1]
+    return None if last is None or last.safe else last
+
+
+def _guards_strictly(action: Any) -> bool:
+    """Tell whether nothing passes a guard while it is blind."""
+    return getattr(action.blind, "__func__", None) is Reaction.blind
+
+
+def _same(one: Any, other: Any) -> bool:
+    same = one == other
+    return same if isinstance(same, bool) else bool(all(same))
+
+
+def protected_in(actions: Sequence[Any]) -> frozenset[str]:
+    """Return the actuators that somebody guards, or keeps safe while blind."""
+    return frozenset(
+        need.resource
+        for action in actions
+        for need in action.needs.values()
+        if isinstance(need, Guards)
+        or (
+            isinstance(need, Writes)
+            and isinstance(action, Reaction)
+            and need.blind != "release"
+        )
+    )

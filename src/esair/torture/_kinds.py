@@ -1,0 +1,457 @@
+"""The catalogue: everything that can be done to a robot, and how it is undone."""
+
+from __future__ import annotations
+
+import inspect
+import random
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import attrs
+
+import esair
+from esair.actions import Behavior, Guards, Reaction, Writes
+from esair.resources import Resource, Sensor, settings_of
+from esair.torture._gate import ERRORS
+from esair.torture._values import WRONG, CannotMakeError, make
+
+if TYPE_CHECKING:
+    from esair.torture._story import Step
+    from esair.torture._world import World
+
+ANSWER_WITHIN = 5.0
+"""How long a request of the user may take, in seconds."""
+
+FLOOD = 100
+"""How many requests or commands are a flood."""
+
+
+class NotNowError(Exception):
+    """What is to be done has no place in this moment: its target is not there, say."""
+
+
+Do = Callable[["World", "Step"], Callable[[], object] | None]
+
+
+@attrs.frozen
+class Kind:
+    """One kind of thing that is done to a robot.
+
+    Attributes:
+        name: Its name.
+        group: Whose fault it is: ``device``, ``behavior``, ``user`` or ``computer``.
+        on: Which of the cast it can be done to.
+        do: Does it; returns what undoes it, or None.
+        lasts: For how long it may last, in seconds; (0,) if it has no end.
+        hows: Its variants.
+        much: How much of it, in a unit of its own.
+        weight: How often it is chosen.
+    """
+
+    name: str
+    group: str
+    on: str
+    do: Do
+    lasts: tuple[float, ...] = (0.0,)
+    hows: tuple[str, ...] = ("",)
+    much: tuple[float, ...] = (0.0,)
+    weight: float = 1.0
+
+
+KINDS: dict[str, Kind] = {}
+"""Every kind, by its name."""
+
+SHORT = (0.02, 0.1, 0.3, 1.0)
+LONG = (0.1, 0.3, 1.0, 4.0)
+
+
+def _kind(group: str, on: str, **options: Any) -> Callable[[Do], Do]:
+    def enter(do: Do) -> Do:
+        name = do.__name__.strip("_").replace("_", " ")
+        KINDS[name] = Kind(name, group, on, do, **options)
+        return do
+
+    return enter
+
+
+@attrs.frozen
+class Cast:
+    """Who is in a robot: what steps can be done to, by name.
+
+    Attributes:
+        of: The names in each group.
+    """
+
+    of: Mapping[str, tuple[str, ...]]
+
+    @classmethod
+    def of_robot(cls, robot: esair.Robot) -> Cast:
+        """Look who is there."""
+        plan = robot.plan
+        sensors = [each for each in plan.resources if isinstance(each, Sensor)]
+        devices = list(plan.resources)
+        actions = list(plan.behaviors)
+        groups: dict[str, list[Any]] = {
+            "devices": devices,
+            "sensors": sensors,
+            "pushing": [each for each in sensors if each.pushes],
+            "restartable": [each for each in devices if each.can_tell_set_up],
+            "settings": [each for each in devices if _changeable(each)],
+            "actions": actions,
+            "reactions": [each for each in actions if isinstance(each, Reaction)],
+            "protections": [each for each in actions if _protects(each)],
+            "behaviors": [each for each in actions if isinstance(each, Behavior)],
+            "movers": [each for each in actions if _writes(each)],
+            "takers": [
+                each for each in actions if isinstance(each, Behavior) and each.takes
+            ],
+            "components": [*devices, *actions],
+        }
+        names = {
+            group: tuple(sorted(each.name for each in members))
+            for group, members in groups.items()
+        }
+        return cls(names | {"robot": ("",)})
+
+
+def _changeable(resource: Resource) -> bool:
+    return any(
+        setting.min is not None or setting.max is not None
+        for setting in settings_of(type(resource)).values()
+    )
+
+
+def _protects(action: Any) -> bool:
+    return isinstance(action, Reaction) and any(
+        isinstance(need, Guards | Writes) for need in action.needs.values()
+    )
+
+
+def _writes(action: Any) -> bool:
+    in_loop = isinstance(action, Behavior) and inspect.iscoroutinefunction(action.run)
+    return in_loop and any(isinstance(need, Writes) for need in action.needs.values())
+
+
+# Devices.
+
+
+def _until(world: World, step: Step, gate: Any) -> float:
+    until = world.now + step.lasts
+    gate.faulty = max(gate.faulty, until)
+    return until
+
+
+@_kind("device", "devices", lasts=LONG, hows=("", "unheard"), weight=2.0)
+def unplugged(world: World, step: Step) -> Callable[[], object] | None:
+    """It is gone; ``unheard``: nobody reports it, its calls fail."""
+    gate = world.gate(step.target)
+    gate.gone = _until(world, step, gate)
+    if step.how == "unheard":
+        return None
+    gate.resource.report_lost(ConnectionResetError(104, "unplugged"))
+    return gate.resource.report_arrived
+
+
+@_kind("device", "devices", lasts=LONG, hows=("", "deaf"), weight=2.0)
+def silent(world: World, step: Step) -> None:
+    """It answers nothing; ``deaf``: its driver swallows every cancellation."""
+    gate = world.gate(step.target)
+    gate.silent = _until(world, step, gate)
+    gate.deaf = step.how == "deaf"
+
+
+@_kind(
+    "device",
+    "devices",
+    lasts=LONG,
+    hows=("before", "after", "before deaf", "after deaf"),
+    much=(0.01, 0.05, 0.3, 1.5),
+    weight=2.0,
+)
+def late(world: World, step: Step) -> None:
+    """Each call takes so long, before the device has it, or after."""
+    gate = world.gate(step.target)
+    gate.late = _until(world, step, gate)
+    gate.faulty += 2 * step.much
+    gate.before = step.much if step.how.startswith("before") else 0.0
+    gate.after = step.much - gate.before
+    gate.deaf = step.how.endswith("deaf")
+
+
+@_kind("device", "devices", lasts=SHORT, hows=tuple(ERRORS))
+def failing(world: World, step: Step) -> None:
+    """Each call of its driver raises."""
+    gate = world.gate(step.target)
+    gate.fails = _until(world, step, gate)
+    gate.error = step.how
+
+
+@_kind("device", "sensors", lasts=LONG, hows=WRONG)
+def wrong(world: World, step: Step) -> None:
+    """What it says is no good."""
+    gate = world.gate(step.target)
+    gate.bad = _until(world, step, gate)
+    gate.how_bad = step.how
+
+
+@_kind("device", "sensors", lasts=LONG)
+def stuck(world: World, step: Step) -> None:
+    """It says the same again and again."""
+    gate = world.gate(step.target)
+    gate.frozen = _until(world, step, gate)
+
+
+@_kind("device", "restartable", weight=0.5)
+def power_cycled(world: World, step: Step) -> None:
+    """Its power was away for a moment: its set-up is gone."""
+    gate = world.gate(step.target)
+    gate.unpowered = True
+    cycle = getattr(gate.resource, "power_cycle", None)
+    if cycle is not None:
+        cycle()
+
+
+@_kind("device", "pushing", lasts=SHORT, much=(20.0, 200.0), weight=0.5)
+def flooding(world: World, step: Step) -> None:
+    """It pushes each value so often."""
+    gate = world.gate(step.target)
+    gate.flood = _until(world, step, gate)
+    gate.times = int(step.much)
+
+
+# Behaviors and reactions.
+
+
+@_kind("behavior", "actions", hows=tuple(ERRORS), weight=2.0)
+def crash(world: World, step: Step) -> None:
+    """Its code raises."""
+    lever = world.lever(step.target)
+    if not lever.can_crash:
+        raise NotNowError
+    lever.crash(step.how)
+
+
+@_kind("behavior", "behaviors", lasts=LONG, hows=("", "deaf"), weight=2.0)
+def hang(world: World, step: Step) -> None:
+    """Its code does not go on; ``deaf``: it swallows every cancellation."""
+    lever = world.lever(step.target)
+    if not lever.can_crash:
+        raise NotNowError
+    lever.hangs = world.now + step.lasts
+    lever.deaf = step.how == "deaf"
+
+
+@_kind("behavior", "reactions", lasts=SHORT, hows=WRONG)
+def mad(world: World, step: Step) -> None:
+    """Its commands are no good."""
+    lever = world.lever(step.target)
+    lever.mad = world.now + step.lasts
+    lever.how = step.how
+
+
+@_kind("behavior", "reactions", lasts=SHORT, much=(0.01, 0.2), weight=0.5)
+def slow(world: World, step: Step) -> None:
+    """Each of its steps holds the loop for so long."""
+    lever = world.lever(step.target)
+    lever.slow = world.now + step.lasts
+    lever.seconds = step.much
+
+
+@_kind("behavior", "movers", weight=0.5)
+def flood(world: World, step: Step) -> None:
+    """It writes its actuators as often as it can."""
+    behavior: Any = world.lever(step.target).action
+    channels = world.robot.actuators.channels
+    for attribute, need in behavior.needs.items():
+        channel = channels.get(need.resource)
+        if not isinstance(need, Writes) or channel is None:
+            continue
+        told = [each for each in world.gate(need.resource).told if not each.safe]
+        port = vars(behavior).get(attribute)
+        if not told or port is None or not hasattr(port, "release"):
+            continue
+        title = f"a flood of {step.target}"
+        world.order(title, step.target, _write_all(port, told[-1].command))
+
+
+async def _write_all(port: Any, command: Any) -> None:
+    for _ in range(FLOOD):
+        await port.write(command)
+
+
+# The user.
+
+
+def _supervisor(world: World, name: str) -> Any:
+    _up(world)
+    robot = world.robot
+    for supervisor in (robot.behaviors, robot.resources):
+        if name in supervisor.names():
+            return supervisor
+    raise NotNowError
+
+
+def _up(world: World) -> None:
+    if not world.is_up or world.ends is not None:
+        raise NotNowError
+
+
+def _left(world: World) -> None:
+    """Take note which devices do not belong to the robot any more."""
+    names = world.robot.resources.names()
+    here = [world.robot.resources.get(name) for name in names]
+    for gate in world.gates:
+        taken = gate.left is None and gate.was_here
+        if taken and all(each is not gate.resource for each in here):
+            gate.left = world.now
+
+
+async def _then_look(world: World, work: Any) -> None:
+    try:
+        await work
+    finally:
+        _left(world)
+
+
+@_kind("user", "components", lasts=SHORT, weight=2.0)
+def remove(world: World, step: Step) -> Callable[[], object]:
+    """It is taken away, and a new one is added later."""
+    name = step.target
+    supervisor = _supervisor(world, name)
+    work = _then_look(world, supervisor.remove(name))
+    world.order(f"remove {name}", name, work)
+
+    def add() -> None:
+        if name not in supervisor.names():
+            world.order(f"add {name}", name, supervisor.add(world.spare(name)))
+
+    return add
+
+
+@_kind("user", "components", weight=2.0)
+def replace(world: World, step: Step) -> None:
+    """Another one takes its place."""
+    name = step.target
+    supervisor, spare = _supervisor(world, name), world.spare(name)
+    work = _then_look(world, supervisor.replace(name, spare))
+    world.order(f"replace {name}", name, work)
+
+
+@_kind("user", "components")
+def restart(world: World, step: Step) -> None:
+    """It is restarted."""
+    name = step.target
+    work = _supervisor(world, name).restart(name)
+    world.order(f"restart {name}", name, work)
+
+
+@_kind("user", "robot", lasts=SHORT, weight=2.0)
+def halt(world: World, _step: Step) -> Callable[[], object]:
+    """The robot is halted, and resumed later."""
+    if world.halted:
+        raise NotNowError
+    halting = world.robot.halt("torture")
+    world.halted = True
+    if world.is_up:
+
+        async def answer() -> None:
+            await halting
+
+        world.order("halt", world.robot.name, answer())
+
+    def resume() -> None:
+        world.halted = False
+        world.robot.resume()
+
+    return resume
+
+
+@_kind("user", "takers", hows=("", "cancelled"), much=(0.05, 0.5, 5.0), weight=3.0)
+def ask(world: World, step: Step) -> None:
+    """It is asked for something; ``cancelled``: whoever asks does not wait."""
+    _up(world)
+    name = step.target
+    if name not in world.robot.behaviors.names():
+        raise NotNowError
+    dice = random.Random(f"{world.story.seed}/{step.at}")
+    types = world.robot.behaviors.takes(name)
+    if not types:
+        raise NotNowError
+    try:
+        request = make(dice.choice(types), dice)
+    except CannotMakeError:
+        raise NotNowError from None
+    work = world.robot.behaviors.ask(
+        request, sender="torture", receiver=name, timeout=step.much
+    )
+    task = world.order(f"ask {name}", name, work)
+    if step.how == "cancelled":
+        world.loop.call_later(step.much / 2, task.cancel)
+
+
+@_kind("user", "takers", weight=0.5)
+def crowd(world: World, step: Step) -> None:
+    """It is asked by very many at once."""
+    for number in range(FLOOD):
+        each = attrs.evolve(step, how="cancelled" * (number % 5 == 0), much=0.5)
+        ask(world, each)
+
+
+@_kind("user", "settings")
+def configure(world: World, step: Step) -> None:
+    """One of its settings is changed."""
+    _up(world)
+    resource = world.gate(step.target).resource
+    dice = random.Random(f"{world.story.seed}/{step.at}")
+    settings = [
+        (name, setting)
+        for name, setting in settings_of(type(resource)).items()
+        if setting.min is not None or setting.max is not None
+    ]
+    name, setting = dice.choice(settings)
+    now = getattr(resource, name)
+    least = now / 2 if setting.min is None else max(setting.min, now / 2)
+    most = now * 2 + 1 if setting.max is None else min(setting.max, now * 2 + 1)
+    value = make(setting.type, dice, (least, most))
+    command = f"set {step.target}.{name} {value}"
+    world.order(command, step.target, world.robot.behaviors.command(command))
+
+
+@_kind("user", "protections", much=(0.2, 1.0), weight=0.5)
+def mute(world: World, step: Step) -> None:
+    """The user lets it pass everything for a while."""
+    _up(world)
+    name = step.target
+    if name not in world.robot.behaviors.names():
+        raise NotNowError
+    try:
+        world.robot.behaviors.mute(name, step.much, "torture")
+    except esair.EsairError:
+        raise NotNowError from None
+    world.muted[name] = world.now + step.much + 0.001
+
+
+# The computer, and the end.
+
+
+@_kind("computer", "robot", much=(0.05, 0.5, 2.0), weight=0.5)
+def held_up(world: World, step: Step) -> None:
+    """The computer did something else for a while."""
+    world.jump(step.much)
+
+
+@_kind("computer", "robot", much=(1.0, 3600.0), weight=0.3)
+def suspended(world: World, step: Step) -> None:
+    """Its lid was closed."""
+    world.loop.suspend(step.much)
+
+
+@_kind("user", "robot", hows=("leave", "stop", "cancel", "error"), weight=0.0)
+def end(world: World, step: Step) -> None:
+    """The robot comes to its end."""
+    if step.how != "stop":
+        world.finish(step.how)
+        return
+    world.begin_to_end()
+    world.order("stop", world.robot.name, world.robot.stop("torture"))
+    world.finish("leave")

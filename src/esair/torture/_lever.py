@@ -1,0 +1,127 @@
+"""How the code of a behavior or reaction is made to crash, hang, or go mad."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import inspect
+import types
+from collections.abc import Coroutine, Generator
+from typing import Any
+
+from esair.actions import Behavior, Reaction
+from esair.torture._gate import ERRORS
+from esair.torture._values import has_number, wrong
+
+
+class Lever:
+    """What one action is made to do.
+
+    Args:
+        action: Whose ``run`` or ``react`` obeys from now on.
+        loop: The event loop, on the virtual clock.
+
+    Attributes:
+        hangs: Until when it does not go on, on the loop's clock.
+        deaf: Whether it does not hear its cancellation meanwhile.
+        mad: Until when its commands are no good.
+        slow: Until when each step takes ``seconds``.
+        crashed: Whether the last step of a reaction has raised.
+    """
+
+    def __init__(self, action: Any, loop: Any) -> None:
+        self.action = action
+        self.hangs = self.mad = self.slow = -1.0
+        self.deaf = self.crashed = False
+        self.how = "nan"
+        self.seconds = 0.0
+        self._loop = loop
+        self._error: str | None = None
+        self._tasks: set[asyncio.Task[Any]] = set()
+        own = vars(action)
+        if isinstance(action, Reaction):
+            own["react"] = self._stepping(action.react)
+        elif isinstance(action, Behavior) and inspect.iscoroutinefunction(action.run):
+            own["run"] = self._running(action.run)
+
+    @property
+    def can_crash(self) -> bool:
+        """Whether its code is reached: that of a thread is not."""
+        return not isinstance(self.action, Behavior) or "run" in vars(self.action)
+
+    def crash(self, error: str) -> None:
+        """Raise an error from its code: at once, or in the next step."""
+        self._error = error
+        for task in tuple(self._tasks):
+            task.cancel()
+
+    def _stepping(self, react: Any) -> Any:
+        @functools.wraps(react)
+        def step(*args: Any, **readings: Any) -> Any:
+            error, self._error = self._error, None
+            now = self._loop.time()
+            if now < self.slow:
+                self._loop.advance(self.seconds)
+            self.crashed = True
+            if error is not None:
+                raise ERRORS[error]()
+            command = react(*args, **readings)
+            self.crashed = False
+            if now < self.mad and command is not None and has_number(command):
+                return wrong(command, self.how)
+            return command
+
+        return step
+
+    def _running(self, run: Any) -> Any:
+        @functools.wraps(run)
+        async def running() -> None:
+            task = asyncio.current_task()
+            assert task is not None
+            self._tasks.add(task)
+            self._error = None
+            try:
+                await self._driven(run())
+            except asyncio.CancelledError:
+                error, self._error = self._error, None
+                if error is None:
+                    raise
+                task.uncancel()
+                raise ERRORS[error]() from None
+            finally:
+                self._tasks.discard(task)
+
+        return running
+
+    @types.coroutine
+    def _driven(self, run: Coroutine[Any, Any, None]) -> Generator[Any, Any, None]:
+        """Go on with a coroutine, but not while it hangs."""
+        go_on: Any = run.send
+        value: Any = None
+        while True:
+            try:
+                awaited = go_on(value)
+            except StopIteration:
+                return
+            try:
+                value, go_on = (yield awaited), run.send
+            except BaseException as error:
+                value, go_on = error, run.throw
+            while self._loop.time() < self.hangs and not isinstance(
+                value, GeneratorExit
+            ):
+                waits = self._loop.create_future()
+                timer = self._loop.call_at(self.hangs, _done, waits)
+                try:
+                    yield from waits
+                except asyncio.CancelledError as error:
+                    if not self.deaf:
+                        value, go_on = error, run.throw
+                        break
+                finally:
+                    timer.cancel()
+
+
+def _done(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)

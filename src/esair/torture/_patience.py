@@ -1,0 +1,87 @@
+"""When code takes real time, and the virtual clock would wait for it for ever."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import sys
+import threading
+from types import FrameType
+from typing import Any
+
+PATIENCE = 10.0
+"""How long a story may take in real time while nothing virtual happens, in seconds."""
+
+
+class HeldError(BaseException):
+    """Code of the robot has held the loop, or its thread, in real time.
+
+    Attributes:
+        component: Whose code, as far as its file tells.
+    """
+
+    def __init__(self, component: str, text: str) -> None:
+        super().__init__(text)
+        self.component = component
+
+
+class Patience:
+    """Raises `HeldError` in what runs if it takes too long, and stops the loop.
+
+    It can do so in the main thread only.
+
+    Args:
+        loop: The loop of the story.
+
+    Attributes:
+        lost: What has held it; None if nothing has.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.lost: HeldError | None = None
+        self._loop = loop
+        self._main = threading.current_thread() is threading.main_thread()
+        self._before: Any = None
+
+    def __enter__(self) -> Patience:
+        if self._main:
+            self._before = signal.signal(signal.SIGALRM, self._tired)
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._main:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, self._before)
+
+    def _tired(self, _number: int, frame: FrameType | None) -> None:
+        # Whoever contains it does not contain the end of the loop.
+        self.lost = _held_in(frame, PATIENCE)
+        self._loop.stop()
+        raise self.lost
+
+
+def abandon(loop: asyncio.AbstractEventLoop) -> None:
+    """Close what runs in a loop that will not go on."""
+    for task in asyncio.all_tasks(loop):
+        task._log_destroy_pending = False  # type: ignore[attr-defined]  # noqa: SLF001
+        with contextlib.suppress(BaseException):
+            asyncio._set_running_loop(loop)  # noqa: SLF001 - what is closed asks for it
+            task.get_coro().close()
+    asyncio._set_running_loop(None)  # noqa: SLF001 - as above
+
+
+def _held_in(frame: FrameType | None, seconds: float) -> HeldError:
+    """Find the user's code that holds, in the loop or in a thread of the robot."""
+    running = sys._current_frames()  # noqa: SLF001 - there is no other way to see them
+    threads = [each for each in threading.enumerate() if each.name.startswith("esair-")]
+    for each in [frame, *(running.get(thread.ident or 0) for thread in threads)]:
+        while each is not None:
+            file = each.f_code.co_filename
+            if "/esair/" not in file and "/lib/python" not in file:
+                what = f"{each.f_code.co_qualname} at {file}:{each.f_lineno}"
+                text = f"{what} does not end: {seconds:g} s of real time have passed"
+                return HeldError(each.f_code.co_name, text)
+            each = each.f_back
+    return HeldError("robot", f"a story has taken {seconds:g} s of real time")

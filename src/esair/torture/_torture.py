@@ -1,0 +1,193 @@
+"""The search: one story after the other, until the time is over."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import io
+import itertools
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+import attrs
+
+from esair.torture._judge import Violation
+from esair.torture._kinds import Cast
+from esair.torture._shrink import shrink
+from esair.torture._story import Story
+from esair.torture._target import Target
+from esair.torture._teller import calm, random_story, sieges
+from esair.torture._world import Check, Outcome, World
+
+MOST_FINDINGS = 5
+"""After how many findings it ends."""
+
+COLLECT = 25
+"""How many stories are told between two collections of what they leave."""
+
+RANDOM = 3
+"""How many random stories are told for each that does one thing for long."""
+
+LONGER = 5
+"""How many times as long a story is told again that has found what only grows."""
+
+
+@attrs.frozen
+class Finding:
+    """Something that must never be, and the shortest story that shows it.
+
+    Attributes:
+        violation: What was seen.
+        story: What was done.
+    """
+
+    violation: Violation
+    story: Story
+
+
+@attrs.define
+class Report:
+    """What a search has done and found.
+
+    Attributes:
+        seed: Its seed: the same finds the same.
+        stories: How many stories were told.
+        done: How many times each kind of step was taken.
+        survived: How many of them in stories in which all held that must.
+        slowest: For each kind, how long an actuator that moved has taken to its safe
+            command at most, in seconds of the virtual clock.
+        findings: What was found.
+        seconds: How long it took.
+    """
+
+    seed: int
+    stories: int = 0
+    done: Counter[str] = attrs.Factory(Counter)
+    survived: Counter[str] = attrs.Factory(Counter)
+    slowest: dict[str, float] = attrs.Factory(dict)
+    findings: list[Finding] = attrs.Factory(list)
+    seconds: float = 0.0
+
+    @property
+    def faults(self) -> int:
+        """How many steps were taken."""
+        return self.done.total()
+
+
+def torture(
+    target: Target,
+    *,
+    seed: int,
+    seconds: float | None = None,
+    faults: int | None = None,
+    findings: int = MOST_FINDINGS,
+    told: Callable[[Report], object] = lambda _: None,
+    checks: tuple[Check, ...] = (),
+) -> Report:
+    """Do everything to a robot that can go wrong, and judge it.
+
+    First nothing is done to it; then stories that do one thing for long, each of them
+    once, and random ones are told in turn. What is found is shrunk at once.
+
+    Args:
+        target: Whose robot.
+        seed: Decides the stories.
+        seconds: How long, in real time; no limit unless given.
+        faults: How many steps are taken; no limit unless given.
+        findings: After how many findings it ends.
+        told: Called after each story.
+        checks: What else must hold.
+    """
+    report = Report(seed)
+    began = time.monotonic()
+    known: set[tuple[str, str]] = set()
+    with _quietly():
+        for story in _stories(target, seed, checks):
+            outcome = World(target, story, checks).run()
+            _count(report, outcome)
+            for violation in outcome.violations:
+                if violation.key not in known and len(report.findings) < findings:
+                    known.add(violation.key)
+                    finding = _shrunk(target, story, violation, checks)
+                    if finding is not None:
+                        report.findings.append(finding)
+                        known |= outcome.keys
+            report.seconds = time.monotonic() - began
+            told(report)
+            over = seconds is not None and report.seconds >= seconds
+            enough = faults is not None and report.faults >= faults
+            if over or enough or len(report.findings) >= findings:
+                break
+            if not report.stories % COLLECT:
+                gc.collect()
+    return report
+
+
+def _stories(target: Target, seed: int, checks: tuple[Check, ...]) -> Iterator[Story]:
+    first = calm(seed)
+    yield first
+    try:
+        cast = Cast.of_robot(target.make())
+    except Exception:  # it cannot be made: that was the finding
+        return
+    one_by_one = sieges(cast, seed)
+    for number in itertools.count():
+        if number % RANDOM == 0 and (siege := next(one_by_one, None)) is not None:
+            yield siege
+        yield random_story(cast, seed * 1_000_003 + number)
+
+
+def _count(report: Report, outcome: Outcome) -> None:
+    report.stories += 1
+    report.done.update(outcome.done)
+    if not outcome.violations:
+        report.survived.update(outcome.done)
+    for kind, took in outcome.slowest.items():
+        report.slowest[kind] = max(report.slowest.get(kind, 0.0), took)
+
+
+def _shrunk(
+    target: Target, story: Story, violation: Violation, checks: tuple[Check, ...]
+) -> Finding | None:
+    """Return the finding with its shortest story; None if it was none."""
+    if violation.rule == "queue":
+        told = World(target, _longer(story), checks).run()
+        if violation.key not in told.keys:
+            return None  # it has a bound, which is further away
+
+    def shows(other: Story) -> bool:
+        return violation.key in World(target, other, checks).run().keys
+
+    if violation.rule != "holds":  # that takes real time
+        story = shrink(story, shows)
+        found = World(target, story, checks).run().violations
+        violation = next((e for e in found if e.key == violation.key), violation)
+    return Finding(violation, story)
+
+
+def _longer(story: Story) -> Story:
+    steps = tuple(
+        attrs.evolve(step, lasts=step.lasts * LONGER if step.lasts > 1 else step.lasts)
+        for step in story.steps
+    )
+    return attrs.evolve(story, steps=steps, lasts=story.lasts * LONGER)
+
+
+@contextlib.contextmanager
+def _quietly() -> Iterator[None]:
+    """Show neither the log nor what the robot prints."""
+    log = logging.getLogger("esair")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        with contextlib.redirect_stdout(_Nowhere()):
+            yield
+    finally:
+        log.setLevel(level)
+
+
+class _Nowhere(io.TextIOBase):
+    def write(self, text: str, /) -> int:
+        return len(text)

@@ -1,0 +1,173 @@
+"""Values of any type: for stand-ins of sensors, for requests, and wrong ones."""
+
+from __future__ import annotations
+
+import enum
+import inspect
+import math
+import random
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import attrs
+
+from esair.config import fields_of
+
+LEAST, MOST = 0.0, 2.0
+"""Between which numbers lie that nobody has given limits."""
+
+DEPTH = 6
+"""How deep records may lie in records."""
+
+Limits = tuple[float, float] | Mapping[str, tuple[float, float]] | None
+
+
+class CannotMakeError(TypeError):
+    """Nothing says how a value of this type is made."""
+
+
+def make(kind: Any, dice: random.Random, limits: Limits = None, depth: int = 0) -> Any:
+    """Make a value of a type.
+
+    Args:
+        kind: The type, as it is annotated.
+        dice: Decides which.
+        limits: Least and greatest value: of the value, or of its fields by name.
+        depth: How deep it lies in another one.
+
+    Raises:
+        CannotMakeError: Nothing says how.
+    """
+    if depth > DEPTH:
+        raise CannotMakeError("its type contains itself")
+    if kind is None or kind is type(None):
+        return None
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Literal:
+        return dice.choice(arguments)
+    if origin in {typing.Union, types.UnionType}:
+        return make(dice.choice(arguments), dice, limits, depth + 1)
+    cls = origin or kind
+    if not inspect.isclass(cls):
+        raise CannotMakeError(f"its type is {kind!r:.80}")
+    if issubclass(cls, enum.Enum):
+        return dice.choice(list(cls))
+    made = _plain(cls, dice, limits)
+    if made is not None:
+        return made
+    fields = fields_of(cls)
+    if fields is not None:
+        by_field = limits if isinstance(limits, Mapping) else {}
+        return cls(
+            **{
+                name: make(field.kind, dice, by_field.get(name), depth + 1)
+                for name, field in fields.items()
+                if field.required or name in by_field
+            }
+        )
+    return _container(kind, cls, arguments, dice, limits, depth)
+
+
+def _plain(cls: type, dice: random.Random, limits: Limits) -> Any:
+    least, most = limits if isinstance(limits, tuple) else (LEAST, MOST)
+    if cls is bool:
+        return dice.random() < 0.5
+    if issubclass(cls, int):
+        return dice.randint(math.ceil(least), math.floor(most))
+    if issubclass(cls, float):
+        return dice.uniform(max(least, -1e9), min(most, 1e9))
+    if cls is str:
+        return dice.choice(["", "a", "north", "esair"])
+    if cls is bytes:
+        return dice.randbytes(4)
+    return None
+
+
+def _container(
+    kind: Any,
+    cls: type,
+    arguments: tuple[Any, ...],
+    dice: random.Random,
+    limits: Limits,
+    depth: int,
+) -> Any:
+    if issubclass(cls, tuple) and arguments:
+        if arguments[-1] is Ellipsis:
+            arguments = arguments[:1] * 3
+        return tuple(make(each, dice, limits, depth + 1) for each in arguments)
+    if issubclass(cls, list | frozenset | set) and arguments:
+        return cls(make(arguments[0], dice, limits, depth + 1) for _ in range(3))
+    if issubclass(cls, dict) and arguments and isinstance(limits, Mapping):
+        return {
+            n: make(arguments[1], dice, lim, depth + 1) for n, lim in limits.items()
+        }
+    raise CannotMakeError(f"its type is {kind!r:.80}")
+
+
+WRONG = ("nan", "inf", "huge", "type", "nothing")
+"""The ways in which a value can be wrong."""
+
+
+def wrong(value: Any, how: str) -> Any:
+    """Return a value that its receiver must not take for good."""
+    if how == "nothing":
+        return None
+    if how == "type":
+        return b"?" if isinstance(value, str) else "?"
+    bad = {"nan": math.nan, "inf": math.inf, "huge": 1e300}[how]
+    return _with(value, bad)
+
+
+def _with(value: Any, bad: float) -> Any:
+    """Put a number in the place of the first one that is found in a value."""
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        return bad
+    if attrs.has(type(value)):
+        for field in attrs.fields(type(value)):
+            inner = getattr(value, field.name)
+            if has_number(inner):
+                return attrs.evolve(value, **{field.alias: _with(inner, bad)})
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            if has_number(inner):
+                return {**value, key: _with(inner, bad)}
+    if isinstance(value, tuple | list):
+        for place, inner in enumerate(value):
+            if has_number(inner):
+                parts = [*value[:place], _with(inner, bad), *value[place + 1 :]]
+                if hasattr(value, "_make"):
+                    return value._make(parts)
+                return type(value)(parts)
+    return bad
+
+
+def has_number(value: Any) -> bool:
+    """Tell whether a value is a number or contains one."""
+    if isinstance(value, bool):
+        return False
+    if isinstance(value, float | int):
+        return True
+    if attrs.has(type(value)):
+        return any(
+            has_number(getattr(value, f.name)) for f in attrs.fields(type(value))
+        )
+    if isinstance(value, dict):
+        return any(map(has_number, value.values()))
+    if isinstance(value, tuple | list):
+        return any(map(has_number, value))
+    return False
+
+
+def is_good(value: Any) -> bool:
+    """Tell whether all numbers of a value are finite."""
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if attrs.has(type(value)):
+        return all(is_good(getattr(value, f.name)) for f in attrs.fields(type(value)))
+    if isinstance(value, dict):
+        return all(map(is_good, value.values()))
+    if isinstance(value, tuple | list):
+        return all(map(is_good, value))
+    return True

@@ -1,0 +1,367 @@
+"""One story: a robot on the virtual clock, and what is done to it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import threading
+from collections import Counter
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import attrs
+
+import esair
+from esair.actions import Behavior, Reaction
+from esair.exceptions import describe
+from esair.resources import Resource
+from esair.testing import DeadlockError, LivelockError, VirtualLoop
+from esair.torture._boxes import Boxes
+from esair.torture._gate import Gate
+from esair.torture._judge import Judge, Violation, protected_in
+from esair.torture._kinds import KINDS, NotNowError
+from esair.torture._lever import Lever
+from esair.torture._patience import HeldError, Patience, abandon
+from esair.torture._sleep import virtual_sleep
+from esair.torture._story import Step, Story
+from esair.torture._target import Target
+
+END_WITHIN = 120.0
+"""How long the end of a robot may take at all, in seconds of the virtual clock."""
+
+DRAIN = 6.0
+"""How long what is late may still come after the end, in seconds."""
+
+Check = Callable[["World"], None]
+
+
+@attrs.frozen
+class Outcome:
+    """What came of a story.
+
+    Attributes:
+        violations: What must not be, and was.
+        done: How many times each kind of step was taken; not those that had no place.
+        slowest: For each kind, how long an actuator took to be safe at most, in s.
+    """
+
+    violations: tuple[Violation, ...]
+    done: Counter[str]
+    slowest: dict[str, float]
+
+    @property
+    def keys(self) -> frozenset[tuple[str, str]]:
+        """The rules that were broken, and where."""
+        return frozenset(each.key for each in self.violations)
+
+
+class World:
+    """A robot that a story happens to.
+
+    Args:
+        target: Whose robot.
+        story: What is done to it.
+        checks: What else must hold, looked at when everything is over.
+
+    Attributes:
+        robot: The robot.
+        gates: What lies before each device, those that were removed too.
+        levers: What each action obeys, by the identity of the action.
+        halted: Whether nothing may move, by the user's will.
+        ends: When its end has begun, in seconds; None before.
+        muted: Until when a protection lets everything pass, by name.
+        protected: The actuators that somebody guards, or keeps safe while blind, at
+            first: what the user takes away from them is the user's.
+    """
+
+    def __init__(
+        self, target: Target, story: Story, checks: tuple[Check, ...] = ()
+    ) -> None:
+        self.target = target
+        self.story = story
+        self.loop = VirtualLoop(seed=story.seed)
+        self.judge = Judge(self)
+        self.gates: list[Gate] = []
+        self.levers: dict[int, Lever] = {}
+        self.halted = False
+        self.is_up = False
+        self.ends: float | None = None
+        self.muted: dict[str, float] = {}
+        self.protected: frozenset[str] = frozenset()
+        self.done: Counter[str] = Counter()
+        self.robot: esair.Robot
+        self.grace = 1.0
+        self.boxes = Boxes()
+        self._checks = checks
+        self._spares: dict[str, list[Any]] = {}
+        self._jumps: list[tuple[float, float]] = []
+        self._orders: list[tuple[str, str, asyncio.Task[Any]]] = []
+        self._over: asyncio.Future[str]
+
+    # What steps use.
+
+    @property
+    def now(self) -> float:
+        """Seconds of the virtual clock since the start."""
+        return self.loop.time()
+
+    def jump(self, seconds: float) -> None:
+        """Let time pass at once: the computer was busy."""
+        self.loop.advance(seconds)
+        self._jumps.append((self.now, seconds))
+
+    def jumped(self, since: float) -> float:
+        """Return how much time has passed at once since a moment."""
+        steps = sum(each for when, each in self._jumps if when > since)
+        slow = sum(each.seconds for each in self.levers.values() if each.slow > since)
+        return steps + 4 * slow
+
+    def gate(self, name: str) -> Gate:
+        """Return the gate of a device that the robot has now.
+
+        Raises:
+            NotNowError: It has none of this name.
+        """
+        try:
+            found = self.gate_of(self.robot.resources.get(name))
+        except esair.UnknownNameError:
+            found = None
+        if found is None:
+            raise NotNowError
+        return found
+
+    def gate_of(self, resource: Resource) -> Gate | None:
+        """Return the gate of a device."""
+        return next((each for each in self.gates if each.resource is resource), None)
+
+    def lever(self, name: str) -> Lever:
+        """Return the lever of an action that the robot has now.
+
+        Raises:
+            NotNowError: It has none of this name.
+        """
+        try:
+            return self.levers[id(self.robot.behaviors.action(name))]
+        except (esair.UnknownNameError, KeyError):
+            raise NotNowError from None
+
+    def actions(self) -> list[Behavior | Reaction]:
+        """Return the actions that the robot has now."""
+        behaviors = self.robot.behaviors
+        return [behaviors.action(name) for name in behaviors.names()]
+
+    def spare(self, name: str) -> Any:
+        """Return a new component of a name, as the robot had one at first."""
+        if not self._spares.get(name):
+            plan = self.target.make().plan
+            for component in [*plan.resources, *plan.behaviors]:
+                self._spares.setdefault(component.name, []).append(component)
+        if name not in self._spares:
+            raise NotNowError
+        spare = self._spares[name].pop()
+        self._reach(spare)
+        return spare
+
+    def order(
+        self, title: str, component: str, work: Coroutine[Any, Any, Any]
+    ) -> asyncio.Task[Any]:
+        """Have something asked for; it must have one outcome."""
+        task = self.loop.create_task(work, name=f"torture {title}")
+        self._orders.append((title, component, task))
+        return task
+
+    def finish(self, how: str) -> None:
+        """Bring the robot to its end: ``leave``, ``error`` or ``cancel``."""
+        if not self._over.done():
+            self._over.set_result(how)
+
+    # One story.
+
+    def run(self) -> Outcome:
+        """Tell the story, and judge it."""
+        loop = self.loop
+        problems: list[str] = []
+        loop.set_exception_handler(lambda _, told: problems.append(_words(told)))
+        threads, files = set(threading.enumerate()), _descriptors()
+        patience = Patience(loop)
+        try:
+            with patience, virtual_sleep(loop):
+                if self._tell():
+                    self._left_behind(problems)
+                loop.run_until_complete(loop.shutdown_asyncgens())
+            self._threads_left(threads)
+        except (HeldError, RuntimeError) as error:
+            if patience.lost is not None:
+                self.judge.say("holds", patience.lost.component, str(patience.lost))
+            elif isinstance(error, DeadlockError | LivelockError):
+                self.judge.say("stuck", self.robot.name, str(error)[:300])
+            else:
+                raise
+        finally:
+            abandon(loop)
+            loop.close()
+        if patience.lost is None and (new := _descriptors() - files):
+            self.judge.say("left", self.robot.name, f"{len(new)} descriptors are open")
+        for check in self._checks:
+            check(self)
+        return Outcome(tuple(self.judge.found), self.done, self.judge.slowest)
+
+    def _tell(self) -> bool:
+        try:
+            self.robot = self.target.make()
+        except (esair.EsairError, ExceptionGroup) as error:
+            self.judge.say("start", "robot", _told_by(error)[:300])
+            return False
+        self.grace = self.robot.grace
+        self.protected = protected_in(self.robot.plan.behaviors)
+        for component in (*self.robot.plan.resources, *self.robot.plan.behaviors):
+            self._reach(component)
+        main = self.loop.create_task(self._live(), name="torture story")
+        patient = asyncio.wait({main}, timeout=self.story.lasts + END_WITHIN)
+        self.loop.run_until_complete(patient)
+        if not main.done():
+            self.judge.say("stop", self.robot.name, "its end has not come at all")
+        elif (failed := main.exception()) is not None:
+            raise failed
+        late = max(self.story.over_at - self.now, 0.0) + DRAIN
+        self.loop.run_until_complete(asyncio.sleep(late))
+        self.judge.drained()
+        for title, component, task in self._orders:
+            self.judge.outcome(title, component, task)
+        return True
+
+    def _reach(self, component: Any) -> None:
+        """Put a gate before a device, a lever on an action."""
+        if isinstance(component, Resource):
+            alone = self.target.alone is None or component.name in self.target.alone
+            seed = self.story.seed
+            gate = Gate(component, self.loop, seed, self.judge, alone=alone)
+            self.gates.append(gate)
+        else:
+            self.levers[id(component)] = Lever(component, self.loop)
+
+    async def _live(self) -> None:
+        self._over = self.loop.create_future()
+        teller = self.loop.create_task(self._timeline(), name="torture timeline")
+        host = asyncio.current_task()
+        assert host is not None
+        try:
+            await self._stay(host)
+        except _StoryError:
+            pass
+        except (esair.EsairError, ExceptionGroup) as error:
+            self.judge.say("start", self.robot.name, _told_by(error)[:300])
+        finally:
+            teller.cancel()
+        now = self.now
+        self.judge.ended(now - (now if self.ends is None else self.ends))
+
+    async def _stay(self, host: asyncio.Task[Any]) -> None:
+        try:
+            async with self.robot:
+                self.is_up = True
+                how = await self._over
+                self.boxes.look(self)
+                self.judge.calm()
+                self.begin_to_end()
+                if how == "error":
+                    raise _StoryError
+                if how == "cancel":
+                    host.cancel()
+                    await asyncio.sleep(0)
+        except asyncio.CancelledError:
+            if self.ends is None:
+                raise
+            host.uncancel()
+        except esair.StoppingError:
+            if self.ends is None:  # stopped while it started
+                raise
+
+    def begin_to_end(self) -> None:
+        """Take note that the end of the robot begins now."""
+        if self.ends is None:
+            self.ends = self.now
+            self.judge.cause("the end", self.now)
+
+    async def _timeline(self) -> None:
+        """Take the steps, and undo them, each at its time."""
+        agenda: list[tuple[float, int, Callable[[], None]]] = []
+        for number, step in enumerate(self.story.steps):
+            agenda.append((step.at, number, lambda step=step: self._take(step)))  # type: ignore[misc]
+        for part in range(1, 5):
+            when = self.story.lasts * part / 4 - 1e-3
+            agenda.append((when, -1, lambda: self.boxes.look(self)))
+        agenda.append((self.story.lasts, 10**6, lambda: self.finish("leave")))
+        for when, _, act in sorted(agenda, key=lambda each: each[:2]):
+            if when > self.now:
+                await asyncio.sleep(when - self.now)
+            act()
+
+    def _take(self, step: Step) -> None:
+        if self.ends is not None:
+            return
+        kind = KINDS[step.kind]
+        try:
+            undo = kind.do(self, step)
+        except NotNowError:
+            return
+        self.done[step.kind] += 1
+        self.judge.cause(step.kind, self.now + step.lasts)
+        if undo is not None:
+            self.loop.call_later(step.lasts, self._undo, undo)
+
+    def _undo(self, undo: Callable[[], object]) -> None:
+        if self.ends is None:
+            with contextlib.suppress(NotNowError, esair.EsairError):
+                undo()
+
+    def _left_behind(self, problems: list[str]) -> None:
+        left = [task for task in asyncio.all_tasks(self.loop) if not task.done()]
+        name = self.robot.name
+        if left:
+            names = ", ".join(sorted(task.get_name() for task in left))
+            self.judge.say("left", name, f"tasks are left behind: {names}"[:300])
+            for task in left:
+                task.cancel()
+            self.loop.run_until_complete(asyncio.wait(left, timeout=1.0))
+        deaf = {each.action.name for each in self.levers.values() if each.deaf}
+        for zombie in self.robot.behaviors.zombies:
+            if zombie.behavior not in deaf:
+                text = f"{zombie.task} would not end when it was told to"
+                self.judge.say("left", zombie.behavior, text)
+        for call in self.robot.resources.abandoned():
+            text = f"a call of its driver has not ended: {call}"
+            self.judge.say("left", call.resource, text)
+        for problem in problems[:1]:
+            self.judge.say("loop", name, problem)
+
+    def _threads_left(self, before: set[threading.Thread]) -> None:
+        for thread in set(threading.enumerate()) - before:
+            thread.join(1.0)
+            if thread.is_alive() and not thread.name.startswith("asyncio"):
+                text = f"the thread {thread.name} is left behind"
+                self.judge.say("left", self.robot.name, text)
+
+
+class _StoryError(Exception):
+    """The program that has the robot fails."""
+
+
+def _told_by(error: Exception) -> str:
+    if isinstance(error, ExceptionGroup):
+        return "; ".join(map(_told_by, error.exceptions))
+    return describe(error)
+
+
+def _words(told: dict[str, Any]) -> str:
+    error = told.get("exception")
+    text = str(told.get("message", ""))
+    return text if error is None else f"{text}: {describe(error)}"
+
+
+def _descriptors() -> set[str]:
+    try:
+        return set(os.listdir("/proc/self/fd"))
+    except OSError:
+        return set()

@@ -1,0 +1,141 @@
+"""The rover of examples/wander_and_avoid.py, with one mistake in each."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import ClassVar
+
+import attrs
+
+import esair
+
+
+@attrs.frozen
+class Twist:
+    """How the rover moves."""
+
+    linear: float  # m/s
+    angular: float  # rad/s
+
+
+class Sonar(esair.Sensor[float]):
+    """The way ahead in metres."""
+
+    rate = 20.0
+
+    async def read(self) -> float:
+        return 1.0
+
+
+class Wheels(esair.Actuator[Twist]):
+    """Wheels."""
+
+    safe = Twist(0.0, 0.0)
+    command_timeout = 0.2
+
+    async def write(self, command: Twist) -> None: ...
+
+
+class KeepClear(esair.Reaction):
+    """Guard the wheels."""
+
+    sonar = esair.reads(float)
+    wheels = esair.guards(Twist)
+
+    def react(self, sonar: float, wheels: Twist) -> Twist | None:
+        return None if sonar < 0.3 and wheels.linear > 0.0 else wheels
+
+
+class Avoid(esair.Reaction):
+    """Turn away from anything closer than 0.4 m."""
+
+    sonar = esair.reads(float, max_age=0.5)
+    wheels = esair.writes(Twist, priority=10, blind="release")
+
+    def react(self, sonar: float) -> Twist | None:
+        return Twist(0.0, 1.2) if sonar < 0.4 else None
+
+
+class Wander(esair.Behavior):
+    """Drive on, whatever happens."""
+
+    wheels = esair.writes(Twist)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.wheels.write(Twist(0.3, 0.0))
+
+
+class PatientWheels(Wheels):
+    """A driver without a deadline: it waits for its device for a minute."""
+
+    deadline = 60.0
+
+
+class UnsafeWheels(esair.Actuator[Twist]):
+    """A driver that does not say what is safe."""
+
+    command_timeout = 0.2
+
+    async def write(self, command: Twist) -> None: ...
+
+
+class ForgetfulWheels(Wheels):
+    """A driver whose table has no row for the safe command."""
+
+    words: ClassVar[dict[Twist, bytes]] = {Twist(0.3, 0.0): b"F", Twist(0.0, 1.2): b"L"}
+
+    async def write(self, command: Twist) -> None:
+        self.words[command]
+
+
+class Diary(esair.Behavior):
+    """Keeps every reading until it is written down, which takes long."""
+
+    sonar = esair.reads(float)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.pages: asyncio.Queue[float] = asyncio.Queue()
+
+    async def run(self) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self.write_down())
+            async for metres in self.sonar:
+                self.pages.put_nowait(metres)
+
+    async def write_down(self) -> None:
+        while True:
+            await self.pages.get()
+            await asyncio.sleep(0.5)
+
+
+class Endless(esair.Behavior):
+    """Never lets anybody else."""
+
+    async def run(self) -> None:
+        await asyncio.sleep(1.0)
+        while True:
+            pass
+
+
+def make(
+    wheels: esair.Actuator[Twist] | None = None,
+    *others: esair.Behavior,
+    guard: bool = True,
+) -> esair.Robot:
+    """Return a rover."""
+    guards = [KeepClear()] if guard else []
+    return esair.Robot(
+        resources=[Sonar(), wheels or Wheels()],
+        behaviors=[*guards, Avoid(), Wander(), *others],
+    )
+
+
+sound = make()
+no_deadline = make(PatientWheels(name="wheels"))
+no_safe = make(UnsafeWheels(name="wheels"))
+no_word_for_safe = make(ForgetfulWheels(name="wheels"))
+blind = make(guard=False)
+no_bound = make(None, Diary())
+endless = make(None, Endless())

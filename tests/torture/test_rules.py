@@ -1,0 +1,172 @@
+"""What torture judges: each rule is broken once, and seen."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import esair
+from esair.connections import ActuatorChannel
+from esair.torture import Outcome, Step, Story, Target, World
+from esair.torture._kinds import KINDS, Cast
+from esair.torture._teller import random_story
+
+HERE = Path(__file__).parent
+
+
+class Sonar(esair.Sensor[float]):
+    rate = 20.0
+
+    async def read(self) -> float:
+        return 1.0
+
+
+class Wheels(esair.Actuator[float]):
+    safe = 0.0
+
+    async def write(self, command: float) -> None: ...
+
+
+class Drive(esair.Behavior):
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.wheels.write(0.5)
+
+
+class Stop(esair.Reaction):
+    sonar = esair.reads(float)
+    wheels = esair.writes(float, priority=5)
+
+    def react(self, sonar: float) -> float | None:
+        return None
+
+
+def told_to(
+    *behaviors: Any, steps: tuple[Step, ...] = (), lasts: float = 2.0
+) -> Outcome:
+    """Tell a story to a robot with these behaviors."""
+
+    def make() -> esair.Robot:
+        made = [each() for each in behaviors]
+        return esair.Robot(resources=[Sonar(), Wheels()], behaviors=made)
+
+    return World(Target("robot", make), Story(0, steps, lasts)).run()
+
+
+def test_a_sound_robot_breaks_no_rule() -> None:
+    """Each kind of step, once to each component."""
+    cast = Cast.of_robot(
+        esair.Robot(resources=[Sonar(), Wheels()], behaviors=[Drive(), Stop()])
+    )
+    at = itertools.count(1.0, 0.7)
+    steps = [
+        Step(next(at), kind.name, name, lasts=0.3, how=how, much=kind.much[0])
+        for kind in KINDS.values()
+        for name in cast.of[kind.on]
+        for how in kind.hows
+        if kind.name != "end"
+    ]
+    outcome = told_to(Drive, Stop, steps=tuple(steps), lasts=next(at))
+    assert outcome.violations == ()
+    assert outcome.done.total() > 0.9 * len(steps)
+
+
+def test_the_same_story_is_told_twice() -> None:
+    """What every device was told, and when, repeats."""
+
+    def traces() -> list[Any]:
+        target = Target.of(f"{HERE / 'planted.py'}:sound")
+        cast = Cast.of_robot(target.make())
+        world = World(target, random_story(cast, 11))
+        world.run()
+        return [
+            [(told.begun, told.landed, repr(told.command)) for told in gate.told]
+            for gate in world.gates
+        ]
+
+    assert traces() == traces()
+
+
+class Direct(Drive):
+    """Calls the driver itself."""
+
+    async def run(self) -> None:
+        wheels: Any = Wheels.latest
+        await asyncio.sleep(1.0)
+        await wheels.write(0.7)
+
+
+class Hoarder(Drive):
+    """Has a task that will not end."""
+
+    async def run(self) -> None:
+        while True:
+            try:
+                await asyncio.sleep(3600.0)
+            except asyncio.CancelledError:
+                continue
+
+
+def test_who_calls_a_driver_himself_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is no command of esair's."""
+    made: list[Wheels] = []
+    monkeypatch.setattr(Wheels, "latest", property(lambda _: made[-1]), raising=False)
+    create = Wheels.__init__
+
+    def init(self: Wheels) -> None:
+        create(self)
+        Wheels.latest = self
+
+    monkeypatch.setattr(Wheels, "__init__", init)
+    outcome = told_to(Direct)
+    assert ("unregistered", "wheels") in outcome.keys
+
+
+def test_what_will_not_end_is_left_behind() -> None:
+    """A task that swallows every cancellation."""
+    assert ("left", "hoarder") in told_to(Hoarder).keys
+
+
+HELD = """
+import esair.torture._patience
+from esair.torture import Story, Target, World
+esair.torture._patience.PATIENCE = 0.3
+(violation,) = World(Target.of({robot!r}, own=True), Story(0)).run().violations
+print(*violation.key, violation.text)
+"""
+
+
+def test_what_holds_the_loop_is_ended_and_named() -> None:
+    """Virtual time stands still for ever: real time does not."""
+    code = HELD.format(robot=f"{HERE / 'planted.py'}:endless")
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("holds run Endless.run at "), done
+
+
+@pytest.mark.parametrize(
+    ("broken", "rule", "steps"),
+    [
+        ("dead", "dead man", (Step(1.0, "hang", "drive", lasts=1.0),)),
+        ("halt", "halted", (Step(1.0, "halt", lasts=0.5),)),
+        ("protect", "blind", (Step(1.0, "unplugged", "sonar", lasts=0.5),)),
+    ],
+)
+def test_a_core_that_breaks_its_promise_is_seen(
+    broken: str,
+    rule: str,
+    steps: tuple[Step, ...],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without the dead man, the halt, or the holds of those that cannot see."""
+    monkeypatch.setattr(ActuatorChannel, broken, lambda *_args, **_options: None)
+    assert (rule, "wheels") in told_to(Drive, Stop, steps=steps).keys

@@ -1,0 +1,45 @@
+"""The soak: torture on robots that are made from numbers; and what it has found."""
+
+from __future__ import annotations
+
+import pytest
+from tests.torture.generated import maker
+
+from esair.torture import Step, Story, Target, World, torture
+
+FAULTS, SOAK = 1_500, 100_000
+EACH = 500
+"""How many faults one robot gets."""
+
+SEED = 100
+
+
+@pytest.mark.promise("CALL-2", "PRO-1", "ROB-2", "ROB-4", "BS-10", "AC-4")
+@pytest.mark.fault("D21", "D22", "R09", "R11", "X06", "B10")
+def test_soak(request: pytest.FixtureRequest) -> None:
+    """No order, no fault and no end breaks what must hold."""
+    left = SOAK if request.config.getoption("--esair-soak") else FAULTS
+    seed = SEED
+    while left > 0:
+        report = torture(
+            Target(f"robot {seed}", maker(seed)), seed=seed, faults=min(left, EACH)
+        )
+        assert [
+            (seed, str(each.violation), each.story) for each in report.findings
+        ] == []
+        left -= report.faults
+        seed += 1
+
+
+@pytest.mark.promise("ROB-2", "SUP-3")
+def test_a_device_that_is_removed_while_the_robot_stops_is_not_opened_again() -> None:
+    """The last try of the stop to reach it opened it, and left it open."""
+    steps = (
+        Step(1.3, "silent", "blockingmotor_1", lasts=0.1),
+        Step(1.3, "restart", "pushing_0"),
+        Step(1.331, "held up", much=2),
+        Step(1.7, "remove", "blockingmotor_1", lasts=0.02),
+        Step(1.9, "late", "blockingmotor_1", lasts=0.1, how="after deaf", much=0.3),
+    )
+    world = World(Target("robot 3", maker(3)), Story(0, steps, 2.222))
+    assert world.run().violations == ()
