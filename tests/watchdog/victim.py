@@ -37,7 +37,6 @@ async def main(tty: str, way: str, policy: str) -> None:
     await dog.start()
     refused = await dog.arm("wheels", SAFE, Outlet("serial", descriptor=line))
     assert not refused, refused
-    dog.blame("wander")
     for number in range(40):
         dog.beat()
         dog.moving("wheels", True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from esair.loading import late
 from esair.watchdog._limit import LIMIT
 
 if TYPE_CHECKING:
@@ -20,14 +21,13 @@ if TYPE_CHECKING:
 __all__ = ["LIMIT", "Outlet", "SafeFrames", "Watchdog", "can_frame"]
 
 
-def __getattr__(name: str) -> object:
-    # Loaded by who needs it: it is a tenth of the time that `import esair` takes.
-    if name == "Watchdog":
-        from esair.watchdog._watchdog import Watchdog
-
-        return Watchdog
-    if name in __all__:
-        from esair.watchdog import _frames
-
-        return getattr(_frames, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+# Loaded by who needs it: it is a tenth of the time that `import esair` takes.
+__getattr__, _ = late(
+    __name__,
+    {
+        "Outlet": "_frames",
+        "SafeFrames": "_frames",
+        "Watchdog": "_watchdog",
+        "can_frame": "_frames",
+    },
+)

@@ -1,7 +1,7 @@
 """The watchdog's own program: it makes a robot safe whose process died or hangs.
 
-Run as ``python -I -S FILE CHANNEL PIDFD PAGE PID LIMIT POLICY``. It imports nothing of
-esair and knows no command but safe: what it sends was handed to it as bytes before. It
+Run as ``python -I -S FILE CHANNEL PIDFD PAGE STACK PID LIMIT POLICY``. It imports nothing
+of esair and knows no command but safe: what it sends was handed to it as bytes before. It
 writes only while the robot's process is stopped or dead.
 """
 
@@ -19,7 +19,8 @@ import termios
 import time
 from typing import Any
 
-BEATS, MOVING, LATCH, CULPRIT, NAMES, NAME = 0, 1, 2, 3, 32, 64
+BEATS, MOVING, LATCH, LOOKS = range(4)
+TELL_STACK = signal.SIGRTMAX
 STOP_WITHIN, SEND_WITHIN = 0.02, 0.5
 I2C_TIMEOUT, I2C_RDWR, GPIO_SET_VALUES = 0x0702, 0x0707, 0xC010B40F
 
@@ -40,6 +41,8 @@ class Device:
         elif self.wire == "i2c":
             descriptors = [os.open(self.target["path"], os.O_RDWR | os.O_CLOEXEC)]
             fcntl.ioctl(descriptors[0], I2C_TIMEOUT, 2)  # 20 ms
+        if not descriptors:
+            raise OSError("its descriptor did not arrive: too many are open")
         self.descriptor = descriptors[0]
         os.set_blocking(self.descriptor, False)
 
@@ -82,8 +85,8 @@ class Watchdog:
     """Watches one process."""
 
     def __init__(self, arguments: list[str]) -> None:
-        channel, self.pidfd, page, self.pid = map(int, arguments[:4])
-        self.limit, self.policy = float(arguments[4]), arguments[5]
+        channel, self.pidfd, page, self.stack, self.pid = map(int, arguments[:5])
+        self.limit, self.policy = float(arguments[5]), arguments[6]
         self.channel = socket.socket(fileno=channel)
         self.page = mmap.mmap(page, 0)
         self.numbers = memoryview(self.page).cast("Q")
@@ -94,8 +97,9 @@ class Watchdog:
 
     def watch(self) -> str:
         """Return why the robot has to be made safe; empty after a good-bye."""
-        beats, since = self.numbers[BEATS], time.monotonic()
+        beats, since, asked = self.numbers[BEATS], time.monotonic(), False
         while True:
+            self.numbers[LOOKS] += 1
             events = dict(self.poll.poll(self.limit * 100))  # a tenth of it, in ms
             if self.pidfd in events:
                 return "its process died"
@@ -107,9 +111,24 @@ class Watchdog:
                     self.tell("hung up", place)
             now = time.monotonic()
             if self.numbers[BEATS] != beats or not self.numbers[MOVING]:
-                beats, since = self.numbers[BEATS], now
+                beats, since, asked = self.numbers[BEATS], now, False
             elif now - since >= self.limit:
-                return f"no turn for {now - since:.3f} s"
+                return f"no turn for {now - since:.3f} s{self.culprit()}"
+            elif not asked and now - since >= self.limit / 2:
+                asked = True
+                os.ftruncate(self.stack, 0)
+                os.lseek(self.stack, 0, os.SEEK_SET)
+                with contextlib.suppress(OSError):  # it is dead
+                    signal.pidfd_send_signal(self.pidfd, TELL_STACK)
+
+    def culprit(self) -> str:
+        """Return who holds the process: the code next to it that is not a library's."""
+        told = os.pread(self.stack, 65536, 0).decode(errors="replace")
+        main = told.rpartition("hread 0x")[2].splitlines()  # the oldest comes last
+        frames = [line.strip() for line in main if line.startswith("  File ")]
+        libraries = os.path.dirname(os.__file__), os.path.dirname(__file__)[:-8]
+        own = [each for each in frames if not each[6:].startswith(libraries)]
+        return "".join(f", in {frame}" for frame in (own or frames)[:1])
 
     def hears_good_bye(self) -> bool:
         """Do what the robot asks for, and answer."""
@@ -121,7 +140,7 @@ class Watchdog:
         if told["op"] == "arm":
             try:
                 device = self.devices[told["place"]] = Device(told, descriptors)
-            except (OSError, IndexError) as error:
+            except OSError as error:
                 self.tell("refused", told["place"], str(error))
                 return False
             self.poll.register(device.descriptor, 0)  # hang-up and error alone
@@ -164,15 +183,12 @@ class Watchdog:
         with contextlib.suppress(OSError):  # it is dead
             if self.policy == "kill":
                 signal.pidfd_send_signal(self.pidfd, signal.SIGKILL)
-        place = NAMES + NAME * self.numbers[CULPRIT]
-        who = self.page[place : place + NAME].rstrip(b"\0").decode(errors="replace")
         told = [
             f"{device.name} {f'NOT SAFE ({device.error})' if device.left else 'safe'}"
             for device in self.devices.values()
         ]
-        where = f" in {who}" if who else ""
         told_all = ", ".join(told) or "nothing is watched"
-        line = f"esair watchdog: {why}{where}: {told_all}, after {took:.1f} ms\n"
+        line = f"esair watchdog: {why}: {told_all}, after {took:.1f} ms\n"
         os.write(2, line.encode())
 
 

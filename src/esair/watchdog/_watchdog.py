@@ -11,12 +11,14 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
 from esair.watchdog._frames import Outlet, SafeFrames
 from esair.watchdog._limit import LIMIT
+from esair.watchdog._stack import stack_file
 
 ANSWER_WITHIN = 1.0
 """How long the watchdog may take to answer, in seconds."""
@@ -24,8 +26,12 @@ ANSWER_WITHIN = 1.0
 GONE_WITHIN = 0.1
 """How long it may take to end after an orderly stop, in seconds."""
 
+STUCK_AFTER = 8
+"""After how many limits without a look a watchdog is killed while the robot beats."""
+
 _PROGRAM = Path(__file__).with_name("_program.py")
-_PAGE, _NAMES, _NAME, _CULPRITS = 65536, 32, 64, 1023
+_PAGE = mmap.PAGESIZE
+_BEATS, _MOVING, _LATCH, _LOOKS = range(4)
 
 _log = logging.getLogger("esair")
 
@@ -54,14 +60,14 @@ class Watchdog:
         self._places: dict[str, int] = {}
         self._answers: dict[int, asyncio.Future[str]] = {}
         self._last = 0
-        self._names: dict[str, int] = {"": 0}
-        self._beats = 0
+        self._beats = self._looks = 0
+        self._looked = time.monotonic()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: socket.socket | None = None
         self._pidfd = -1
-        self._page = mmap.mmap(-1, _PAGE)
-        self._numbers = memoryview(self._page).cast("Q")
+        self._page: mmap.mmap | None = None
+        self._numbers = memoryview(bytearray(_PAGE)).cast("Q")
 
     # Its process.
 
@@ -76,12 +82,11 @@ class Watchdog:
         mine.setblocking(False)
         shared = os.memfd_create("esair-watchdog")
         me = os.pidfd_open(os.getpid())
+        stack = stack_file.open()
         try:
             os.ftruncate(shared, _PAGE)
-            self._page = mmap.mmap(shared, _PAGE)
-            self._numbers = memoryview(self._page).cast("Q")
-            self._numbers[1] = len(self._moving)
-            descriptors = (its.fileno(), me, shared)
+            self._share(mmap.mmap(shared, _PAGE))
+            descriptors = (its.fileno(), me, shared, stack)
             arguments = [*descriptors, os.getpid(), self.limit, self.policy]
             self._process = await asyncio.to_thread(
                 subprocess.Popen,
@@ -92,6 +97,8 @@ class Watchdog:
             )
         except BaseException:
             mine.close()
+            self._share(None)
+            stack_file.close()
             raise
         finally:
             its.close()
@@ -101,6 +108,15 @@ class Watchdog:
         self._pidfd = os.pidfd_open(self._process.pid)
         loop.add_reader(mine, self._hear)
         loop.add_reader(self._pidfd, self._died)
+
+    def _share(self, page: mmap.mmap | None) -> None:
+        """Count in a page that the process sees; in one's own if it is None."""
+        numbers = memoryview(page or bytearray(_PAGE)).cast("Q")
+        numbers[_MOVING], numbers[_LATCH] = len(self._moving), self._numbers[_LATCH]
+        self._numbers.release()
+        if self._page is not None:
+            self._page.close()
+        self._page, self._numbers = page, numbers
 
     @property
     def runs(self) -> bool:
@@ -121,7 +137,7 @@ class Watchdog:
         except subprocess.TimeoutExpired:
             process.kill()
             await asyncio.to_thread(process.wait)
-        self._process = None
+        self._over()
 
     def _forget(self) -> None:
         loop = self._loop
@@ -140,12 +156,17 @@ class Watchdog:
                 answer.set_result("the watchdog has ended")
         self._answers.clear()
 
+    def _over(self) -> None:
+        self._process = None
+        self._share(None)
+        stack_file.close()
+
     def _died(self) -> None:
         process = self._process
         assert process is not None
         self._forget()
         process.wait()  # it is over: the descriptor says so
-        self._process = None
+        self._over()
         _log.critical("watchdog: its process died (%s)", process.returncode)
         self._on_death()
 
@@ -228,10 +249,17 @@ class Watchdog:
 
     # Signs of life.
 
-    def beat(self, _now: float = 0.0) -> None:
-        """Tell that the scheduler turns."""
+    def beat(self) -> None:
+        """Tell that the scheduler turns; end a watchdog that does not look any more."""
         self._beats += 1
-        self._numbers[0] = self._beats
+        self._numbers[_BEATS] = self._beats
+        looks, now = self._numbers[_LOOKS], time.monotonic()
+        if looks != self._looks or self._process is None:
+            self._looks, self._looked = looks, now
+        elif now - self._looked > STUCK_AFTER * self.limit:
+            _log.critical("watchdog: it has not looked for %.1f s", now - self._looked)
+            self._looked = now
+            self._process.kill()
 
     def moving(self, name: str, moves: bool) -> None:
         """Tell whether an actuator was told a motion; before it leaves."""
@@ -239,22 +267,9 @@ class Watchdog:
             self._moving.add(name)
         else:
             self._moving.discard(name)
-        self._numbers[1] = len(self._moving)
+        self._numbers[_MOVING] = len(self._moving)
 
     @property
     def latched(self) -> bool:
         """Whether the watchdog has stopped this process: nothing may move any more."""
-        return bool(self._numbers[2])
-
-    def blame(self, component: str) -> None:
-        """Tell whose turn it is, to be named if it never ends."""
-        place = self._names.get(component)
-        if place is None:
-            place = self._names[component] = 1 + (len(self._names) - 1) % (
-                _CULPRITS - 1
-            )
-            begin = _NAMES + place * _NAME
-            self._page[begin : begin + _NAME] = component.encode()[:_NAME].ljust(
-                _NAME, b"\0"
-            )
-        self._numbers[3] = place
+        return bool(self._numbers[_LATCH])
