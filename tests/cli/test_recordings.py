@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -55,6 +58,20 @@ def test_log_prints_a_line_for_each_event(recording: Path, capsys) -> None:
     assert lines[1].endswith("sent       wander > wheels [0.3, 0.0]")
 
 
+def test_a_reader_that_has_seen_enough_is_no_error(recording: Path) -> None:
+    """``esair log FILE | head`` ends without a word."""
+    code = f"from esair.cli import main; main(['log', {str(recording)!r}])"
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        ended = subprocess.run(
+            [sys.executable, "-c", code], stdout=write, stderr=subprocess.PIPE
+        )
+    finally:
+        os.close(write)
+    assert (ended.returncode, ended.stderr) == (0, b"")
+
+
 @pytest.mark.promise("SEC-1")
 def test_nothing_in_a_recording_forges_a_line(recording: Path, capsys) -> None:
     """Line ends and escapes of a device are shown as their numbers."""
@@ -75,7 +92,7 @@ def test_plot_draws_a_picture(recording: Path, capsys) -> None:
     """A PNG beside the recording, not empty."""
     pytest.importorskip("matplotlib", reason="needs esair[sim]")
     assert run("plot", recording) == 0
-    picture = recording.with_suffix(".png")
+    picture = recording.with_name(f"{recording.stem}-plot.png")
     assert capsys.readouterr().out.strip() == str(picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert picture.stat().st_size > 10_000

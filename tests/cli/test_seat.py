@@ -30,6 +30,11 @@ class Motor(esair.Actuator[float]):
     async def write(self, command: float) -> None:
         with open("log.jsonl", "a") as file:
             file.write(json.dumps(command) + "\\n")
+    @esair.operation
+    async def home(self, turns: int, speed: float = 0.5) -> str:
+        with open("homed.jsonl", "a") as file:
+            file.write(json.dumps([turns, speed]) + "\\n")
+        return "at home"
 
 class Always(esair.Behavior):
     motor = esair.writes(float)
@@ -143,6 +148,25 @@ def test_a_robot_is_watched_and_steered(esair, robot):
     assert "did you mean" in esair("why", "moter", code=1)
 
 
+@pytest.mark.promise("OPS-2")
+def test_an_operation_is_called_and_told(esair, robot):
+    """By what the device did; what is wrong is told, and nothing is done."""
+    folder = robot()
+    assert esair("operate", "motor", "home", "turns=2") == "at home\n"
+    told = esair("operate", "motor", "home", "turns=3", "speed=0.1", "--json")
+    assert json.loads(told) == "at home"
+    for words, expected in (
+        (["home"], "turns"),
+        (["home", "turns=x"], "int"),
+        (["home", "turns=1", "sped=2"], "speed"),
+        (["hoem", "turns=1"], "did you mean 'home'"),
+    ):
+        assert expected in esair("operate", "motor", *words, code=1)
+    assert "name=value" in esair("operate", "motor", "home", "3", code=2)
+    lines = (folder / "homed.jsonl").read_text().splitlines()
+    assert [json.loads(line) for line in lines] == [[2, 0.5], [3, 0.1]]
+
+
 @pytest.mark.promise("SEC-1")
 def test_what_a_device_says_cannot_reach_the_terminal_raw(esair, robot):
     """No escape, line end or bidi character: they are shown as their numbers."""
@@ -213,5 +237,5 @@ def test_a_run_is_recorded_with_what_the_operator_did(esair, robot):
 def test_without_a_robot_it_says_so(esair, tmp_path, monkeypatch):
     """Exit code 2, one line."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    for words in (["top"], ["stop"], ["why", "x"], ["stop", "--all"]):
+    for words in (["top"], ["stop"], ["why", "x"], ["stop", "--all"], ["view"]):
         assert "no robot runs here" in esair(*words, code=2)

@@ -1,12 +1,18 @@
 """The page: who may, and what the wheels are told."""
 
 import asyncio
+import contextlib
+import http.client
 import json
 import logging
 import shutil
+import ssl
 import stat
+import subprocess
+import time
 import urllib.error
 import urllib.request
+from typing import Any
 
 import pytest
 import websockets
@@ -211,10 +217,51 @@ async def test_metrics_for_machines(served):
         assert len(names) == len(set(names))
 
 
+@pytest.fixture(scope="session")
+def certificate(tmp_path_factory):
+    """A certificate of this computer and its key, if openssl is here."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    folder = tmp_path_factory.mktemp("tls")
+    words = "req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost"
+    files = ["-keyout", str(folder / "key.pem"), "-out", str(folder / "cert.pem")]
+    subprocess.run(["openssl", *words.split(), *files], check=True, capture_output=True)
+    return folder / "cert.pem", folder / "key.pem"
+
+
+@pytest.mark.promise("SEC-1")
+async def test_with_a_certificate_nothing_is_said_in_the_clear(served, certificate):
+    """The page, the metrics and the web socket are by TLS; plain HTTP has no answer."""
+    file, key = certificate
+    page = esair.Page(port=0, certificate=file, key=key)
+    context = ssl.create_default_context(cafile=str(file))
+    context.check_hostname = False
+    async with served(Wander(), page=page) as robot:
+        host = f"127.0.0.1:{port_of(robot)}"
+
+        def fetch(address):
+            with urllib.request.urlopen(address, timeout=10, context=context) as answer:
+                return answer.read().decode()
+
+        assert "<title>" in await asyncio.to_thread(fetch, f"https://{host}/")
+        assert "esair_up" in await asyncio.to_thread(fetch, f"https://{host}/metrics")
+        with pytest.raises((OSError, http.client.HTTPException)):
+            await asyncio.to_thread(fetch, f"http://{host}/")
+        options: dict[str, Any] = {"ssl": context, "origin": f"https://{host}"}
+        async with websockets.connect(f"wss://{host}/operate", **options) as link:
+            await link.send('{"v": 1, "id": "1", "act": "stop", "reason": "tls"}')
+            assert json.loads(await link.recv())["ok"]
+        assert robot.halted == "tls"
+        options["origin"] = f"http://{host}"
+        with pytest.raises(websockets.InvalidStatus):
+            async with websockets.connect(f"wss://{host}/operate", **options):
+                pass
+
+
 # A real browser.
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def chromium():
     """A Chromium without a window, if there is one."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not here")
@@ -226,9 +273,61 @@ def chromium():
     for each in ("--headless=new", "--no-sandbox", "--window-size=1000,1100"):
         options.add_argument(each)
     service = webdriver.ChromeService(executable_path=driver)
-    found = webdriver.Chrome(options=options, service=service)
+    found = webdriver.Chrome(options=options, service=service, keep_alive=False)
+    found.service.process.stdin.close()  # else it is a descriptor left behind
     yield found
     found.quit()
+
+
+class Person:
+    """Somebody in front of the page; what it does runs in a thread of its own."""
+
+    def __init__(self, chromium, robot):
+        self.chromium = chromium
+        self.robot = robot
+
+    async def opens(self):
+        """Open the page, and wait until it is live."""
+        address = f"http://127.0.0.1:{port_of(self.robot)}/"
+        await asyncio.to_thread(self.chromium.get, address)
+        for _ in range(200):
+            if not await self.sees_grey():
+                return
+            await asyncio.sleep(0.05)
+        raise TimeoutError
+
+    async def runs(self, script, *words):
+        return await asyncio.to_thread(self.chromium.execute_script, script, *words)
+
+    async def sees_grey(self):
+        return "silent" in await self.runs("return document.body.className")
+
+    async def finds(self, selector):
+        find = self.chromium.find_element
+        return await asyncio.to_thread(find, "css selector", selector)
+
+    async def clicks(self, selector):
+        await asyncio.to_thread((await self.finds(selector)).click)
+
+    async def key(self, key, *, down):
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        chain = ActionChains(self.chromium)
+        chain = chain.key_down(key) if down else chain.key_up(key)
+        await asyncio.to_thread(chain.perform)
+
+    def holder(self):
+        return self.robot.resources.why("wheels").holder
+
+    async def drives(self, press, let_go):
+        """Press until it is driving: on a loaded machine what is held may lapse."""
+        for _ in range(5):
+            await press()
+            with contextlib.suppress(TimeoutError):
+                await eventually(lambda: self.holder() == "operator", 3.0)
+                return
+            await let_go()
+        raise TimeoutError
 
 
 class Label(esair.Sensor[str]):
@@ -249,55 +348,173 @@ class Reads(esair.Behavior):
 @pytest.mark.promise("OPS-5", "SEC-1")
 async def test_in_a_browser(served, chromium):
     """STOP, resume, keys, a key that is let go: by what the wheels were told."""
-    from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys
 
-    def aside(function, *words):
-        return asyncio.to_thread(function, *words)
-
     robot = served(Wander(), Reads(), resources=[Label()])
+    person = Person(chromium, robot)
     async with robot:
-        await aside(chromium.get, f"http://127.0.0.1:{port_of(robot)}/")
-
-        async def is_silent():
-            classes = await aside(
-                chromium.execute_script, "return document.body.className"
-            )
-            return "silent" in classes
-
-        async def until(condition):
-            for _ in range(100):
-                if await condition():
-                    return
-                await asyncio.sleep(0.05)
-            raise TimeoutError
-
-        async def is_live():
-            return not await is_silent()
-
-        await until(is_live)
-        halt = chromium.find_element("id", "halt")
-        await aside(halt.click)
+        await person.opens()
+        await person.clicks("#halt")
         await robot.wheels.until(STILL, timeout=5.0)
         await eventually(lambda: robot.halted == "the page")
-        await aside(chromium.find_element("id", "resume").click)
+        await person.clicks("#resume")
         await robot.wheels.until(Twist(0.3, 0.0), timeout=5.0)
 
-        keys = ActionChains(chromium)
-        await aside(keys.key_down(Keys.ARROW_DOWN).perform)
+        await person.drives(
+            lambda: person.key(Keys.ARROW_DOWN, down=True),
+            lambda: person.key(Keys.ARROW_DOWN, down=False),
+        )
         driven = Twist(-0.3, 0.0)  # 30 % of an actuator without limits
-        await eventually(lambda: robot.resources.why("wheels").holder == "operator")
         await robot.wheels.until(driven, timeout=5.0)
         await asyncio.sleep(1.0)  # longer than a lease: the held key renews it
-        assert robot.resources.why("wheels").holder == "operator"
-        await aside(ActionChains(chromium).key_up(Keys.ARROW_DOWN).perform)
-        await eventually(lambda: robot.resources.why("wheels").holder == "wander")
+        assert person.holder() == "operator"
+        await person.key(Keys.ARROW_DOWN, down=False)
+        await eventually(lambda: person.holder() == "wander")
 
         # What a device says is text.
-        assert await aside(lambda: chromium.title) == "rover - esair"
-        assert "<img" in await aside(
-            lambda: chromium.find_element("id", "resources").text
-        )
+        assert await asyncio.to_thread(lambda: chromium.title) == "rover - esair"
+        assert "<img" in (await person.finds("#resources")).text
     # The robot has ended: grey within 1 s.
     await asyncio.sleep(1.2)
-    assert await is_silent()
+    assert await person.sees_grey()
+
+
+PAD = """
+const stick = arguments[0], handle = arguments[1];
+const button = (pressed) => ({ pressed });
+const buttons = Array.from({ length: 17 }, (_, index) => button(index === 5 && handle));
+navigator.getGamepads = () => [null, { connected: true, axes: stick, buttons }];
+"""
+
+
+@pytest.mark.promise("OPS-5", "OPS-4")
+async def test_a_gamepad_drives_while_its_handle_is_held(served, chromium):
+    """Half a stick is half the speed; without the handle nothing moves."""
+    robot = served(Wander())
+    person = Person(chromium, robot)
+    async with robot:
+        await person.opens()
+        await person.runs(PAD, [0.0, -1.0], False)
+        await asyncio.sleep(0.5)
+        assert person.holder() == "wander"
+
+        await person.drives(
+            lambda: person.runs(PAD, [0.0, 0.5, 0.0, 0.0], True),
+            lambda: person.runs(PAD, [0.0, 0.0], False),
+        )
+        await robot.wheels.until(Twist(-0.15, 0.0), timeout=5.0)
+        await person.runs(PAD, [0.0, 0.5], False)
+        await eventually(lambda: person.holder() == "wander")
+
+
+class Valve(esair.Sensor[float]):
+    rate = 20.0
+    flow = esair.setting(1.0, unit="l/min", min=0.0, max=5.0)
+
+    def __init__(self) -> None:
+        super().__init__(name="valve")
+        self.homed: list[tuple[int, float]] = []
+
+    async def read(self) -> float:
+        return 1.5
+
+    @esair.operation
+    async def home(self, turns: int, speed: float = 0.5) -> str:
+        self.homed.append((turns, speed))
+        return "at home"
+
+
+@pytest.mark.promise("OPS-5")
+async def test_operations_and_settings_in_a_browser(served, chromium):
+    """With what they take, their units and limits; by what the device was told."""
+    valve = Valve()
+    robot = served(Wander(), resources=[valve])
+    person = Person(chromium, robot)
+    async with robot:
+        await person.opens()
+        inputs = "#operations form label:nth-of-type(1) input"
+        await asyncio.to_thread((await person.finds(inputs)).send_keys, "3")
+        await person.clicks("#operations button")
+        await eventually(lambda: valve.homed)
+        assert valve.homed == [(3, 0.5)]
+        output = await person.finds("#operations output")
+        await eventually(lambda: output.text == '"at home"')
+
+        assert "l/min (0 to 5)" in (await person.finds("#settings")).text
+        await person.runs(
+            "const input = document.querySelectorAll('#settings input')[1];"
+            "input.value = arguments[0]; input.onchange();",
+            "2.5",
+        )
+        await eventually(lambda: valve.flow == 2.5)
+        await person.runs(
+            "const input = document.querySelectorAll('#settings input')[1];"
+            "input.value = arguments[0]; input.onchange();",
+            "99",
+        )
+        told = await person.finds("#told")
+        await eventually(lambda: "flow" in told.text)
+        assert valve.flow == 2.5
+
+
+@pytest.mark.promise("OPS-5")
+async def test_it_is_grey_while_the_loop_is_blocked(served, chromium):
+    """Within 1 s; and live again when the loop turns again."""
+    robot = served(Wander(), stall_warning=None)
+    person = Person(chromium, robot)
+    seen: list[tuple[float, bool]] = []
+
+    def looks(until: float) -> None:
+        while time.monotonic() < until:
+            names = chromium.execute_script("return document.body.className")
+            seen.append((time.monotonic(), "silent" in names))
+
+    async with robot:
+        await person.opens()
+        begin = time.monotonic()
+        looking = asyncio.create_task(asyncio.to_thread(looks, begin + 2.4))
+        await asyncio.sleep(0.1)
+        time.sleep(1.9)  # noqa: ASYNC251 - the loop of the robot stands still
+        await looking
+        grey = [when - begin for when, is_grey in seen if is_grey]
+        assert grey
+        assert min(grey) < 1.4
+        for _ in range(100):
+            if not await person.sees_grey():
+                break
+            await asyncio.sleep(0.05)
+        assert not await person.sees_grey()
+
+
+@pytest.mark.promise("OPS-5", "OPS-4")
+@pytest.mark.fault("H14")
+async def test_a_frozen_tab_and_a_killed_one_release_the_wheels(served, chromium):
+    """Its lease is not renewed: the wheels are given back within lease + 0.1 s."""
+    from selenium.common.exceptions import WebDriverException
+    from selenium.webdriver.common.keys import Keys
+
+    robot = served(Wander())
+    person = Person(chromium, robot)
+    async with robot:
+        await person.opens()
+
+        async def presses():
+            await person.key(Keys.ARROW_DOWN, down=True)
+
+        async def lets_go():
+            await person.key(Keys.ARROW_DOWN, down=False)
+
+        await person.drives(presses, lets_go)
+        script = (
+            "const end = performance.now() + 2000; while (performance.now() < end);"
+        )
+        frozen = asyncio.create_task(person.runs(script))
+        await eventually(lambda: person.holder() == "wander", 1.5)
+        assert not frozen.done()  # it was given back while the tab stood still
+        await frozen
+        await lets_go()
+
+        await person.drives(presses, lets_go)
+        with contextlib.suppress(WebDriverException):
+            await asyncio.to_thread(chromium.close)  # its last window: it is gone
+        await eventually(lambda: person.holder() == "wander", 1.5)

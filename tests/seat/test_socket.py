@@ -379,6 +379,30 @@ async def test_a_second_robot_of_the_name_is_refused(rover, raw):
         pass
 
 
+@pytest.mark.fault("O18")
+async def test_a_start_that_fails_gives_the_name_back(
+    rover, raw, tmp_path, monkeypatch, caplog
+):
+    """At any point of it: the next start of the same name is not refused."""
+    taken = socket.create_server(("127.0.0.1", 0))
+    page = esair.Page(port=taken.getsockname()[1])
+    with pytest.raises(esair.ConfigError, match="cannot be had"):
+        async with rover(page=page):
+            pass
+    taken.close()
+    with monkeypatch.context() as missing:
+        missing.setitem(sys.modules, "foxglove", None)
+        with pytest.raises(esair.ConfigError, match=r"esair\[record\]"):
+            async with rover(record=esair.Recording(tmp_path)):
+                pass
+    (tmp_path / "esair" / "rover.sock").mkdir()
+    async with rover():  # it runs without
+        assert "there is no control socket" in caplog.text
+    (tmp_path / "esair" / "rover.sock").rmdir()
+    async with rover(), raw() as client:
+        assert (await client.do("1", "status"))["ok"]
+
+
 @pytest.mark.fault("H17")
 async def test_a_stale_socket_is_replaced_and_a_link_is_not_followed(
     rover, raw, sockets

@@ -14,9 +14,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from esair.cli._target import check_robot, is_of_module
-from esair.config import FoundInFile, Report
+from esair.cli._target import check_robot
+from esair.config import FoundInFile, Report, is_of_module
 from esair.config import check as check_file
+from esair.plan import UNWATCHED
 
 _STYLES = {"error": "bold red", "warning": "yellow"}
 
@@ -84,6 +85,7 @@ def to_json(report: Report) -> dict[str, Any]:
                              string, latch: boolean}, first asked first
             sent_by          string: who sends the safe command, and when
             own_timeout      number: seconds | null
+            when_the_process_dies   string
             when_the_host_dies   string
     """
     return {
@@ -121,6 +123,7 @@ def _actuators(report: Report) -> Panel:
     table.add_column("guarded by", overflow="fold")
     table.add_column("safe command", style="bold red", overflow="fold")
     table.add_column("who sends it", overflow="fold")
+    table.add_column("when this process dies", overflow="fold")
     table.add_column("when this computer dies", overflow="fold")
     for actuator in report.actuators:
         writers = "\n".join(
@@ -136,6 +139,10 @@ def _actuators(report: Report) -> Panel:
             Text(guards or "nobody"),
             Text("none") if actuator.safe is None else Text(actuator.safe, "green"),
             Text(actuator.sent_by),
+            Text(
+                actuator.when_the_process_dies,
+                "red" if actuator.when_the_process_dies.startswith(UNWATCHED) else "",
+            ),
             Text(
                 actuator.when_the_host_dies,
                 "red" if actuator.own_timeout is None else "",

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from esair.cli._errors import missing_extra
 
 
 def demo(
     *,
-    fast: bool = False,
+    fast: Annotated[bool, Parameter(negative=())] = False,
     seed: int = 0,
     out: Path | None = None,
     record: Path | None = None,
+    kill: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Watch a simulated rover explore, lose a sensor, stop safely and go on.
 
@@ -20,14 +24,16 @@ def demo(
         fast: Run on a virtual clock, in a few seconds.
         seed: The same number gives the same run.
         out: Where the picture of the run goes (PNG).
-        record: Where every CAN frame goes, in the format of candump.
+        record: Where the recording of the run goes, for esair log and plot (MCAP).
+        kill: Kill a robot's process while it drives instead, and show when its wheels
+            had their safe frame.
     """
     # What draws takes its time to be imported.
     print("esair demo: a simulated rover; Ctrl-C stops it", flush=True)  # noqa: T201 - this is the command line
     try:
         from esair.demo import demo as show
 
-        return show(fast=fast, seed=seed, out=out, record=record)
+        return show(fast=fast, seed=seed, out=out, record=record, kill=kill)
     except ModuleNotFoundError as error:
         code = missing_extra(error, "sim")
         if code is None:

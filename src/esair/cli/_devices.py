@@ -63,7 +63,7 @@ def devices(
     seconds: Annotated[float | None, Parameter(name="--for")] = None,
     root: Annotated[Path, Parameter(show=False)] = Path("/"),
 ) -> int:
-    """List what is plugged in: serial ports, CAN, I²C, GPIO, and their lines of TOML.
+    """List what is plugged in: ports, CAN, I²C, SPI, GPIO, pads, cameras; with TOML.
 
     Exit code: 0 done, 1 nothing was found in time or a bus could not be scanned,
     2 the command line cannot be used, 130 Ctrl-C.
@@ -102,7 +102,7 @@ def to_json(device: Device, chips: dict[int, str] | None = None) -> dict[str, An
     The schema, where ``schema`` grows when a key changes its meaning or goes (keys
     may be added): ``{"schema": 1, "devices": [...]}``, each with ::
 
-        kind         "serial" | "can" | "i2c" | "gpio"
+        kind         "serial" | "can" | "i2c" | "spi" | "gpio" | "gamepad" | "camera"
         path         string: the device file, or the name of the CAN interface
         address      string: what robot.toml calls it
         description  string

@@ -63,6 +63,8 @@ def log(
             _print(event.time + offset, event._asdict())
     except ModuleNotFoundError as error:
         return _missing(error)
+    except BrokenPipeError:  # whoever reads, such as ``head``, has seen enough
+        raise
     except (RecordingBrokenError, OSError) as error:
         tell(describe(error))
         return CANNOT_USE

@@ -97,19 +97,24 @@ def make_app() -> App:
     from esair.cli._min import minimal
     from esair.cli._new import new
     from esair.cli._plot import plot
+    from esair.cli._replay import replay
     from esair.cli._run import run
     from esair.cli._sim import sim
     from esair.cli._steer import VERBS, set_
     from esair.cli._top import top
+    from esair.cli._torture import torture
+    from esair.cli._view import view
 
     app = App(
         name="esair",
         help="Robots that must not hurt anyone, lose data, or stop for a loose cable.",
         version=importlib.metadata.version("esair"),
     )
-    for verb in (demo, new, check, devices, sim, run, log, plot, recover):
+    for verb in (demo, new, check, devices, sim, run, log, plot, replay, recover):
         app.command(verb)
+    app.command(torture)
     app.command(top)
+    app.command(view)
     app.command(drive)
     for steer in VERBS:
         app.command(steer)

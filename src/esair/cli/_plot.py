@@ -45,7 +45,7 @@ def plot(
         out: The picture (PNG); beside the recording unless given.
         component: Only these sensors and actuators.
     """
-    target = out or file.with_suffix(".png")
+    target = out or file.with_name(f"{file.stem}-plot.png")
     try:
         from esair.recording import events_of
 
@@ -86,6 +86,7 @@ def _draw(events: list[Recorded], target: Path, wanted: list[str] | None) -> Non
     tracks: dict[str, list[tuple[float, float]]] = collections.defaultdict(list)
     holders: dict[str, list[tuple[float, str]]] = collections.defaultdict(list)
     marks = []
+    seen: set[str] = set()
     for event in events:
         if wanted and event.component not in wanted and event.kind not in _MARKED:
             continue
@@ -94,18 +95,25 @@ def _draw(events: list[Recorded], target: Path, wanted: list[str] | None) -> Non
             for name, number in _numbers(event.component, event.value):
                 tracks[name].append((when, number))
         if event.kind in {"sent", "safe"}:
-            who = event.peer if event.kind == "sent" else "safe"
-            if not holders[event.component] or holders[event.component][-1][1] != who:
-                holders[event.component].append((when, who))
-        if event.kind in _MARKED:
+            told = holders[event.component]
+            before = told[-1][1] if told else "safe"
+            # What a guard has made less goes on in the name of who asked for it.
+            who = (event.peer or before) if event.kind == "sent" else "safe"
+            if not told or before != who:
+                told.append((when, who))
+        if event.kind in _MARKED and (event.kind != "up" or event.component in seen):
             marks.append((when, event))
+        if event.kind == "up":  # the first one is the start
+            seen.add(event.component)
     names = sorted(tracks)[:TRACKS]
     rows = len(names) + bool(holders)
     figure = Figure(figsize=(12, 1.2 + 1.1 * max(rows, 1)), layout="constrained")
     axes = figure.subplots(max(rows, 1), 1, sharex=True, squeeze=False)[:, 0]
     for axis, name in zip(axes, names, strict=False):
         times, values = zip(*tracks[name], strict=True)
-        axis.plot(times, values, ".-", markersize=2, linewidth=0.8)
+        # A command stands until the next one.
+        style = "steps-post" if name.partition(".")[0] in holders else "default"
+        axis.plot(times, values, ".-", markersize=2, linewidth=0.8, drawstyle=style)
         axis.set_ylabel(name, rotation=0, ha="right", fontsize=8)
         axis.tick_params(labelsize=7)
     if holders:

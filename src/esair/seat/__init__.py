@@ -10,6 +10,7 @@ from esair.seat._operator import Console, Session
 from esair.seat._place import robots
 from esair.seat._seat import Seat
 from esair.seat._socket import CLIENTS, Socket
+from esair.seat._status import Status
 from esair.seat._wire import LIMIT, VERSION
 from esair.seat._words import act_of, value_of
 
@@ -26,6 +27,7 @@ __all__ = [
     "Seat",
     "Session",
     "Socket",
+    "Status",
     "act_of",
     "connect",
     "robots",

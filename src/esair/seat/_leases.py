@@ -13,7 +13,7 @@ from esair.connections import ActuatorConnection, Registration
 from esair.exceptions import BadValueError, DeviceLostError, EsairError
 from esair.loop import Job, Scheduler, clock_of, spawn
 from esair.messages import Access, Answer, Refused, Written
-from esair.supervisors import ResourceSupervisor
+from esair.supervisors import ResourceSupervisor, admit
 from esair.values import check_duration
 
 SECONDS = 0.5
@@ -136,8 +136,8 @@ class Leases:
         for other in self:
             if other.actuator == actuator:
                 self.end(other)
-        registration = self._resources.admit(
-            self._name, actuator, Access.WRITE, priority=self._priority
+        registration = admit(
+            self._resources, self._name, actuator, Access.WRITE, priority=self._priority
         )
         lease = Lease(
             next(self._numbers),

@@ -25,13 +25,14 @@ from esair.exceptions import (
     did_you_mean,
 )
 from esair.journal import Kind
-from esair.loop import Door, clock_of, current_owner, spawn
+from esair.loop import Door, TapeWriter, clock_of, current_owner, spawn
 from esair.messages import OPERATOR, Access
 from esair.resources import HIDDEN, Resource, settings_of
 from esair.seat._acts import ACTS, Act
 from esair.seat._leases import Leases
 from esair.seat._status import Status
 from esair.seat._wire import Message
+from esair.supervisors import admit
 from esair.values import printable
 
 if TYPE_CHECKING:
@@ -133,6 +134,8 @@ class Console:
             self._outcomes[key] = outcome
             while len(self._outcomes) > OUTCOMES:
                 self._outcomes.popitem(last=False)
+        if not act.looks and isinstance(self._door.tape, TapeWriter):
+            self._door.tape.spoil(f"an operator did {act.name!r} there")
         session.busy += 1
         tag = ("operator", act.name)
         # Whoever woke the loop lends its context; an act has that of nobody.
@@ -161,7 +164,13 @@ class Console:
     @contextlib.contextmanager
     def right_to_configure(self, resource: str) -> Iterator[Registration]:
         """Give the operator the right to change the settings of a resource."""
-        registration = self.robot.resources.admit(self.name, resource, Access.CONFIGURE)
+        registration = admit(
+            self.robot.resources,
+            self.name,
+            resource,
+            Access.CONFIGURE,
+            priority=self.rights.priority,
+        )
         try:
             yield registration
         finally:

@@ -46,7 +46,12 @@ class Seat:
         if self._place is not None:
             place, self._place = self._place, None
             self._socket = Socket(self._console, place)
-            await self._socket.start()
+            try:
+                await self._socket.start()
+            except OSError as error:
+                _without(error)
+                await self._socket.close()
+                self._socket = None
         if self._wanted is not None:
             from esair.seat._page import PageServer
 
@@ -91,6 +96,11 @@ def _place(name: str) -> Place | None:
         return Place(name)
     except ConfigError:
         raise
-    except OSError as error:  # no folder for it: the robot runs without
-        _log.warning("there is no control socket: %s", describe(error))
+    except OSError as error:
+        _without(error)
         return None
+
+
+def _without(error: OSError) -> None:
+    """There is no place for a socket: the robot runs without, and says so."""
+    _log.warning("there is no control socket: %s", describe(error))

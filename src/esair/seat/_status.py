@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import Reaction
-from esair.exceptions import EsairError, describe
+from esair.connections import HALT
+from esair.exceptions import describe
 from esair.loop import clock_of
-from esair.messages import ResourceState
+from esair.messages import ResourceState, Why
 from esair.recording import plain
-from esair.resources import HIDDEN, Resource, settings_of
+from esair.resources import HIDDEN, Resource, operations_of, settings_of
+from esair.seat._short import numbers_of, short
 
 if TYPE_CHECKING:
     import asyncio
@@ -23,9 +25,6 @@ WINDOW = 2.0
 
 AGAIN = 0.1
 """How soon after one picture the next is another one, in seconds."""
-
-TEXT = 120
-"""How long the text of a value may be; what is longer is cut."""
 
 
 class Status:
@@ -39,6 +38,7 @@ class Status:
             collections.deque(maxlen=64)
         )
         self._newest: dict[str, Any] | None = None
+        self._operations: dict[type[Resource], list[dict[str, Any]]] = {}
         self._taken = 0.0
 
     def picture(self) -> dict[str, Any]:
@@ -78,6 +78,9 @@ class Status:
         robot, found = self._robot, []
         for name in sorted(robot.resources.names()):
             status, counted = robot.resources.query(name), counts.get(name, {})
+            resource = robot.resources.get(name)
+            if type(resource) not in self._operations:
+                self._operations[type(resource)] = _operations(type(resource))
             row: dict[str, Any] = {
                 "name": name,
                 "kind": "sensor",
@@ -89,12 +92,15 @@ class Status:
                 "losses": status.losses,
                 "faults": status.faults,
                 "refusals": counted.get("refusals", 0) + counted.get("bad", 0),
-                "settings": settings(robot.resources.get(name)),
+                "settings": settings(resource),
+                "operations": self._operations[type(resource)],
+                "numbers": {},
             }
             sensor = robot.sensors.channels.get(name)
             if sensor is not None and sensor.newest is not None:
                 row["age"] = max(now - sensor.newest.time, 0.0)
-                row["value"] = shown(sensor.newest.value)
+                row["value"] = short(sensor.newest.value)
+                row["numbers"] = numbers_of(sensor.newest.value)
             if name in robot.actuators.channels:
                 why = robot.resources.why(name)
                 row |= {
@@ -102,9 +108,11 @@ class Status:
                     "holder": why.holder,
                     "priority": why.priority,
                     "rule": why.rule,
+                    "stands": _why_it_stands(why),
                     "frees": why.frees,
                     "age": None if why.since is None else max(now - why.since, 0.0),
-                    "value": shown(why.last),
+                    "value": short(why.last),
+                    "numbers": numbers_of(why.last),
                     "writers": list(why.writers),
                     "guards": list(why.guards),
                 }
@@ -154,6 +162,33 @@ class Status:
         }
 
 
+def _why_it_stands(why: Why) -> str:
+    """Return what keeps an actuator safe, a halt or who is blind; empty if nothing."""
+    if why.holder == HALT:
+        return f"halted: {why.rule}"
+    return why.rule if why.holder is not None and why.until is None else ""
+
+
+def _operations(resource: type[Resource]) -> list[dict[str, Any]]:
+    """Return the operations of a class of resources, and what they take."""
+    return [
+        {
+            "name": name,
+            "doc": each.doc,
+            "parameters": [
+                {
+                    "name": taken.name,
+                    "type": getattr(taken.type, "__name__", str(taken.type)),
+                    "required": taken.required,
+                    "default": plain(taken.default),
+                }
+                for taken in each.parameters
+            ],
+        }
+        for name, each in operations_of(resource).items()
+    ]
+
+
 def settings(resource: Resource) -> list[dict[str, Any]]:
     """Return the settings of a resource with unit and limits."""
     return [
@@ -169,18 +204,3 @@ def settings(resource: Resource) -> list[dict[str, Any]]:
         }
         for name, each in settings_of(type(resource)).items()
     ]
-
-
-def shown(value: Any) -> str:
-    """Return a value as a short text; what lies in it is somebody else's."""
-    if value is None:
-        return ""
-    try:
-        if isinstance(value, float):
-            return f"{value:.4g}"
-        text = repr(value)
-    except EsairError as error:
-        text = str(error)
-    except Exception as error:  # somebody's __repr__
-        text = f"<{type(value).__name__}: {type(error).__name__}>"
-    return text if len(text) <= TEXT else text[: TEXT - 1] + "…"

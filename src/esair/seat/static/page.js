@@ -5,7 +5,7 @@ const SILENT = 900; // ms without a picture until the page is grey
 const MINUTE = 60000;
 const byId = (id) => document.getElementById(id);
 let link = null;
-let heard = 0;
+let heard = -Infinity;
 let number = 0;
 let beat = 0;
 let lease = null; // {lease, axes} while it drives
@@ -13,7 +13,7 @@ let held = null; // [x, y] while a key or a button is held
 let taking = false;
 const own = Math.random().toString(36).slice(2);
 const waiting = new Map(); // id -> what to do with the answer
-const past = new Map(); // sensor -> [[time, number], ...]
+const past = new Map(); // device -> [[time, numbers by name], ...]
 
 function send(act, fields, then) {
   if (link === null || link.readyState !== WebSocket.OPEN) return;
@@ -99,7 +99,8 @@ function show(status) {
     cell(row, each.name);
     cell(row, each.state, each.state);
     const holder = each.kind === "actuator" ? `${each.holder || "free"}  ` : "";
-    cell(row, each.error || holder + (each.value || ""), "text").title = each.rule || "";
+    const why = each.error || each.stands;
+    cell(row, why || holder + (each.value || ""), why ? "text why" : "text").title = each.rule || "";
     plot(cell(row, ""), each, status.time);
     for (const text of [hertz(each.rate), age(each.age), each.late, each.losses, each.refusals]) {
       cell(row, text, "number");
@@ -118,28 +119,35 @@ function show(status) {
   }
   byId("behaviors").replaceChildren(behaviors);
   choose(status.resources.filter((each) => each.kind === "actuator").map((each) => each.name));
+  showOperations(status.resources);
   showSettings(status.resources);
 }
 
+const COLORS = ["#2780a8", "#d97706", "#2a9d4e", "#9d4edd"];
+
 function plot(place, each, now) {
-  const value = Number.parseFloat(each.value);
-  if (each.kind !== "sensor" || !Number.isFinite(value) || String(each.value).match(/[^-+.eE0-9]/)) return;
   const points = past.get(each.name) || [];
   past.set(each.name, points);
-  points.push([now * 1000, value]);
-  while (points[0][0] < now * 1000 - MINUTE) points.shift();
+  if (Object.keys(each.numbers).length) points.push([now * 1000, each.numbers]);
+  while (points.length && points[0][0] < now * 1000 - MINUTE) points.shift();
+  if (!points.length) return;
   const canvas = place.appendChild(document.createElement("canvas"));
-  [canvas.width, canvas.height] = [120, 20];
+  [canvas.width, canvas.height] = [160, 22];
   const pen = canvas.getContext("2d");
-  const values = points.map((point) => point[1]);
-  const low = Math.min(...values);
-  const span = Math.max(...values) - low || 1;
-  pen.strokeStyle = "#2780a8";
-  pen.beginPath();
-  for (const [time, height] of points) {
-    pen.lineTo(120 - ((now * 1000 - time) / MINUTE) * 120, 18 - ((height - low) / span) * 16);
-  }
-  pen.stroke();
+  const names = Object.keys(points[points.length - 1][1]);
+  place.title = names.filter(Boolean).join(", ");
+  names.forEach((name, index) => {
+    const track = points.filter((point) => name in point[1]).map(([time, found]) => [time, found[name]]);
+    const values = track.map((point) => point[1]);
+    const low = Math.min(...values);
+    const span = Math.max(...values) - low || 1;
+    pen.strokeStyle = COLORS[index];
+    pen.beginPath();
+    for (const [time, height] of track) {
+      pen.lineTo(160 - ((now * 1000 - time) / MINUTE) * 160, 20 - ((height - low) / span) * 18);
+    }
+    pen.stroke();
+  });
 }
 
 function choose(names) {
@@ -174,14 +182,52 @@ function showSettings(resources) {
   }
 }
 
+function valueOf(text, kind) {
+  if (kind === "float" || kind === "int") return Number(text);
+  return kind === "bool" ? text === "true" : text;
+}
+
 function change(setting, kind, input) {
-  let value = input.value;
-  if (kind === "float" || kind === "int") value = Number(value);
-  if (kind === "bool") value = value === "true";
-  send("set", { setting, value }, (found) => {
+  send("set", { setting, value: valueOf(input.value, kind) }, (found) => {
     if (found) tell("");
     input.blur();
   });
+}
+
+let operations = "";
+function showOperations(resources) {
+  const names = resources.map((each) => [each.name, each.operations]);
+  if (JSON.stringify(names) === operations) return; // what is typed there stays
+  operations = JSON.stringify(names);
+  byId("operations").replaceChildren(
+    ...names.flatMap(([resource, found]) => found.map((each) => operation(resource, each)))
+  );
+}
+
+function operation(resource, each) {
+  const form = document.createElement("form");
+  const button = form.appendChild(document.createElement("button"));
+  button.textContent = `${resource} ${each.name}`;
+  button.title = each.doc;
+  const inputs = each.parameters.map((taken) => {
+    const label = form.appendChild(document.createElement("label"));
+    const input = document.createElement("input");
+    input.placeholder = taken.required ? taken.type : String(taken.default);
+    input.required = taken.required;
+    label.append(`${taken.name} `, input);
+    return [taken, input];
+  });
+  const output = form.appendChild(document.createElement("output"));
+  form.onsubmit = (event) => {
+    event.preventDefault();
+    const given = inputs.filter(([, input]) => input.value !== "");
+    const fields = Object.fromEntries(given.map(([taken, input]) => [taken.name, valueOf(input.value, taken.type)]));
+    output.textContent = "...";
+    send("operate", { resource, operation: each.name, fields }, (found, error) => {
+      output.textContent = error ? error.text : found === null ? "done" : JSON.stringify(found);
+    });
+  };
+  return form;
 }
 
 // What is done.
@@ -232,8 +278,9 @@ function commandOf([forward, left], axes, speed) {
   if (names.length === 1 && names[0] === "") return part(forward, axes[""]);
   const command = Object.fromEntries(names.map((name) => [name, 0]));
   if ("left" in axes && "right" in axes) {
-    command.left = part(Math.sign(forward - left), axes.left);
-    command.right = part(Math.sign(forward + left), axes.right);
+    const whole = (number) => Math.max(-1, Math.min(1, number));
+    command.left = part(whole(forward - left), axes.left);
+    command.right = part(whole(forward + left), axes.right);
     return command;
   }
   [forward, left].forEach((direction, index) => {
@@ -258,6 +305,22 @@ for (const button of document.querySelectorAll("#pad button")) {
   };
   button.onpointerup = button.onpointercancel = button.onlostpointercapture = drop;
 }
+// A gamepad drives with its left stick while a shoulder button is held: a dead man's handle.
+const DEAD = 0.15;
+let padHolds = false;
+setInterval(() => {
+  const pad = [...navigator.getGamepads()].find((each) => each && each.connected && each.buttons.length > 5);
+  const handle = pad !== undefined && (pad.buttons[4].pressed || pad.buttons[5].pressed);
+  const [x, y] = handle ? pad.axes.map((axis) => (Math.abs(axis) < DEAD ? 0 : axis)) : [0, 0];
+  if (handle && (x || y) && !document.hidden) {
+    if (!padHolds || held !== null) hold([-y, -x]); // after a gap it is let go first
+    padHolds = true;
+  } else if (padHolds) {
+    padHolds = false;
+    drop();
+  }
+}, 50);
+
 addEventListener("blur", drop);
 document.addEventListener("visibilitychange", () => document.hidden && drop());
 

@@ -1,0 +1,195 @@
+"""What is pushed to a client until it goes: pictures, events, messages for viewers."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import json
+import time
+from typing import TYPE_CHECKING, Any
+
+from esair.exceptions import BadValueError
+from esair.journal import Event, Kind, Listener
+from esair.loop import clock_of
+from esair.recording import Seen, plain, seen_as, size_of
+from esair.seat._short import short
+from esair.seat._wire import VERSION, Message
+
+if TYPE_CHECKING:
+    from esair.seat._visitor import Visitor
+
+BACKLOG = 1000
+"""How many lines of the journal wait for a slow client; the newest stay."""
+
+ROOM = 64 * 1024
+"""How many bytes may wait for a client before events wait too."""
+
+LARGE = 2048
+"""What has more bytes is shown shortly in a line of the log."""
+
+VIEWED = 256 * 1024
+"""The greatest value that is shown live, in bytes; of a larger one only that it came."""
+
+
+class Feed:
+    """What is pushed to a client until it goes or wants another one."""
+
+    fields: frozenset[str] = frozenset()
+
+    def __init__(self, client: Visitor, message: Message) -> None:
+        self.client = client
+        self.name = message.id
+        unknown = message.fields.keys() - self.fields
+        if unknown:
+            told = f"there is no such field; there are {', '.join(sorted(self.fields))}"
+            raise BadValueError(message.act, min(unknown), told)
+
+    def start(self) -> None:
+        """Begin to push."""
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Push no more."""
+        raise NotImplementedError
+
+
+class _Watch(Feed):
+    """Pictures of the robot, one after the other."""
+
+    fields = frozenset({"every"})
+
+    def __init__(self, client: Visitor, message: Message) -> None:
+        super().__init__(client, message)
+        every = message.fields.get("every", 0.25)
+        if type(every) not in {int, float} or not 0.1 <= every <= 60.0:
+            raise BadValueError("watch", "every", "expected 0.1 to 60 seconds")
+        self._every = float(every)
+        self._next: asyncio.TimerHandle | None = None
+
+    def start(self) -> None:
+        picture = self.client.console.status.picture()
+        self.client.push({"v": VERSION, "id": self.name, "status": picture})
+        loop = asyncio.get_running_loop()
+        self._next = loop.call_later(self._every, self.start)
+
+    def stop(self) -> None:
+        if self._next is not None:
+            self._next.cancel()
+
+
+class _Log(Feed):
+    """Events of the journal, as they come."""
+
+    fields = frozenset({"components", "kinds"})
+
+    def __init__(self, client: Visitor, message: Message) -> None:
+        super().__init__(client, message)
+        self._components = _names(message, "components")
+        kinds = _names(message, "kinds")
+        known = {each.value for each in Kind}
+        if kinds - known:
+            told = f"expected some of {', '.join(sorted(known))}"
+            raise BadValueError("log", "kinds", told)
+        self._kinds = [Kind(each) for each in kinds] or None
+        self._listener: Listener | None = None
+        self._missed = 0
+        self._events: collections.deque[Event] = collections.deque(maxlen=BACKLOG)
+
+    def start(self) -> None:
+        journal = self.client.console.robot.journal
+        self._listener = journal.listen(self._hear, kinds=self._kinds)
+
+    def stop(self) -> None:
+        if self._listener is not None:
+            self._listener.stop()
+
+    def _hear(self, event: Event) -> None:
+        wanted = self._components
+        if wanted and not wanted & {event.component, event.peer}:
+            return
+        if len(self._events) == BACKLOG:
+            self._missed += 1
+            self.client.dropped += 1
+        self._events.append(event)
+        if len(self._events) == 1:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Send what there is room for; the newest of the rest waits."""
+        client = self.client
+        while self._events and not client.gone:
+            if client.unread > ROOM:
+                asyncio.get_running_loop().call_later(0.1, self._flush)
+                return
+            event = self._events.popleft()
+            found = {
+                "number": event.number,
+                "time": event.time,
+                "kind": event.kind.value,
+                "component": event.component,
+                "peer": event.peer,
+                "value": _small(event.value),
+                "text": event.text[:4096],
+                "missed": self._missed,
+            }
+            client.send({"v": VERSION, "id": self.name, "event": found})
+
+
+class _View(Feed):
+    """Every event as a message for viewers; of a slow client's topics the newest."""
+
+    def __init__(self, client: Visitor, message: Message) -> None:
+        super().__init__(client, message)
+        self._listener: Listener | None = None
+        self._offset = 0.0
+        self._newest: dict[str, Seen] = {}
+
+    def start(self) -> None:
+        loop = asyncio.get_running_loop()
+        self._offset = time.time() - clock_of(loop)()
+        self._listener = self.client.console.robot.journal.listen(self._hear)
+
+    def stop(self) -> None:
+        if self._listener is not None:
+            self._listener.stop()
+
+    def _hear(self, event: Event) -> None:
+        found = seen_as(event, self._offset, _viewed)
+        if self._newest.pop(found.topic, None) is not None:
+            self.client.dropped += 1
+        self._newest[found.topic] = found
+        if len(self._newest) == 1:
+            self._flush()
+
+    def _flush(self) -> None:
+        client = self.client
+        while self._newest and not client.gone:
+            if client.unread > ROOM:
+                asyncio.get_running_loop().call_later(0.05, self._flush)
+                return
+            found = self._newest.pop(next(iter(self._newest)))
+            client.send({"v": VERSION, "id": self.name, "message": found._asdict()})
+
+
+def _viewed(value: Any) -> Any:
+    return None if size_of(value) > VIEWED else plain(value)
+
+
+def _small(value: Any) -> Any:
+    """Return a value for a line of the log; one that is long is shown shortly."""
+    if size_of(value) > LARGE:
+        return short(value, 200)
+    found = plain(value)
+    if isinstance(found, dict | list | str) and len(json.dumps(found)) > 2048:
+        return f"{str(found)[:200]}..."
+    return found
+
+
+def _names(message: Message, field: str) -> frozenset[str]:
+    found = message.fields.get(field, [])
+    if not isinstance(found, list) or not all(isinstance(each, str) for each in found):
+        raise BadValueError(message.act, field, f"expected names, not {found!r:.80}")
+    return frozenset(found)
+
+
+FEEDS: dict[str, type[Feed]] = {"watch": _Watch, "log": _Log, "view": _View}
