@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -44,14 +45,17 @@ def test_a_signal_stops_the_wheels(
     """Each wheel's last command is the stop; the exit code tells of the signal."""
     record = tmp_path / "can.log"
     program = (
-        "import sys; from pathlib import Path; from esair.demo import demo; "
-        f"sys.exit(demo(record=Path({str(record)!r}), "
-        f"out=Path({str(tmp_path / 'd.png')!r})))"
+        "import sys; from pathlib import Path; from esair.demo._show import show; "
+        f"file = open({str(record)!r}, 'w', buffering=1, encoding='ascii'); "
+        "sys.exit(show(fast=False, seed=0, duration=36.0, "
+        f"out=Path({str(tmp_path / 'd.png')!r}), on_frame=lambda time, frame: "
+        "print(f'{time:.6f} {frame.id:03X}#{frame.data.hex()}', file=file)))"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", program],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
+        env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)},
     )
     try:
         give_up = time.monotonic() + 30

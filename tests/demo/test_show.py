@@ -87,7 +87,7 @@ def test_all_events_happen_in_their_order(show: Show) -> None:
 
     kinds = [event.kind for event in show.ending.run.events if event.kind != "bump"]
 
-    assert kinds == ["unplug", "plug", "refuse", "swap", "end"]
+    assert kinds == ["person", "unplug", "plug", "refuse", "swap", "end"]
     assert show.ending.summary.unmet == ()
 
 
@@ -109,7 +109,7 @@ def test_the_wheels_stop_when_the_rover_cannot_see(show: Show) -> None:
     assert any(moves for _, _, moves in after)
     assert show.ending.summary is not None
     (fault,) = show.ending.summary.faults
-    assert 0 < fault.noticed < 0.1
+    assert 0 <= fault.noticed < 0.1
     assert 0 <= fault.safe < 0.1
     assert 0 < fault.back <= fault.moved < 2.0
 
@@ -131,6 +131,23 @@ def test_the_blind_moment_says_why_the_rover_stands(show: Show) -> None:
     (blind,) = [event for event in show.ending.run.events if event.kind == "unplug"]
 
     assert blind.detail.endswith("the rover stands still because avoid is blind")
+
+
+def test_a_guard_and_a_reaction_have_something_to_do(show: Show) -> None:
+    """The brake keeps back a part of what was asked for; then avoid has the wheels."""
+    assert show.ending.run is not None
+    (person,) = [event for event in show.ending.run.events if event.kind == "person"]
+    soon = [
+        each
+        for each in show.ending.run.samples
+        if 0.0 <= each.time - person.time <= 2.0
+    ]
+
+    found = re.search(r"lets (0\.\d+) of (0\.\d+) m/s pass", person.detail)
+    assert found is not None
+    assert float(found[1]) < float(found[2])
+    assert any(each.linear < each.asked for each in soon)
+    assert any(each.holder == "avoid" and each.linear == 0.0 for each in soon)
 
 
 def test_the_refusal_says_who_holds_the_wheels(show: Show) -> None:
@@ -164,13 +181,14 @@ def test_the_rover_knows_where_it_is(show: Show) -> None:
 
 def test_the_motors_told_what_they_did(show: Show) -> None:
     """Feedback came 50 times a second, from both, and their encoders turned."""
+    assert show.ending.summary is not None
     for side in (LEFT, RIGHT):
         told = [
             decode_feedback(side, frame.data)
             for _, frame in show.ending.frames
             if frame.id == feedback_id(side)
         ]
-        assert len(told) / DURATION == pytest.approx(50, rel=0.1)
+        assert len(told) / show.ending.summary.seconds == pytest.approx(50, rel=0.1)
         assert told[-1].angle != 0.0
 
 
@@ -182,11 +200,11 @@ def test_the_table_names_every_component_and_the_fault(show: Show) -> None:
     show.ending.summary.show(Console(file=text, width=160))
 
     words = ["ranges", "bumper", "odometry", "imu", "wheels"]
-    words += ["explore", "home", "mapper", "avoid", "bump"]
+    words += ["explore", "mapper", "avoid", "brake", "bump"]
     for word in (
         *words,
-        "range finder unplugged",
-        "1 lost",
+        "range finder unplugged: noticed after",
+        "commands of explore not made",
         "Twist(linear=0.0, angular=0.0)",
     ):
         assert word in text.getvalue()
@@ -228,9 +246,11 @@ def digest(folder: Path, hash_seed: str) -> str:
     """Run the show in another process; return what was on the CAN bus, as a digest."""
     record, out = folder / f"{hash_seed}.log", folder / f"{hash_seed}.png"
     code = (
-        "from pathlib import Path; from esair.demo import demo; "
-        "raise SystemExit(demo(fast=True, seed=5, duration=12.0, "
-        f"out=Path({str(out)!r}), record=Path({str(record)!r})))"
+        "from pathlib import Path; from esair.demo._show import show; "
+        f"file = open({str(record)!r}, 'w', encoding='ascii'); "
+        "raise SystemExit(show(fast=True, seed=5, duration=12.0, "
+        f"out=Path({str(out)!r}), on_frame=lambda time, frame: "
+        "print(f'{time:.6f} {frame.id:03X} {frame.data.hex()}', file=file)))"
     )
     subprocess.run(
         [sys.executable, "-c", code],
@@ -241,7 +261,7 @@ def digest(folder: Path, hash_seed: str) -> str:
     )
     lines = record.read_text("ascii").splitlines()
     assert len(lines) > 1000
-    assert re.fullmatch(r"\(\d+\.\d{6}\) sim [0-9A-F]{3}#[0-9A-F]{8,16}", lines[0])
+    assert re.fullmatch(r"\d+\.\d{6} [0-9A-F]{3} [0-9a-f]{8,16}", lines[0])
     return hashlib.sha256(record.read_bytes()).hexdigest()
 
 
@@ -255,10 +275,31 @@ def test_the_robot_is_described_by_one_file(simulated: bool) -> None:
     """The same file serves the real rover and the simulated one."""
     described = load(ROBOT, simulated=simulated)
 
-    assert list(described.behaviors) == ["mapper", "explore", "avoid", "bump"]
+    assert list(described.behaviors) == ["mapper", "explore", "brake", "avoid", "bump"]
     front = described.resources["ranges"].bus
     assert front is not None
     assert type(front).__name__ == ("SimSerialBus" if simulated else "SerialBus")
+
+
+@pytest.mark.promise("REC-1", "REC-6")
+def test_a_recording_of_the_show_can_be_looked_at(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It has what each wheel was told, and why; log prints it, plot draws it."""
+    pytest.importorskip("mcap")
+    from esair.cli._log_file import log
+    from esair.cli._plot import plot
+
+    record, out = tmp_path / "demo.mcap", tmp_path / "demo.png"
+    assert demo(fast=True, seed=3, duration=12.0, out=out, record=record) == 0
+    capsys.readouterr()
+
+    assert log(record, component=["wheels"], kind=["refused", "sent"]) == 0
+    told = capsys.readouterr().out
+    assert "avoid is blind: ranges lost" in told
+    assert told.count(" sent ") > 50
+    assert plot(record, out=tmp_path / "plot.png") == 0
+    assert (tmp_path / "plot.png").stat().st_size > 30_000
 
 
 def test_a_picture_that_cannot_be_written_is_refused_at_once(
@@ -267,9 +308,10 @@ def test_a_picture_that_cannot_be_written_is_refused_at_once(
     """Not after half a minute of driving."""
     assert demo(fast=True, out=tmp_path / "nowhere" / "demo.png") == 2
     assert demo(fast=True, out=tmp_path) == 2
-    assert demo(fast=True, record=Path("/proc/nowhere.log")) == 2
+    assert demo(fast=True, record=tmp_path) == 2
+    assert demo(fast=True, record=tmp_path / "demo.log") == 2
     told = capsys.readouterr()
-    assert told.err.count("cannot be written") == 3
+    assert told.err.count("cannot be written") == 4
     assert not told.out
 
 

@@ -193,7 +193,7 @@ class Wheels(Actuator[Twist]):
         bus = _drive(self.name, self.bus)
         for side, speed in ((LEFT, left * scale), (RIGHT, right * scale)):
             data = encode_command(side, WheelCommand(speed, enable, self._sequence))
-            await bus.send(command_id(side), data)
+            await bus.send(command_id(side), data, replaces=True)
         return Twist(command.linear * scale, command.angular * scale)
 
 

@@ -8,7 +8,6 @@ import math
 from esair.actions import Behavior, reads, writes
 from esair.demo._map import Position
 from esair.demo._mapper import Belief
-from esair.demo._pace import Pace
 from esair.demo._plan import (
     Point,
     Way,
@@ -27,6 +26,7 @@ from esair.exceptions import (
     StaleReadingError,
     UnknownNameError,
 )
+from esair.loop import every
 
 PERIOD = 0.05
 """Between two commands for the wheels, in seconds."""
@@ -49,6 +49,7 @@ _NO_ANSWER = (
     BehaviorUnavailableError,
     UnknownNameError,
 )
+
 _BLIND = (DeviceLostError, DeviceFaultError, StaleReadingError)
 
 
@@ -56,7 +57,6 @@ class Journey(Behavior):
     """Drives along ways over floor that it knows, and only while it can see.
 
     Attributes:
-        pace: How regularly it made commands.
         blind: How many commands it did not make because it could not see.
         refused: How many commands were refused because somebody else drove.
     """
@@ -67,7 +67,6 @@ class Journey(Behavior):
     def __init__(self, *, mapper: str = "mapper", name: str | None = None) -> None:
         super().__init__(name=name)
         self.mapper = mapper
-        self.pace = Pace()
         self.blind = 0
         self.refused = 0
         self.way: Way | None = None
@@ -78,7 +77,7 @@ class Journey(Behavior):
         seeing = False
         thinking = 0
         best = math.inf
-        async for _ in self.pace.every(PERIOD):
+        async for _ in every(PERIOD):
             belief = await self._look(seeing)
             seeing = belief is not None
             if belief is None:

@@ -98,6 +98,10 @@ class Mapper(Behavior):
 
     async def provide(self) -> Belief:
         """Make the answer for whoever asks."""
+        return self.belief()
+
+    def belief(self) -> Belief:
+        """Return what it believes now."""
         return Belief(
             self._position,
             self._floor.copy(),

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import attrs
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,8 +18,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
 from esair.demo._map import FloorMap
+from esair.demo._samples import Sample
+from esair.demo._show import Run
 from esair.demo._story import Event
-from esair.demo._witness import Sample
 from esair.sim import Arena
 
 INK = "#22262e"
@@ -32,6 +32,7 @@ WALL = "#2f4b66"
 TRUTH = "#c9a227"
 TRACK = LinearSegmentedColormap.from_list("track", ["#7b2cbf", "#d6336c", "#f4a259"])
 KINDS = {
+    "person": "#3a5ba0",
     "unplug": "#c1121f",
     "plug": "#2a9d4e",
     "refuse": "#d98e04",
@@ -39,6 +40,9 @@ KINDS = {
     "bump": "#7b2cbf",
     "end": "#22262e",
 }
+KEPT_BACK = "#9bb0d9"
+"""What the guard has kept back of what was asked for."""
+
 HOLDERS = {
     "explore": "#9ecae1",
     "home": "#0077b6",
@@ -48,25 +52,6 @@ HOLDERS = {
 }
 
 
-@attrs.frozen
-class Run:
-    """What the picture shows.
-
-    Attributes:
-        arena: What there really was.
-        floor: What the rover believes there was.
-        samples: Where it was, and who drove it, in order.
-        events: What happened, in order.
-        headline: The run in one line.
-    """
-
-    arena: Arena
-    floor: FloorMap
-    samples: Sequence[Sample]
-    events: Sequence[Event]
-    headline: str
-
-
 def draw(run: Run, path: Path) -> None:
     """Write the picture.
 
@@ -74,18 +59,18 @@ def draw(run: Run, path: Path) -> None:
         OSError: The file cannot be written.
     """
     with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 9}):
-        figure = Figure(figsize=(12.0, 8.2), dpi=130, facecolor=PAPER)
+        figure = Figure(figsize=(12.0, 8.6), dpi=130, facecolor=PAPER)
         FigureCanvasAgg(figure)
         grid = figure.add_gridspec(
             3,
             2,
-            height_ratios=(1.0, 0.17, 0.05),
+            height_ratios=(1.0, 0.16, 0.045),
             width_ratios=(1.0, 0.40),
             left=0.05,
             right=0.985,
-            top=0.895,
-            bottom=0.075,
-            hspace=0.16,
+            top=0.9,
+            bottom=0.07,
+            hspace=0.2,
             wspace=0.03,
         )
         figure.text(0.05, 0.955, "esair demo", size=19, weight="bold", color=INK)
@@ -94,12 +79,13 @@ def draw(run: Run, path: Path) -> None:
         _draw_story(figure.add_subplot(grid[0, 1]), run)
         speed = figure.add_subplot(grid[1, :])
         _draw_speed(speed, run)
+        _draw_key(speed)
         _draw_holders(figure.add_subplot(grid[2, :], sharex=speed), run)
         figure.savefig(path, format="png", facecolor=PAPER)
 
 
 def _draw_floor(axes: Axes, run: Run) -> None:
-    floor = run.floor
+    floor = run.belief.floor
     rows, columns = floor.odds.shape
     left, bottom = floor.origin
     extent = (left, left + columns * floor.cell, bottom, bottom + rows * floor.cell)
@@ -131,7 +117,7 @@ def _draw_floor(axes: Axes, run: Run) -> None:
         color=INK,
     )
     axes.set_xlim(-0.12, run.arena.size[0] + 0.12)
-    axes.set_ylim(-0.22, run.arena.size[1] + 0.12)
+    axes.set_ylim(-0.24, run.arena.size[1] + 0.12)
     axes.set_aspect("equal")
     axes.set_axis_off()
     # A metre, to see how large all this is.
@@ -243,15 +229,14 @@ def _draw_story(axes: Axes, run: Run) -> None:
             (event.detail, "normal", INK),
         ):
             for line in _wrapped(text, 39 if weight == "bold" else 44):
-                y -= 0.037
+                y -= 0.034
                 axes.text(
-                    0.12, y, line, size=8.6, weight=weight, color=color, va="center"
+                    0.12, y, line, size=8.4, weight=weight, color=color, va="center"
                 )
-        y -= 0.06
-    _draw_key(axes, y - 0.01)
+        y -= 0.052
 
 
-def _draw_key(axes: Axes, y: float) -> None:
+def _draw_key(axes: Axes) -> None:
     keys: tuple[tuple[str, str, dict[str, Any]], ...] = (
         ("seen free", "s", {"color": FLOOR, "mec": PALE}),
         ("seen occupied", "s", {"color": WALL}),
@@ -259,12 +244,19 @@ def _draw_key(axes: Axes, y: float) -> None:
         ("what is really there", "_", {"color": TRUTH, "mew": 2}),
         ("track, from first to last", "_", {"color": "#d6336c", "mew": 3}),
         ("felt by the bumper", "x", {"color": KINDS["bump"], "mew": 2}),
+        ("kept back by the brake", "s", {"color": KEPT_BACK}),
     )
-    for index, (text, marker, style) in enumerate(keys):
-        row = max(0.02, y) - 0.042 * (index // 2)
-        column = 0.05 + 0.48 * (index % 2)
-        axes.plot(column, row, marker=marker, ms=8, ls="none", clip_on=False, **style)
-        axes.text(column + 0.05, row, text, size=8, color=INK, va="center")
+    column = 0.0
+    for text, marker, style in keys:
+        axes.plot(
+            column, 1.3, marker=marker, ms=8, ls="none", clip_on=False,
+            transform=axes.transAxes, **style,
+        )  # fmt: skip
+        axes.text(
+            column + 0.01, 1.3, text, size=8, color=INK, va="center",
+            transform=axes.transAxes,
+        )  # fmt: skip
+        column += 0.035 + 0.0063 * len(text)
 
 
 def _draw_speed(axes: Axes, run: Run) -> None:
@@ -272,6 +264,8 @@ def _draw_speed(axes: Axes, run: Run) -> None:
     linear = [sample.linear for sample in run.samples]
     axes.set_facecolor(FLOOR)
     _shade_outages(axes, run.samples)
+    asked = [sample.asked for sample in run.samples]
+    axes.fill_between(times, asked, linear, step="post", color=KEPT_BACK, lw=0)
     axes.fill_between(times, linear, step="post", color="#d6336c", alpha=0.25, lw=0)
     axes.step(times, linear, where="post", color="#d6336c", lw=1.0)
     axes.axhline(0, color=PALE, lw=0.6)

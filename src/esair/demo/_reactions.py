@@ -1,9 +1,41 @@
-"""What the rover does without thinking: it turns away, and backs off."""
+"""What the rover does without thinking: it slows, turns away, and backs off."""
 
 import math
 
 from esair.demo._values import Scan, Touch, Twist
-from esair.minimal import Reaction, reads, writes
+from esair.minimal import Reaction, guards, reads, writes
+
+
+class Brake(Reaction):
+    """The nearer something ahead is, the slower the rover may go on, whoever drives.
+
+    Args:
+        gain: How many m/s it may go for each metre that is free.
+        near: At which distance, in metres, it may not go on at all.
+    """
+
+    ranges = reads(Scan, max_age=0.5)
+    wheels = guards(Twist)
+
+    def __init__(
+        self, *, gain: float = 1.5, near: float = 0.15, name: "str | None" = None
+    ) -> None:
+        super().__init__(name)
+        self.gain = gain
+        self.near = near
+
+    def react(self, ranges: Scan, wheels: Twist) -> "Twist | None":
+        """Let pass what is slow enough; turning and backing off always is."""
+        ahead = math.radians(30.0)
+        free = ranges.nearest(-ahead, ahead) - self.near
+        most = max(0.0, self.gain * free)
+        if wheels.linear <= most:
+            return wheels
+        return Twist(most, wheels.angular)
+
+    def blind(self, wheels: Twist) -> "Twist | None":
+        """Let it back off from what it touches, and nothing else."""
+        return wheels if wheels.linear < 0.0 else None
 
 
 class Avoid(Reaction):

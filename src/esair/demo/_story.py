@@ -1,18 +1,22 @@
-"""What happens to the rover, and when: the four events of the show."""
+"""What happens to the rover, and when: the events of the show."""
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Iterator
 
 import attrs
 
 from esair.actions import Behavior, writes
 from esair.demo._journeys import Explore, Home
+from esair.demo._samples import Witness
 from esair.demo._values import Twist
 from esair.drivers.wheel_motor import LEFT, RIGHT, command_id, decode_command
+from esair.journal import Kind
+from esair.loop import ask_outside
 from esair.messages import BehaviorState, Refused, ResourceState
-from esair.sim import Simulation
+from esair.sim import Pillar, Simulation
 from esair.standard import Robot
 
 LOOK_PERIOD = 0.005
@@ -31,7 +35,8 @@ class Event:
 
     Attributes:
         time: In seconds since the show began.
-        kind: ``unplug``, ``plug``, ``refuse``, ``swap``, ``bump`` or ``end``.
+        kind: ``person``, ``unplug``, ``plug``, ``refuse``, ``swap``, ``bump`` or
+            ``end``.
         text: What it was, in one line.
         detail: What came of it, in one line.
         place: Where the rover was, in metres.
@@ -64,6 +69,13 @@ class Fault:
     moved: float
     cost: str
 
+    def __str__(self) -> str:
+        return (
+            f"{self.text}: noticed after {_ms(self.noticed)}, wheels safe after "
+            f"{_ms(self.safe)}, back after {_ms(self.back)}, fresh motion after "
+            f"{_ms(self.moved)}; {self.cost}"
+        )
+
 
 class Passenger(Behavior):
     """Wants to drive too, but comes last.
@@ -95,6 +107,7 @@ class Story:
     Args:
         robot: The running robot.
         simulation: The world that it is in.
+        witness: Knows what the wheels were asked for and told.
         tell: Called with each event.
         explore: The behavior that explores.
         duration: How long it may take, in seconds.
@@ -109,6 +122,7 @@ class Story:
         self,
         robot: Robot,
         simulation: Simulation,
+        witness: Witness,
         tell: Callable[[Event], None],
         *,
         explore: Explore,
@@ -120,6 +134,7 @@ class Story:
         self.home: Home | None = None
         self._robot = robot
         self._simulation = simulation
+        self._witness = witness
         self._tell = tell
         self._duration = duration
         self._loop = asyncio.get_running_loop()
@@ -127,6 +142,8 @@ class Story:
 
     async def play(self) -> None:
         """Let everything happen, in its order."""
+        await self._until(0.14 * self._duration)
+        await self._step_in_the_way()
         await self._until(0.28 * self._duration)
         await self._lose_range_finder()
         await self._until(0.48 * self._duration)
@@ -136,13 +153,51 @@ class Story:
 
     # The events.
 
+    async def _step_in_the_way(self) -> None:
+        world, witness = self._simulation.world, self._witness
+        await self._happens(
+            "the rover drives on freely",
+            lambda: (
+                witness.told.linear > 0.4
+                and not witness.is_braked
+                and world.distance_ahead(0.0, 1.2) is None
+            ),
+        )
+        at, place = self._loop.time(), self._place()
+        goes = world.put(self._person(0.42))
+        slowed = await self._happens("the brake slows", lambda: witness.is_braked)
+        asked, told = witness.asked.linear, witness.told.linear
+        goes()
+        goes = world.put(self._person(0.34))
+        await self._happens(
+            "avoid takes the wheels",
+            lambda: self._robot.resources.why("wheels").holder == "avoid",
+        )
+        self._tell(
+            Event(
+                at - self._begin,
+                "person",
+                "somebody steps in the way",
+                f"the guard brake lets {told:.2f} of {asked:.2f} m/s pass after "
+                f"{_ms(slowed)}; nearer still, avoid takes the wheels and turns away",
+                place,
+            )
+        )
+        await asyncio.sleep(0.6)
+        goes()
+
+    def _person(self, ahead: float) -> Pillar:
+        pose = self._simulation.world.pose
+        x = pose.x + ahead * math.cos(pose.heading)
+        return Pillar((x, pose.y + ahead * math.sin(pose.heading)), 0.12)
+
     async def _lose_range_finder(self) -> None:
         robot, simulation = self._robot, self._simulation
         blind_before = self.explore.blind
         unplugged, at = simulation.time, self._loop.time()
         place = self._place()
         simulation.front.unplug()
-        lost = await self._happens(
+        await self._happens(
             "the loss is noticed",
             lambda: self._state("ranges") is not ResourceState.READY,
         )
@@ -153,6 +208,7 @@ class Story:
             "avoid is parked", lambda: self._is("avoid", BehaviorState.PARKED)
         )
         reason, _, _ = robot.resources.why("wheels").rule.partition(":")
+        lost = self._witness.turns.get(("ranges", Kind.DOWN), at) - at
         stopped = self._stopped_since(unplugged)
         safe = safe if stopped is None else stopped - unplugged
         self._tell(
@@ -314,7 +370,8 @@ class Story:
     ) -> float:
         """Wait until something is so; return how long it took, in seconds."""
         begin = self._loop.time()
-        while not condition():
+        tag = ("story", what)  # what a replay cannot see, the recording tells
+        while not ask_outside(tag, condition):
             if self._loop.time() - begin > patience:
                 if must:
                     self.unmet.append(what)

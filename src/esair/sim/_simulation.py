@@ -19,7 +19,7 @@ from esair.buses.can import MemoryCan, VirtualCan
 from esair.buses.i2c import ChipBus
 from esair.buses.serial import MemoryLine, PtyLine
 from esair.exceptions import ConfigError, did_you_mean
-from esair.loop import Job, Scheduler
+from esair.loop import Door, Job, Scheduler
 from esair.sim._arena import Arena
 from esair.sim._imu import SimMpu6050
 from esair.sim._motor import SimMotor
@@ -113,13 +113,15 @@ class Simulation:
         return self._loop.time() - self._began
 
     async def start(self) -> None:
-        """Plug everything in and let time pass."""
+        """Plug everything in and let time pass; in a replay nothing of that is there."""
+        if Door.of(self._loop).player is not None:
+            return
         _of_loop[self._loop] = self
         self.front.plug()
         self.skirt.plug()
         await self.drive.start()
         self._began = self._loop.time()
-        self._job = Scheduler.of(self._loop).every(STEP, self._turn)
+        self._job = Scheduler.beside(self._loop).every(STEP, self._turn)
 
     async def stop(self) -> None:
         """Let time stand still and let all wires go."""
@@ -129,7 +131,8 @@ class Simulation:
             self._job.stop()
         self.front.unplug()
         self.skirt.unplug()
-        await self.drive.stop()
+        if self._job is not None:
+            await self.drive.stop()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
 

@@ -1,14 +1,15 @@
-"""The physics: a rover with two driven wheels among things that do not move."""
+"""The physics: a rover with two driven wheels among things that stand."""
 
 from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 
 import attrs
 import pymunk
 
-from esair.sim._arena import Arena
+from esair.sim._arena import Arena, Pillar
 
 WHEEL_RADIUS = 0.05
 """In metres."""
@@ -83,6 +84,12 @@ class World:
         self._feel(seconds, moved, angle)
         self.distance += moved.length
         self.time += seconds
+
+    def put(self, pillar: Pillar) -> Callable[[], None]:
+        """Put one more pillar there; returns how to take it away again."""
+        shape = pymunk.Circle(self._space.static_body, pillar.radius, pillar.center)
+        self._add(shape, _HIGH)
+        return lambda: self._space.remove(shape)
 
     def distance_ahead(self, angle: float, reach: float) -> float | None:
         """Return how far it is to the next thing in a direction.
