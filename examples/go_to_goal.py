@@ -1,6 +1,6 @@
 """A rover that drives to one place after the other: odometry, a PID, a bumper.
 
-`Odometry` makes a pose of what the wheels have turned. `Steer` turns the rover to its goal
+`Odometry` (odometry.py) is derived of two encoders. `Steer` turns the rover to its goal
 with a PID controller; `Tour` performs it, goal after goal. `Bumped` guards the wheels:
 nothing drives on ahead while the bumper touches something, or is not heard.
 """
@@ -9,6 +9,7 @@ import asyncio
 import math
 
 import attrs
+from odometry import Odometry, Pose
 from pid import Pid
 
 import esair
@@ -20,20 +21,6 @@ class Twist:
 
     linear: float  # m/s
     angular: float  # rad/s
-
-
-@attrs.frozen
-class Pose:
-    """Where the rover is, as its wheels have it."""
-
-    x: float  # m
-    y: float  # m
-    heading: float  # rad, counter-clockwise from the x axis
-
-    def to(self, x: float, y: float) -> tuple[float, float]:
-        """Return the way to a place, in metres, and the turn to it, in rad."""
-        turn = math.atan2(y - self.y, x - self.x) - self.heading
-        return math.hypot(x - self.x, y - self.y), math.remainder(turn, math.tau)
 
 
 class Steer(esair.Reaction):
@@ -104,27 +91,18 @@ class Wheels(esair.Actuator[Twist]):
         return self.left, self.right
 
 
-class Odometry(esair.Sensor[Pose]):
-    """Adds up what both wheels have turned."""
+class Encoder(esair.Sensor[float]):
+    """How far one wheel has turned, in metres."""
 
     rate = 50.0
 
-    def __init__(self, wheels: Wheels) -> None:
-        super().__init__()
+    def __init__(self, wheels: Wheels, side: int, *, name: str) -> None:
+        super().__init__(name=name)
         self.wheels = wheels
-        self.turned = (0.0, 0.0)
-        self.pose = Pose(0.0, 0.0, 0.0)
+        self.side = side
 
-    async def read(self) -> Pose:
-        left, right = self.wheels.turn()
-        ahead = (left - self.turned[0] + right - self.turned[1]) / 2
-        turn = (right - self.turned[1] - left + self.turned[0]) / 0.3
-        self.turned = left, right
-        x, y, heading = attrs.astuple(self.pose)
-        x += ahead * math.cos(heading + turn / 2)
-        y += ahead * math.sin(heading + turn / 2)
-        self.pose = Pose(x, y, heading + turn)
-        return self.pose
+    async def read(self) -> float:
+        return self.wheels.turn()[self.side]
 
 
 class Bumper(esair.Sensor[bool]):
@@ -139,7 +117,13 @@ class Bumper(esair.Sensor[bool]):
 wheels = Wheels()
 robot = esair.Robot(
     name="tourist",
-    resources=[wheels, Odometry(wheels), Bumper()],
+    resources=[
+        wheels,
+        Encoder(wheels, 0, name="left"),
+        Encoder(wheels, 1, name="right"),
+        Odometry(),
+        Bumper(),
+    ],
     behaviors=[Bumped(), Tour()],
 )
 

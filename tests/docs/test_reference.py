@@ -26,9 +26,11 @@ BESIDE = [
     "esair.minimal",
     "esair.plan",
     "esair.recording",
+    "esair.replay",
     "esair.seat",
     "esair.sim",
     "esair.testing",
+    "esair.torture",
     "esair.watchdog",
 ]
 """What is public beside `esair` itself and the parts."""
@@ -46,7 +48,7 @@ IN_ESAIR = {
 }
 """Modules whose names are in `esair`."""
 
-PRIVATE = {"cli", "demo", "loop", "values"}
+PRIVATE = {"cli", "demo", "loading", "loop", "values"}
 
 HIDDEN = {
     "esair.minimal.declared",

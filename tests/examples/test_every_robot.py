@@ -10,7 +10,7 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
-ROBOTS = [path for path in SCRIPTS if path.stem not in {"pid", "yard"}]
+ROBOTS = [path for path in SCRIPTS if path.stem not in {"odometry", "pid", "yard"}]
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)

@@ -5,7 +5,8 @@ import math
 
 import go_to_goal
 import pytest
-from go_to_goal import Pose, Twist
+from go_to_goal import Twist
+from odometry import Odometry, Pose
 
 import esair
 
@@ -15,7 +16,13 @@ async def test_it_goes_around_the_square(capsys) -> None:
     """It comes to each corner, in order, and its last command is a stop."""
     wheels = go_to_goal.Wheels()
     robot = esair.Robot(
-        resources=[wheels, go_to_goal.Odometry(wheels), go_to_goal.Bumper()],
+        resources=[
+            wheels,
+            go_to_goal.Encoder(wheels, 0, name="left"),
+            go_to_goal.Encoder(wheels, 1, name="right"),
+            Odometry(),
+            go_to_goal.Bumper(),
+        ],
         behaviors=[go_to_goal.Bumped(), go_to_goal.Tour()],
     )
 

@@ -35,4 +35,4 @@ async def test_a_plain_behavior_can_be_removed() -> None:
         await robot.behaviors.remove("inspect")
 
         assert robot.resources.why("arm").last == slow_arm.Arm.safe
-        assert robot.behaviors.zombies == []
+        assert robot.behaviors.zombies == ()

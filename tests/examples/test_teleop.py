@@ -1,6 +1,7 @@
 """The rover that is driven by hand."""
 
 import asyncio
+import math
 
 import pytest
 import teleop
@@ -28,10 +29,14 @@ async def test_it_never_reaches_the_wall_and_stops_when_the_pad_is_silent(
 
     async with teleop.make_robot(corridor):
         await asyncio.sleep(5.9)
-        assert 0.2 <= corridor.distance < 0.45
-        assert corridor.twist.linear < 0.2
+        # 0.6 m/s from 3 m on, until 0.95 m; from there exponentially to 0.2 m.
+        seconds = 5.9 - 0.5 - (3.0 - 0.95) / 0.6
+        least = 0.2 + 0.75 * math.exp(-0.8 * seconds)
+        assert corridor.move() == pytest.approx(least, abs=0.01)
+        assert corridor.twist.linear == pytest.approx(0.8 * (least - 0.2), abs=0.01)
         await asyncio.sleep(0.6)
         assert corridor.twist == teleop.Wheels.safe
+        assert corridor.move() > 0.3
 
 
 async def test_letting_go_of_the_button_stops_at_once(
