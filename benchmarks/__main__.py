@@ -9,6 +9,7 @@ import logging
 import platform
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -26,10 +27,13 @@ from benchmarks.cases import (
     mediator,
     minimal,
     reactions,
+    recording,
+    seat,
     starting,
     wire_garbage,
 )
 from benchmarks.harness import Row
+from esair.loop import TurnLoop
 
 CASES = {
     "P1,P2": mediator,
@@ -42,13 +46,17 @@ CASES = {
     "P15": minimal,
     "P18": journal,
     "P21": wire_garbage,
+    "OPS": seat,
+    "REC": recording,
 }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--only", default="", help="goals to measure, such as P1,P5")
-    parser.add_argument("--loop", choices=["asyncio", "uvloop"], default="asyncio")
+    parser.add_argument(
+        "--loop", choices=["asyncio", "esair", "uvloop"], default="asyncio"
+    )
     parser.add_argument(
         "--smoke", action="store_true", help="see that all cases run; measure nothing"
     )
@@ -59,11 +67,13 @@ def main() -> None:
     if arguments.smoke:
         _shorten()
     wanted = {goal for goal in arguments.only.upper().split(",") if goal}
-    factory = None
+    factory: Callable[[], asyncio.AbstractEventLoop] | None = None
     if arguments.loop == "uvloop":
         import uvloop
 
         factory = uvloop.new_event_loop
+    elif arguments.loop == "esair":  # that of esair.run
+        factory = TurnLoop
     begin = time.perf_counter()
     rows: list[Row] = []
     for goals, case in CASES.items():
@@ -87,6 +97,7 @@ SMOKE: dict[ModuleType, dict[str, object]] = {
     devices: {"COUNT": 20},
     lifecycle: {"PAIRS": 18},
     garbage: {"SECONDS": 0.5},
+    seat: {"SECONDS": 0.1},
 }
 """How long, and how large, the cases are when nothing is measured."""
 

@@ -23,6 +23,24 @@ class Motor(esair.Actuator[float]):
         return None
 
 
+class PlainMeter(Meter):
+    """The same, as a plain method that does not block."""
+
+    blocking = False
+
+    def read(self) -> float:  # type: ignore[override]
+        return 1.0
+
+
+class PlainMotor(Motor):
+    """The same, as a plain method that does not block."""
+
+    blocking = False
+
+    def write(self, command: float) -> None:  # type: ignore[override]
+        return None
+
+
 class Idle(esair.Behavior):
     """A behavior that waits."""
 
@@ -44,17 +62,19 @@ class Decide(esair.Reaction):
         return 0.5 if self.acts else None
 
 
-def reacting_robot(count: int, *, acting: int) -> esair.Robot:
+def reacting_robot(count: int, *, acting: int, plain: bool = False) -> esair.Robot:
     """Make a robot of reactions, each with a sensor and an actuator of its own.
 
     Args:
         count: How many reactions.
         acting: One in so many writes at every step; 0 for none.
+        plain: Whether the drivers are plain methods that do not block.
     """
+    meter, motor = (PlainMeter, PlainMotor) if plain else (Meter, Motor)
     resources: list[Any] = []
     reactions: list[esair.Reaction] = []
     for number in range(count):
-        resources += [Meter(name=f"meter_{number}"), Motor(name=f"motor_{number}")]
+        resources += [meter(name=f"meter_{number}"), motor(name=f"motor_{number}")]
         reaction = Decide(
             name=f"decide_{number}",
             reads={"meter": esair.reads(float, name=f"meter_{number}")},

@@ -7,7 +7,7 @@ import time
 import attrs
 
 import esair
-from benchmarks.cases.components import Meter, Motor, User
+from benchmarks.cases.components import Meter, Motor, PlainMotor, User
 from benchmarks.harness import Row, future_round_trip, neighbors, us
 
 COUNT = 4000
@@ -30,6 +30,12 @@ class Wheels(esair.Actuator[Twist]):
         return None
 
 
+class PlainUser(esair.Behavior):
+    """Writes the motor whose driver is plain."""
+
+    motor = esair.writes(float, name="plain_motor")
+
+
 class Driver(esair.Behavior):
     """Writes the wheels."""
 
@@ -38,8 +44,10 @@ class Driver(esair.Behavior):
 
 async def rows() -> list[Row]:
     user, driver, twist = User(), Driver(), Twist(0.3, 0.1)
+    plain = PlainUser()
     robot = esair.Robot(
-        resources=[Meter(rate=1.0), Motor(), Wheels()], behaviors=[user, driver]
+        resources=[Meter(rate=1.0), Motor(), Wheels(), PlainMotor()],
+        behaviors=[user, driver, plain],
     )
     async with robot:
 
@@ -56,6 +64,12 @@ async def rows() -> list[Row]:
                 await user.motor.write(0.5)
             return (time.perf_counter() - begin) / COUNT
 
+        async def write_plain() -> float:
+            begin = time.perf_counter()
+            for _ in range(COUNT):
+                await plain.motor.write(0.5)
+            return (time.perf_counter() - begin) / COUNT
+
         async def write_twist() -> float:
             begin = time.perf_counter()
             for _ in range(COUNT):
@@ -66,6 +80,7 @@ async def rows() -> list[Row]:
         for case, operation, goal in (
             ("P3 read, the newest reading will do", read, 0.06),
             ("P4 write of a number", write, 0.2),
+            ("P4 write of a number, plain driver", write_plain, 0.1),
             ("P4 write of a command with two fields", write_twist, None),
         ):
             mine, limit, ratio = await neighbors(operation, future_round_trip)

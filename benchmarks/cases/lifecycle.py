@@ -40,7 +40,7 @@ async def _disturbance() -> Row:
         robot = reacting_robot(50, acting=0)
         async with robot:
             for name in robot.behaviors.names():
-                runner = robot.behaviors._members[name].runner
+                runner = robot._behaviors.members[name].runner
                 assert runner is not None
                 group = runner.job.group
                 assert group is not None

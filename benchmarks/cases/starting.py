@@ -25,7 +25,7 @@ async def rows() -> list[Row]:
 def _rows() -> list[Row]:
     found = []
     for case, mine, other, goal in (
-        ("P11 import esair", "import esair", "import asyncio, anyio, attrs", 1.15),
+        ("P11 import esair", "import esair", "import asyncio, anyio, attrs", 1.2),
         ("P11 minimal.py alone, to a bare start", f"{ALONE}import minimal", "", 1.3),
     ):
         ratios, mines, others = [], [], []
