@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import collections
 import os
 import signal
 import tempfile
+from typing import Any
 
 import hypothesis
 import pytest
@@ -18,6 +20,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "markers", "fault(*ids): proves the right behavior on faults"
     )
+    config.addinivalue_line("markers", "xdist_group(name): kept on one worker")
     # The same examples in every run; --esair-soak looks for new ones.
     hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
     if not config.getoption("--esair-soak"):
@@ -25,6 +28,28 @@ def pytest_configure(config: pytest.Config) -> None:
     _let_children_hear_signals()
     # The control sockets of the robots in the tests, of children too.
     os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="esair-sockets-")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep what runs in real time on one worker: at most one such test at a time."""
+    for item in items:
+        if item.get_closest_marker("real_clock") is not None:
+            item.add_marker(pytest.mark.xdist_group("real_clock"))
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Say in a few lines what was skipped, and why: the most of it first."""
+    reasons: collections.Counter[str] = collections.Counter()
+    for report in terminalreporter.stats.get("skipped", []):
+        where = report.longrepr
+        reason = where[2] if isinstance(where, tuple) else str(where)
+        reasons[reason.removeprefix("Skipped: ")] += 1
+    if not reasons:
+        return
+    terminalreporter.section(f"{reasons.total()} skipped")
+    for reason, number in reasons.most_common():
+        terminalreporter.write_line(f"{number:4} {reason}")
 
 
 def _let_children_hear_signals() -> None:

@@ -28,7 +28,7 @@ from esair.supervisors._requests import Outcome
 from esair.testing import FakeActuator, FakeSensor, VirtualLoop
 
 NAMES = st.sampled_from(["a", "b", "c"])
-EXAMPLES, STEPS = 300, 40
+EXAMPLES, STEPS = 120, 40
 SOAK_EXAMPLES, SOAK_STEPS = 5_000, 60
 SAFE = 0.0
 PENDING = 24
@@ -308,7 +308,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         if sender not in self.workers:
             self.refused(esair.UnknownNameError, work)
         elif sender == receiver:
-            worker = self.robot.behaviors._members[sender]
+            worker = self.robot._behaviors.members[sender]
             if worker.state is esair.BehaviorState.FAILED:
                 self.refused(esair.BehaviorFailedError, work)
             else:
@@ -324,7 +324,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         try:
             worker.offer(self.next())
         except esair.BusyError:
-            assert not self.robot.behaviors._members[name].askers.count
+            assert not self.robot._behaviors.members[name].askers.count
         except esair.BehaviorFailedError:
             assert self.state(name) is esair.BehaviorState.FAILED
         self.settle()
@@ -332,7 +332,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     @rule(name=NAMES)
     def receive(self, name: str) -> None:
         worker = self.workers.get(name)
-        member = self.robot.behaviors._members.get(name)
+        member = self.robot._behaviors.members.get(name)
         if worker is None or member is None or not (member.inbox and member.alive):
             return
         self.seen.setdefault(name, []).append(self.run(worker.receive()))
@@ -393,7 +393,7 @@ class SupervisorMachine(RuleBasedStateMachine):
 
     def works(self, device: Wheels) -> bool:
         """Whether the wheels can be told anything, and esair knows it."""
-        return bool(device.can_be_told and self.robot.resources.is_ready("wheels"))
+        return bool(device.can_be_told and self.robot._resources.is_ready("wheels"))
 
     def state(self, name: str) -> esair.BehaviorState:
         return self.robot.behaviors.query(name).state
@@ -421,7 +421,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     @invariant()
     def what_was_put_is_where_its_outcome_says(self) -> None:
         """INV1: delivered once, or not at all; in the order of its sender."""
-        members = self.robot.behaviors._members
+        members = self.robot._behaviors.members
         inboxes = {name: list(member.inbox) for name, member in members.items()}
         everywhere = [
             *self.handed_back,
@@ -457,9 +457,9 @@ class SupervisorMachine(RuleBasedStateMachine):
         assert sorted(robot.resources.names()) == sorted(self.resources)
         waits = esair.SupervisorPhase.WAIT_REQUEST
         assert (robot.behaviors.phase, robot.resources.phase) == (waits, waits)
-        live = robot.resources._registrations.live
+        live = robot._resources.registrations.live
         used: list[int] = []
-        for name, member in robot.behaviors._members.items():
+        for name, member in robot._behaviors.members.items():
             used += [r.number for r in member.uses()]
             assert all(r.behavior == name for r in member.uses())
         assert len(used) == len(set(used)), "two behaviors share a registration"
@@ -477,9 +477,9 @@ class SupervisorMachine(RuleBasedStateMachine):
         pending = sum(
             kind in {"put", "get"} and not task.done() for kind, task in self.flying
         )
-        mediator = self.robot.behaviors.mediator
-        assert mediator._pending == pending
-        assert sum(mediator._of_asker.values()) == pending
+        mediator = self.robot._behaviors.mediator
+        assert mediator.pending.count == pending
+        assert sum(mediator.pending.of_asker.values()) == pending
         assert all(isinstance(each.outcome, Outcome) for each in mediator.outcomes())
 
     @invariant()
@@ -511,8 +511,8 @@ class SupervisorMachine(RuleBasedStateMachine):
                 possible = {change.gain}
                 type(self).configured += 1
         assert wheels.settings["gain"] in possible
-        life = self.robot.resources._lives["wheels"]
-        if self.robot.resources.is_ready("wheels") and not life.configuring.locked():
+        life = self.robot._resources.lives["wheels"]
+        if self.robot._resources.is_ready("wheels") and not life.configuring.locked():
             assert wheels.in_device == wheels.settings["gain"]
 
     @invariant()
