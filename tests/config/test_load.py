@@ -6,7 +6,7 @@ import pytest
 
 from esair import config
 from esair.exceptions import ConfigError
-from esair.messages import Access, Restart
+from esair.messages import Access, Policy, Restart
 
 
 def test_every_table_becomes_its_component(project) -> None:
@@ -164,6 +164,21 @@ def test_a_policy_can_be_exclusive_and_limit_priorities(project) -> None:
     assert policy.allow == {"*": Access.WRITE}
     assert policy.exclusive is False
     assert policy.max_priority == {"avoid": 20, "*": 5}
+
+
+@pytest.mark.promise("BEH-6")
+async def test_a_file_says_who_may_manage_behaviors(project) -> None:
+    """The table of the word that no resource has."""
+    described = config.load(
+        project.changed(
+            "[access.wheels]", '[access.behaviors]\nwander = "manage"\n[access.wheels]'
+        )
+    )
+
+    assert described.policies["behaviors"] == Policy.behaviors(
+        allow={"wander": "manage"}
+    )
+    config.build(described)
 
 
 @pytest.mark.fault("G10")

@@ -72,6 +72,18 @@ CASES = [
     ('wander = "write"', 'wander = "wirte"', "access.wheels.wander", "'write'?"),
     ('wander = "write"', "wander = true", "access.wheels.wander", "not true"),
     (
+        "[access.wheels]",
+        '[access.behaviors]\nwander = "command"\n[access.wheels]',
+        "access.behaviors.wander",
+        'expected "manage"',
+    ),
+    (
+        "[access.wheels]",
+        '[access.behaviors]\nwandre = "manage"\n[access.wheels]',
+        "access.behaviors.wandre",
+        "did you mean 'wander'?",
+    ),
+    (
         'wander = "write"',
         'wander = "write"\nexclusive = 1',
         "access.wheels.exclusive",

@@ -10,7 +10,7 @@ import attrs
 
 from esair.actions import Behavior, Reaction
 from esair.buses import Bus
-from esair.messages import Policy
+from esair.messages import BehaviorsPolicy, Policy
 from esair.resources import Resource
 
 
@@ -29,7 +29,8 @@ class Description:
         buses: The buses, by name.
         resources: The sensors and actuators, by name.
         behaviors: The behaviors and reactions, by name.
-        policies: Who may do what with a resource, by the name of the resource.
+        policies: Who may do what with a resource, by the name of the resource; under
+            ``behaviors`` who may manage others.
     """
 
     path: Path
@@ -39,7 +40,7 @@ class Description:
     buses: Mapping[str, Bus]
     resources: Mapping[str, Resource]
     behaviors: Mapping[str, Behavior | Reaction]
-    policies: Mapping[str, Policy]
+    policies: Mapping[str, Policy | BehaviorsPolicy]
     is_built: bool = attrs.field(default=False, init=False)
     """Whether a robot was made of it."""
 

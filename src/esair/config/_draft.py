@@ -9,8 +9,9 @@ import attrs
 from esair.actions import ProfiledAction
 from esair.buses import Bus
 from esair.config._mistakes import below
+from esair.config._policies import BEHAVIORS
 from esair.config._source import Source
-from esair.messages import Policy
+from esair.messages import BehaviorsPolicy, Policy
 from esair.plan import Finding, Plan
 from esair.resources import Resource
 
@@ -46,14 +47,15 @@ class Draft:
         simulated: Whether the ``sim`` tables were used.
         robot: The keywords of the robot.
         parts: The buses, resources and actions, in this order.
-        policies: Who may do what with a resource, by the name of the resource.
+        policies: Who may do what with a resource, by the name of the resource; under
+            ``behaviors`` who may manage others.
     """
 
     source: Source
     simulated: bool
     robot: dict[str, Any] = attrs.field(factory=dict)
     parts: list[Part] = attrs.field(factory=list)
-    policies: dict[str, Policy] = attrs.field(factory=dict)
+    policies: dict[str, Policy | BehaviorsPolicy] = attrs.field(factory=dict)
 
     @property
     def buses(self) -> dict[str, Bus | None]:
@@ -89,8 +91,9 @@ class Draft:
         for part in self.parts:
             if part.made is finding.subject and part.made is not None:
                 key = part.key
-        if isinstance(finding.subject, Policy):
-            key = below("access", finding.subject.resource)
+        if isinstance(finding.subject, Policy | BehaviorsPolicy):
+            about = getattr(finding.subject, "resource", BEHAVIORS)
+            key = below("access", about)
             field = finding.field.removeprefix("allow").removeprefix(".")
             return key if field in {"", "resource"} else f"{key}.{field}"
         if not finding.field:

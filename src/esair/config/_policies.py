@@ -1,14 +1,17 @@
-"""The tables ``[access.RESOURCE]``: who may do what."""
+"""The tables ``[access.RESOURCE]``: who may do what; ``[access.behaviors]``: who manages."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from esair.config._mistakes import below, dotted, show
 from esair.config._source import Source
 from esair.exceptions import ConfigError, did_you_mean
-from esair.messages import Access, Policy
+from esair.messages import Access, BehaviorsPolicy, Policy
 from esair.values import check_name
+
+BEHAVIORS: Final = "behaviors"
+"""The table of those who may manage others; no resource's."""
 
 _RIGHTS: Final = {
     "read": Access.READ,
@@ -19,10 +22,10 @@ _RIGHTS: Final = {
 }
 
 
-def read_policies(source: Source) -> dict[str, Policy]:
+def read_policies(source: Source) -> dict[str, Policy | BehaviorsPolicy]:
     """Return the rules of a file, by the name of the resource."""
     tables = source.data.get("access", {})
-    policies: dict[str, Policy] = {}
+    policies: dict[str, Policy | BehaviorsPolicy] = {}
     for name, table in tables.items():
         key = dotted("access", name)
         if not isinstance(table, dict):
@@ -31,8 +34,28 @@ def read_policies(source: Source) -> dict[str, Policy]:
                 f'expected a table such as {{ wander = "write" }}, not {show(table)}',
             )
         else:
-            policies[name] = _policy(source, key, name, table)
+            read = _managers if name == BEHAVIORS else _policy
+            policies[name] = read(source, key, name, table)
     return policies
+
+
+def _managers(
+    source: Source, key: str, name: str, table: dict[str, Any]
+) -> BehaviorsPolicy:
+    allow: dict[str, Literal["manage"]] = {}
+    for behavior, value in table.items():
+        where = below(key, behavior)
+        if not _is_name(source, where, behavior):
+            continue
+        if value == "manage":
+            allow[behavior] = "manage"
+        else:
+            source.mistakes.add(
+                where,
+                'expected "manage", the right to add, remove, replace and restart '
+                f"behaviors, not {show(value)}",
+            )
+    return BehaviorsPolicy(allow)
 
 
 def _policy(source: Source, key: str, name: str, table: dict[str, Any]) -> Policy:

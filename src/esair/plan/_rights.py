@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from esair.actions import Behavior, Need, Reaction, Reads, Writes
@@ -12,7 +12,7 @@ from esair.exceptions import (
     UnknownNameError,
     did_you_mean,
 )
-from esair.messages import Access, Policy
+from esair.messages import Access, BehaviorsPolicy, Policy
 from esair.plan._finding import Finding, because, mistake, warning
 from esair.plan._plan import Plan
 from esair.resources import Actuator
@@ -113,6 +113,14 @@ def mistakes_in_policies(plan: Plan) -> Iterator[Finding]:
     """Find policies that do not fit the robot."""
     seen: set[str] = set()
     for policy in plan.policies:
+        if isinstance(policy, BehaviorsPolicy):
+            yield from _unknown(
+                plan,
+                policy,
+                "policy of behaviors",
+                dict.fromkeys(policy.allow, "allow"),
+            )
+            continue
         if not isinstance(policy, Policy):
             told = f"expected an esair.Policy, not {policy!r:.80}"
             yield mistake("rights", policy, "policies", "", told)
@@ -139,22 +147,32 @@ def _in_policy(plan: Plan, policy: Policy) -> Iterator[Finding]:
         if type(level) is not int:
             told = f"expected a whole number, not {level!r:.80}"
             yield mistake("rights", policy, title, f"max_priority.{who}", told)
-    # A name that is like no other may be that of a behavior added later; so may one
-    # that is like another that the policy names too.
-    left = [each for each in plan.action_names if each not in policy.allow]
-    for who in dict.fromkeys((*policy.allow, *policy.max_priority)):
+    named = dict.fromkeys(policy.max_priority, "max_priority")
+    named |= dict.fromkeys(policy.allow, "allow")
+    yield from _unknown(plan, policy, title, named)
+    yield from _useless(plan, policy)
+
+
+def _unknown(
+    plan: Plan, policy: object, title: str, named: Mapping[str, str]
+) -> Iterator[Finding]:
+    """Find names of nobody, by the field that names them.
+
+    One that is like no other may be that of a behavior added later; so may one that is
+    like another that the policy names too.
+    """
+    left = [each for each in plan.action_names if each not in named]
+    for who, field in named.items():
         if who == "*" or who in plan.action_names:
             continue
         if who in plan.derived_of:
             continue  # it reads what it is computed of in its own name
-        field = f"allow.{who}" if who in policy.allow else f"max_priority.{who}"
         if nearest := did_you_mean(who, left):
             told = f"no behavior is named {who!r}{nearest}"
-            yield mistake("rights", policy, title, field, told)
+            yield mistake("rights", policy, title, f"{field}.{who}", told)
         else:
             told = f"nobody here has this right: no behavior is named {who!r}"
-            yield warning("rights", policy, title, field, told)
-    yield from _useless(plan, policy)
+            yield warning("rights", policy, title, f"{field}.{who}", told)
 
 
 def _useless(plan: Plan, policy: Policy) -> Iterator[Finding]:

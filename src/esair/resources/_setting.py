@@ -186,9 +186,8 @@ def check_settings(
     fields: list[str] = []
     for name, value in changes.items():
         if name not in known:
-            hint = (
-                did_you_mean(name, known) or f"; there are {', '.join(sorted(known))}"
-            )
+            there = f"there are {', '.join(sorted(known))}" if known else "it has none"
+            hint = did_you_mean(name, known) or f"; {there}"
             mistakes.append(f"{name}: there is no such setting{hint}")
             fields.append(name)
             continue

@@ -148,9 +148,6 @@ class Robot:
             "seed": seed,
             "operator": operator,
         }
-        self._list_of_policies: list[Any] = [
-            each for each in given if not isinstance(each, BehaviorsPolicy)
-        ]
         self.sensors = SensorConnection()
         self.actuators = ActuatorConnection()
         self.journal = Journal()
@@ -159,7 +156,7 @@ class Robot:
             self.sensors,
             self.actuators,
             registrations,
-            policies=self._list_of_policies,
+            policies=given,
             declared=lambda *names: self._behaviors.declared(*names),
             grace=self._grace,
         )
@@ -260,7 +257,7 @@ class Robot:
             name=self.name,
             resources=self._list_of_resources,
             behaviors=self._list_of_behaviors,
-            policies=self._list_of_policies,
+            policies=self._rules["policies"],
             watchdog=self._keeper is not None,
         )
 
