@@ -117,37 +117,38 @@ def _findings(findings: tuple[FoundInFile, ...]) -> Table:
 
 
 def _actuators(report: Report) -> Panel:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)
-    table.add_column("actuator", style="bold")
-    table.add_column("written by (priority)", overflow="fold")
-    table.add_column("guarded by", overflow="fold")
-    table.add_column("safe command", style="bold red", overflow="fold")
-    table.add_column("who sends it", overflow="fold")
-    table.add_column("when this process dies", overflow="fold")
-    table.add_column("when this computer dies", overflow="fold")
-    for actuator in report.actuators:
-        writers = "\n".join(
-            f"{writer.behavior} ({writer.priority}); blind: {writer.when_blind}"
-            for writer in actuator.writers
-        )
-        guards = "\n".join(
-            f"{guard.reaction}; blind: {guard.when_blind}" for guard in actuator.guards
-        )
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column("what", style="dim", no_wrap=True)
+    table.add_column("which", overflow="fold", ratio=1)
+    for number, actuator in enumerate(report.actuators):
+        if number:
+            table.add_row()
+        table.add_row(Text("actuator"), Text(actuator.name, "bold"))
+        for writer in actuator.writers:
+            who = f"{writer.behavior} ({writer.priority}); blind: {writer.when_blind}"
+            table.add_row("written by (priority)", Text(who))
+        if not actuator.writers:
+            table.add_row("written by", Text("nobody"))
+        for guard in actuator.guards:
+            who = f"{guard.reaction}; blind: {guard.when_blind}"
+            table.add_row("guarded by", Text(who))
+        if not actuator.guards:
+            table.add_row("guarded by", Text("nobody"))
+        safe = actuator.safe
         table.add_row(
-            Text(actuator.name),
-            Text(writers or "nobody"),
-            Text(guards or "nobody"),
-            Text("none") if actuator.safe is None else Text(actuator.safe, "green"),
-            Text(actuator.sent_by),
-            Text(
-                actuator.when_the_process_dies,
-                "red" if actuator.when_the_process_dies.startswith(UNWATCHED) else "",
-            ),
-            Text(
-                actuator.when_the_host_dies,
-                "red" if actuator.own_timeout is None else "",
-            ),
+            "safe command",
+            Text("none", "bold red") if safe is None else Text(safe, "green"),
         )
+        table.add_row("who sends it", Text(actuator.sent_by))
+        for when, told, bad in (
+            (
+                "process",
+                actuator.when_the_process_dies,
+                actuator.when_the_process_dies.startswith(UNWATCHED),
+            ),
+            ("computer", actuator.when_the_host_dies, actuator.own_timeout is None),
+        ):
+            table.add_row(f"when this {when} dies", Text(told, "red" if bad else ""))
     return Panel(table, title="How each actuator is made safe", title_align="left")
 
 
