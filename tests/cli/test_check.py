@@ -255,7 +255,10 @@ def test_what_nobody_uses_is_found(findings) -> None:
     """A device that no behavior needs."""
     found = findings(SOUND + '[sensor.idle]\ndriver = "{m}:Number"\n')
 
-    assert found["sensor.idle", "unused"] == ("warning", "no behavior reads it")
+    assert found["sensor.idle", "unused"] == (
+        "warning",
+        "no behavior declares that it reads it",
+    )
 
 
 def test_warnings_fail_only_if_asked_to(robot_file, esair_command, capsys) -> None:

@@ -57,4 +57,6 @@ def unused(plan: Plan) -> Iterator[Finding]:
     for name, resource in plan.resource_of.items():
         if name not in used:
             doing = "writes" if isinstance(resource, Actuator) else "reads"
-            yield warning("unused", resource, name, "", f"no behavior {doing} it")
+            yield warning(
+                "unused", resource, name, "", f"no behavior declares that it {doing} it"
+            )
