@@ -194,6 +194,20 @@ async def test_a_resident_acts_in_the_same_step():
     assert order == ["sonar"]
 
 
+async def test_a_cause_is_heard_before_what_residents_do_about_it():
+    """Listeners hear the events in the order of their numbers."""
+    journal, heard = Journal(), list[Event]()
+    journal.start(asyncio.get_running_loop())
+    journal.listen(heard.append)
+    journal.attach(Kind.UP, lambda _: journal.publish(Kind.RESTARTED, "explore"))
+    journal.publish(Kind.UP, "wheels")
+    await asyncio.sleep(0)
+    assert [(event.number, event.component) for event in heard] == [
+        (1, "wheels"),
+        (2, "explore"),
+    ]
+
+
 async def test_lines_of_the_log_are_events():
     """Also those that another thread writes."""
     events: list[Event] = []

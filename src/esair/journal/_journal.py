@@ -146,18 +146,18 @@ class Journal:
         event = _new(
             Event, (self.number, self._time(), kind, component, peer, value, text)
         )
+        listeners = self._listeners
+        if listeners:
+            for listener in listeners:
+                listener.take(event)
+            if not self._flushing and self._loop is not None:
+                self._flushing = True
+                self._loop.call_soon(self._flush)
+        # Last: what they do are events too, and everybody hears the cause first.
         residents = self._residents
         if kind in residents:
             for resident in residents[kind]:
                 resident(event)
-        listeners = self._listeners
-        if not listeners:
-            return
-        for listener in listeners:
-            listener.take(event)
-        if not self._flushing and self._loop is not None:
-            self._flushing = True
-            self._loop.call_soon(self._flush)
 
     def start(self, loop: asyncio.AbstractEventLoop) -> None:
         """Begin to hand over events in a loop, and to use its clock."""
