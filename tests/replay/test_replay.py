@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.replay import robots
+from tests.replay.soak import folder_of_robot, unequal
 
 import esair
 from esair.exceptions import RecordingBrokenError
@@ -19,27 +23,6 @@ from esair.replay import Replay, unrepeatable
 pytestmark = pytest.mark.real_clock
 
 ROOT = Path(__file__).parents[2]
-
-FILE = """
-[robot]
-name = "waver"
-[sensor.sonar]
-driver = "robots:Sonar"
-[sensor.compass]
-driver = "robots:Compass"
-[sensor.bumper]
-driver = "robots:Bumper"
-[actuator.wheel]
-driver = "robots:Wheel"
-[actuator.arm]
-driver = "robots:Arm"
-[behavior.follow]
-driver = "robots:Follow"
-[behavior.wander]
-driver = "robots:Wander"
-[behavior.wave]
-driver = "robots:Wave"
-"""
 
 
 def never(*_: object) -> Any:
@@ -110,27 +93,15 @@ def verbs(folder: Path, *words: str, hash_seed: int = 1) -> tuple[int, str]:
     return done.returncode, done.stdout
 
 
-def folder_of_robot(folder: Path) -> Path:
-    """Make a folder with the robot and its file."""
-    (folder / "robot.toml").write_text(FILE)
-    (folder / "robots.py").write_text(Path(robots.__file__).read_text())
-    return folder
-
-
 @pytest.mark.promise("REP-2")
-def test_the_command_repeats_and_names_what_was_changed(
-    tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+def test_the_command_repeats_and_names_what_was_changed(tmp_path: Path) -> None:
     """In another process with another hash seed: exit 0, and 3 after a change."""
     folder = folder_of_robot(tmp_path)
-    count, seconds = (20, 5.0) if request.config.getoption("--esair-soak") else (1, 0.4)
-    for number in range(count):
-        name = f"{number}.mcap"
-        options = ("--for", str(seconds), "--record", name)
-        code, said = verbs(folder, "run", "robot.toml", *options)
-        assert code == 0, said
-        code, said = verbs(folder, "replay", name, hash_seed=4711)
-        assert (code, said[:5]) == (0, "equal"), said
+    options = ("--for", "0.4", "--record", "0.mcap")
+    code, said = verbs(folder, "run", "robot.toml", *options)
+    assert code == 0, said
+    code, said = verbs(folder, "replay", "0.mcap", hash_seed=4711)
+    assert (code, said[:5]) == (0, "equal"), said
 
     code_file = folder / "robots.py"
     code_file.write_text(code_file.read_text().replace("GAIN = 0.5", "GAIN = 0.6"))
@@ -144,6 +115,18 @@ def test_the_command_repeats_and_names_what_was_changed(
         "bumper, ",
     ):
         assert word in said
+
+
+@pytest.mark.promise("REP-2")
+@pytest.mark.parametrize("what", ["robot", "demo"])
+def test_a_hundred_live_minutes_are_repeated(
+    what: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """Each in another process with another hash seed, whatever else the machine does."""
+    if not request.config.getoption("--esair-soak"):
+        pytest.skip("it takes an hour: --esair-soak")
+    wrong = asyncio.run(unequal(what, 100, 60.0, at_once=4, keep=tmp_path))
+    assert wrong == []
 
 
 @pytest.mark.promise("REP-2", "REC-3")
@@ -167,8 +150,6 @@ def test_what_a_killed_robot_has_left_is_repeated(
 @pytest.mark.promise("REP-2")
 def test_a_loop_of_another_kind_is_said_to_be_inexact(tmp_path: Path) -> None:
     """The user's own loop has no border; its file says so."""
-    import asyncio
-
     path = tmp_path / "own.mcap"
     esair.run(robots.make(path), duration=0.05, loop_factory=asyncio.new_event_loop)
 
@@ -276,3 +257,30 @@ def test_random_numbers_are_those_of_the_run(recording: Path) -> None:
     asked = {e.value for e in events if e.kind == "command"}
 
     assert len(asked) > 2
+
+
+@pytest.mark.promise("REP-2")
+def test_a_run_that_a_signal_has_ended_is_repeated(tmp_path: Path) -> None:
+    """Most runs end so; the stop is compared too."""
+    folder = folder_of_robot(tmp_path)
+    words = [sys.executable, "-m", "esair", "run", "robot.toml", "--record", "run.mcap"]
+    process = subprocess.Popen(words, cwd=folder, stderr=subprocess.PIPE)
+    while not (folder / "run.mcap").exists() and process.poll() is None:
+        time.sleep(0.05)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=20)
+    assert process.returncode == 128 + signal.SIGINT
+
+    code, said = verbs(folder, "replay", "run.mcap")
+    assert (code, said[:5]) == (0, "equal"), said
+
+
+@pytest.mark.promise("REP-2")
+def test_a_robot_that_cannot_start_today_says_why(recording: Path) -> None:
+    """Its mistakes are named, not where it differs."""
+    robot = esair.Robot(resources=[robots.Sonar()], behaviors=[robots.Follow()])
+
+    with pytest.raises(ExceptionGroup) as raised:
+        Replay(recording).run(robot)
+    assert "follow" in str(raised.value.exceptions[0])

@@ -10,7 +10,6 @@ import pytest
 
 import esair
 from esair.config import build, load
-from esair.demo import demo
 from esair.journal import Kind
 from esair.loop import TurnLoop
 from esair.recording import events_of
@@ -57,16 +56,3 @@ def test_a_run_with_unplugged_sensors_is_repeated(tmp_path: Path) -> None:
     outcome = Replay(path).run(rover(), lambda robot: drive(robot, None))
     assert outcome.divergence is None
     assert outcome.equal > 100
-
-
-@pytest.mark.promise("REP-2")
-def test_the_demo_is_repeated(tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    """Its story too: a passenger, a way home; only with --esair-soak, it takes long."""
-    if not request.config.getoption("--esair-soak"):
-        pytest.skip("it takes a minute for each: --esair-soak")
-    for seed in range(20):
-        path = tmp_path / f"{seed}.mcap"
-        assert demo(seed=seed, record=path, out=tmp_path / "demo.png") == 0
-        outcome = Replay(path).run_script()
-        assert outcome is not None
-        assert outcome.divergence is None

@@ -24,6 +24,7 @@ class Description:
     Attributes:
         path: The file.
         digest: SHA-256 of the file as it was read, in hexadecimal.
+        text: What it says.
         simulated: Whether the ``sim`` tables of the devices were used.
         robot: The keywords of the robot, its name among them.
         buses: The buses, by name.
@@ -35,6 +36,7 @@ class Description:
 
     path: Path
     digest: str
+    text: str
     simulated: bool
     robot: Mapping[str, Any]
     buses: Mapping[str, Bus]

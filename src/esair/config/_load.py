@@ -26,6 +26,7 @@ def load(
     *,
     simulated: bool = False,
     robot_class: type | None = None,
+    text: str | None = None,
 ) -> Description:
     """Read and check a configuration; nothing is opened, nothing moves.
 
@@ -36,6 +37,7 @@ def load(
         simulated: Whether the ``sim`` tables replace what they stand beside.
         robot_class: The class of the robot, if it is not `esair.Robot`: its
             keywords are the keys of the table ``[robot]``.
+        text: What the file says; it is read unless given.
 
     Raises:
         ConfigError: The file cannot be read, or is no TOML.
@@ -46,7 +48,7 @@ def load(
         from esair.standard import Robot
 
         robot_class = Robot
-    source = read_source(path)
+    source = read_source(path, text)
     draft = make_draft(source, simulated=simulated, robot_class=robot_class)
     for finding in examine(draft.plan()):
         if finding.is_error:
@@ -57,6 +59,7 @@ def load(
     return Description(
         path=source.path,
         digest=source.digest,
+        text=source.text,
         simulated=simulated,
         robot=draft.robot,
         buses=draft.made(Bus),

@@ -35,12 +35,14 @@ class Source:
     Attributes:
         path: The file.
         digest: SHA-256 of its bytes, in hexadecimal: what was loaded, exactly.
+        text: What it says.
         data: Its tables.
         mistakes: Where mistakes go.
     """
 
     path: Path
     digest: str
+    text: str
     data: dict[str, Any]
     mistakes: Mistakes
 
@@ -57,14 +59,18 @@ class Source:
         return self.path.resolve().parent
 
 
-def read_source(path: str | os.PathLike[str]) -> Source:
+def read_source(path: str | os.PathLike[str], text: str | None = None) -> Source:
     """Read and parse a configuration file, once.
+
+    Args:
+        path: The file.
+        text: What it says; it is read unless given.
 
     Raises:
         ConfigFileError: It cannot be read, or is no TOML.
     """
     shown = str(path)
-    raw = _bytes_of(path, shown)
+    raw = _bytes_of(path, shown) if text is None else text.encode()
     try:
         text = raw.decode()
     except UnicodeDecodeError as error:
@@ -86,7 +92,7 @@ def read_source(path: str | os.PathLike[str]) -> Source:
     mistakes = Mistakes(shown, Lines(text))
     _look_over(data, mistakes)
     digest = hashlib.sha256(raw).hexdigest()
-    return Source(Path(path), digest, data, mistakes)
+    return Source(Path(path), digest, text, data, mistakes)
 
 
 def _bytes_of(path: str | os.PathLike[str], shown: str) -> bytes:

@@ -10,8 +10,8 @@ import attrs
 from esair.journal import Event, Kind
 from esair.recording import Recorded, plain
 
-NOT_COMPARED = {Kind.LOG, Kind.OPERATOR}
-"""What a robot says, and what people do, is no decision of the robot."""
+NOT_COMPARED = {Kind.LOG}
+"""What a robot says is no decision."""
 
 _OF_ACTUATORS = {
     Kind.COMMAND,

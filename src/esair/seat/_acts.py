@@ -252,11 +252,9 @@ def _reset(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
 
 
 def _lease(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
-    if session.lapsed is None:
+    if not session.drives:
         raise ConfigError("lease", "", "only a client that is told beats can drive")
-    lease = console.leases.take(
-        fields["actuator"], fields["seconds"], session, session.lapsed
-    )
+    lease = console.leases.take(fields["actuator"], fields["seconds"], session)
     resource = console.robot.resources.get(lease.actuator)
     return {
         "lease": lease.number,

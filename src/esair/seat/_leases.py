@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Protocol
 
 import attrs
 
@@ -50,6 +50,16 @@ class Beats:
         return self._sent.get(number) if type(number) is int else None
 
 
+class Driver(Protocol):
+    """Who drives by hand."""
+
+    def beat(self, number: int) -> object:
+        """Hear a beat, to be answered by what is pressed then."""
+
+    def lapsed(self, lease: Lease) -> object:
+        """Hear that a lease is over."""
+
+
 @attrs.define(eq=False)
 class Lease:
     """The right of one session to drive one actuator, as long as it has fresh input.
@@ -58,8 +68,7 @@ class Lease:
         number: Grows: what has lapsed never comes back.
         registration: The right by which it writes.
         seconds: How long it lasts after the beat that the last input answers.
-        owner: The session.
-        lapsed: Is told when it has lapsed.
+        owner: Who drives.
         until: When it lapses unless input renews it; on the loop's clock.
         command: What it was told last; None before that.
     """
@@ -67,8 +76,7 @@ class Lease:
     number: int
     registration: Registration
     seconds: float
-    owner: object
-    lapsed: Callable[[Lease], object]
+    owner: Driver
     until: float
     command: Any = None
     timer: asyncio.TimerHandle | None = None
@@ -107,6 +115,7 @@ class Leases:
         self._live: dict[int, Lease] = {}
         self._loop = asyncio.get_running_loop()
         self._time = clock_of(self._loop)
+        self._next_beat: asyncio.TimerHandle | None = None
         self.beats = Beats(self._time)
         self.lapses = 0
         """How many leases have lapsed for want of fresh input."""
@@ -116,14 +125,8 @@ class Leases:
     def __iter__(self) -> Iterator[Lease]:
         return iter(tuple(self._live.values()))
 
-    def take(
-        self,
-        actuator: str,
-        seconds: float,
-        owner: object,
-        lapsed: Callable[[Lease], object],
-    ) -> Lease:
-        """Give a session the lease of an actuator; whoever has it loses it.
+    def take(self, actuator: str, seconds: float, owner: Driver) -> Lease:
+        """Give somebody the lease of an actuator; whoever has it loses it.
 
         Raises:
             UnknownNameError: No actuator has the name.
@@ -144,21 +147,22 @@ class Leases:
             registration,
             seconds,
             owner,
-            lapsed,
             self._time() + seconds,
         )
         self._live[lease.number] = lease
         self._watch(lease)
+        if self._next_beat is None:
+            self._next_beat = self._loop.call_later(BEAT, self._beat)
         return lease
 
     async def drive(
-        self, number: int, owner: object, beat: int, command: Callable[[Any], Any]
+        self, number: int, owner: Driver, beat: int, command: Callable[[Any], Any]
     ) -> Written[Any] | Refused:
         """Write what fresh input says, and renew the lease.
 
         Args:
             number: Of the lease.
-            owner: The session that has it.
+            owner: Who has it.
             beat: The newest beat that the input has seen.
             command: Makes the command for the actuator.
 
@@ -204,15 +208,24 @@ class Leases:
         if lease.newest is not None:
             _settle(lease.newest[1], _superseded(lease, self._time()))
             lease.newest = None
-        lease.lapsed(lease)
+        lease.owner.lapsed(lease)
 
-    def end_all(self, owner: object = None) -> None:
-        """End the leases of a session that is gone; all of them unless given."""
+    def end_all(self, owner: Driver | None = None) -> None:
+        """End the leases of somebody who is gone; all of them unless given."""
         for lease in self:
             if owner is None or lease.owner is owner:
                 self.end(lease)
 
     # Inside.
+
+    def _beat(self) -> None:
+        """Tell a beat to those who drive: in a replay too, where nobody hears it."""
+        self._next_beat = None
+        if self._live:
+            number = self.beats.next()
+            for owner in dict.fromkeys(lease.owner for lease in self):
+                owner.beat(number)
+            self._next_beat = self._loop.call_later(BEAT, self._beat)
 
     def _watch(self, lease: Lease) -> None:
         if self._time() >= lease.until:

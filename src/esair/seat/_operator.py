@@ -9,8 +9,8 @@ import contextvars
 import inspect
 import itertools
 import logging
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 
@@ -25,11 +25,19 @@ from esair.exceptions import (
     did_you_mean,
 )
 from esair.journal import Kind
-from esair.loop import Door, TapeWriter, clock_of, current_owner, spawn
+from esair.loop import (
+    Door,
+    News,
+    TapeWriter,
+    clock_of,
+    current_owner,
+    outside,
+    spawn,
+)
 from esair.messages import OPERATOR, Access
 from esair.resources import HIDDEN, Resource, settings_of
 from esair.seat._acts import ACTS, Act
-from esair.seat._leases import Leases
+from esair.seat._leases import Driver, Lease, Leases
 from esair.seat._status import Status
 from esair.seat._wire import Message
 from esair.supervisors import admit
@@ -51,19 +59,75 @@ _PEOPLE = frozenset({"resume", "mute", "reset", "lease", "drive"})
 _log = logging.getLogger("esair")
 
 
+def _has_hand(session: Session) -> bool:
+    return session.hand is not None
+
+
 @attrs.define(eq=False)
 class Session:
     """Whoever gives acts: one client, or one who types.
 
     Attributes:
         who: The user, and how it comes in, in words.
-        lapsed: Is told when a lease of it has lapsed; None if it cannot drive.
+        hand: Hears beats; None if it cannot drive, and in a replay.
+        drives: Whether it can drive.
+        number: Of all sessions; 0 for who types.
+        given: How many acts it has given that may change something.
         busy: How many of its acts are under way.
     """
 
     who: str
-    lapsed: Callable[[Any], object] | None = None
+    hand: Driver | None = None
+    drives: bool = attrs.field(default=attrs.Factory(_has_hand, takes_self=True))
+    number: int = 0
+    given: int = 0
     busy: int = 0
+
+    def beat(self, number: int) -> None:
+        """Hear a beat."""
+        if self.hand is not None:
+            self.hand.beat(number)
+
+    def lapsed(self, lease: Lease) -> None:
+        """Hear that a lease is over."""
+        if self.hand is not None:
+            self.hand.lapsed(lease)
+
+
+class Given(NamedTuple):
+    """An act as it comes in by the door, and as it is kept for a replay.
+
+    Attributes:
+        session: The number of the session.
+        number: Of the act, among those of the session.
+        who: The user, and how it comes in, in words.
+        drives: Whether the session can drive.
+        act: The name of the act.
+        fields: What it is about; of a secret only that there is one.
+        until: When it is too late for it, on the robot's clock; or None.
+    """
+
+    session: int
+    number: int
+    who: str
+    drives: bool
+    act: str
+    fields: dict[str, Any]
+    until: float | None
+
+
+class Waiting(NamedTuple):
+    """An act that has been given and has not begun.
+
+    Attributes:
+        session: Who has given it.
+        fields: What it is about.
+        outcome: What comes of it.
+    """
+
+    session: Session
+    fields: dict[str, Any]
+    outcome: asyncio.Future[Any]
 
 
 class Console:
@@ -79,8 +143,13 @@ class Console:
         self.rights = robot.operator
         self._loop = asyncio.get_running_loop()
         self._time = clock_of(self._loop)
-        self._door = Door.of(self._loop)
-        self._context = contextvars.copy_context()
+        # Whoever woke the loop lends its context; an act has that of nobody.
+        self._context = contextvars.Context()
+        self._given = News(self._loop, ("operator",), self._hear)
+        self._left = News(self._loop, ("operator", "leaves"), self._hear_leave)
+        self._waiting: dict[tuple[int, int], Waiting] = {}
+        self._sessions: dict[int, Session] = {}
+        self._numbers = itertools.count(1)
         self.status = Status(robot, self._loop)
         self.leases = Leases(
             robot.resources, robot.actuators, self.name, self.rights.priority
@@ -118,8 +187,7 @@ class Console:
         if known is not None:
             self.again += 1
             return known
-        outcome: asyncio.Future[Any] = self._loop.create_future()
-        outcome.add_done_callback(lambda done: done.cancelled() or done.exception())
+        outcome = self._outcome()
         try:
             act = self._act(message)
             fields = act.checked(message.fields)
@@ -134,13 +202,13 @@ class Console:
             self._outcomes[key] = outcome
             while len(self._outcomes) > OUTCOMES:
                 self._outcomes.popitem(last=False)
-        if not act.looks and isinstance(self._door.tape, TapeWriter):
-            self._door.tape.spoil(f"an operator did {act.name!r} there")
         session.busy += 1
-        tag = ("operator", act.name)
-        # Whoever woke the loop lends its context; an act has that of nobody.
-        run, begin = self._context.run, self._begin
-        self._door.tell(tag, run, begin, act, fields, message, session, outcome)
+        waiting = Waiting(session, fields, outcome)
+        if act.looks or current_owner() is not None:
+            # Looking changes nothing, and what a component types repeats by itself.
+            self._loop.call_soon(self._begin, act, waiting, message.until)
+        else:
+            self._give(act, waiting, message.until)
         return outcome
 
     async def do(self, act: str, fields: dict[str, Any], session: Session) -> Any:
@@ -154,6 +222,11 @@ class Console:
             raise AccessDeniedError("a behavior", self.robot.name, act, told)
         message = Message(f"typed {next(self._typed)}", act, fields)
         return await asyncio.shield(self.take(message, session))
+
+    def leave(self, session: Session) -> None:
+        """A session ends: what it drives is released."""
+        if session.number:  # else it has done nothing
+            self._left.tell_from_thread(session.number)
 
     def close(self) -> None:
         """The robot stops: give back what is driven, and end what waits."""
@@ -208,14 +281,29 @@ class Console:
             told = "the robot was not made from a file: add it in its program"
             raise ConfigError(name, "", told)
         path, simulated = source
-        kind = type(self.robot)
-        try:
-            described = await asyncio.to_thread(
-                config.load, path, simulated=simulated, robot_class=kind
-            )
-        except ExceptionGroup as group:
-            told = "; ".join(str(each) for each in group.exceptions)
-            raise ConfigError(name, "", told) from None
+        made: list[config.Description] = []
+
+        def load(text: str | None) -> str:
+            try:
+                made.append(
+                    config.load(
+                        path,
+                        simulated=simulated,
+                        robot_class=type(self.robot),
+                        text=text,
+                    )
+                )
+            except ExceptionGroup as group:
+                told = "; ".join(str(each) for each in group.exceptions)
+                raise ConfigError(name, "", told) from None
+            return made[0].text
+
+        text = await outside(
+            ("operator", "file"), lambda: asyncio.to_thread(load, None)
+        )
+        if not made:  # in a replay: the file as it was then
+            load(text)
+        (described,) = made
         parts = {**described.resources, **described.behaviors}
         if name not in parts:
             hint = did_you_mean(name, parts) or f"; it has {', '.join(sorted(parts))}"
@@ -243,17 +331,66 @@ class Console:
             self.name, self.robot.name, act.name, f"[operator] allows {allowed}"
         )
 
-    def _begin(
+    def _outcome(self) -> asyncio.Future[Any]:
+        outcome: asyncio.Future[Any] = self._loop.create_future()
+        outcome.add_done_callback(lambda done: done.cancelled() or done.exception())
+        return outcome
+
+    def _give(self, act: Act, waiting: Waiting, until: float | None) -> None:
+        """Bring an act in from outside, by the one door."""
+        session, fields, _ = waiting
+        if session.hand is not None and not session.number:
+            session.number = next(self._numbers)
+            self._sessions[session.number] = session
+        session.given += 1
+        shown = self._shown(act, fields)
+        tape = Door.of(self._loop).tape
+        if shown is not fields and isinstance(tape, TapeWriter):
+            tape.spoil("an operator has set a secret there, which is not kept")
+        given = Given(
+            session.number,
+            session.given,
+            session.who,
+            session.drives,
+            act.name,
+            shown,
+            until,
+        )
+        self._waiting[given[:2]] = waiting
+        self._given.tell_from_thread(*given)
+
+    def _hear(self, *told: Any) -> None:
+        """An act takes effect; in a replay there is nobody who has given it."""
+        given = Given(*told)
+        waiting = self._waiting.pop(given[:2], None)
+        if waiting is None:
+            session = self._sessions.setdefault(
+                given.session,
+                Session(given.who, drives=given.drives, number=given.session),
+            )
+            session.busy += 1
+            waiting = Waiting(session, given.fields, self._outcome())
+        self._begin(ACTS[given.act], waiting, given.until)
+
+    def _hear_leave(self, number: int) -> None:
+        session = self._sessions.pop(number, None)
+        if session is not None:
+            self.leases.end_all(session)
+
+    def _begin(self, act: Act, waiting: Waiting, until: float | None) -> None:
+        """Do an act, in the turn that is its own."""
+        self._context.run(self._do, act, *waiting, until)
+
+    def _do(
         self,
         act: Act,
-        fields: dict[str, Any],
-        message: Message,
         session: Session,
+        fields: dict[str, Any],
         outcome: asyncio.Future[Any],
+        until: float | None,
     ) -> None:
-        """Do an act, in the turn that is its own."""
-        if message.until is not None and self._time() > message.until:
-            late = self._time() - message.until
+        if until is not None and self._time() > until:
+            late = self._time() - until
             error = BehaviorUnavailableError("operator", act.name, late, "too late")
             self._end(act, session, outcome, None, error)
             return

@@ -40,9 +40,13 @@ class Seat:
         self._socket: Socket | None = None
         self._typing = Session("somebody who types")
 
-    async def start(self, robot: Robot) -> None:
-        """Take acts from now on."""
+    def begin(self, robot: Robot) -> None:
+        """Take acts that are typed, from now on; and in a replay those of then."""
         self._console = Console(robot)
+
+    async def start(self) -> None:
+        """Let people in, after `begin`."""
+        assert self._console is not None
         if self._place is not None:
             place, self._place = self._place, None
             self._socket = Socket(self._console, place)

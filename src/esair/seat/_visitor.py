@@ -7,7 +7,7 @@ from typing import Any
 
 from esair.exceptions import BusyError
 from esair.seat._feeds import FEEDS, Feed
-from esair.seat._leases import BEAT, Lease
+from esair.seat._leases import Lease
 from esair.seat._operator import Console, Session
 from esair.seat._wire import (
     VERSION,
@@ -34,12 +34,11 @@ class Visitor:
 
     def __init__(self, console: Console) -> None:
         self.console = console
-        self.session = Session("", self._lapsed)
+        self.session = Session("", hand=self)
         self.dropped = 0
         self.garbage = 0
         self.narrow = 0
         self._feeds: dict[str, Feed] = {}
-        self._beats: asyncio.TimerHandle | None = None
 
     # What a way in provides.
 
@@ -63,9 +62,7 @@ class Visitor:
         """It is gone: what it drives is released, what it watches ends."""
         for feed in self._feeds.values():
             feed.stop()
-        if self._beats is not None:
-            self._beats.cancel()
-        self.console.leases.end_all(self.session)
+        self.console.leave(self.session)
 
     def push(self, found: dict[str, Any]) -> bool:
         """Send what is only worth something while it is new, if there is room."""
@@ -108,10 +105,7 @@ class Visitor:
         elif (error := done.exception()) is not None:
             self.send(failure(name, error))
         else:
-            result = done.result()
-            self.send(outcome(name, result))
-            if isinstance(result, dict) and "lease" in result and self._beats is None:
-                self._beat()
+            self.send(outcome(name, done.result()))
 
     def _follow(self, message: Message) -> None:
         try:
@@ -126,13 +120,11 @@ class Visitor:
         self.send(outcome(message.id, "begins"))
         feed.start()
 
-    def _beat(self) -> None:
-        if not any(each.owner is self.session for each in self.console.leases):
-            self._beats = None
-            return
-        self.push({"v": VERSION, "beat": self.console.leases.beats.next()})
-        self._beats = asyncio.get_running_loop().call_later(BEAT, self._beat)
+    def beat(self, number: int) -> None:
+        """Tell it a beat, if it drives and reads."""
+        self.push({"v": VERSION, "beat": number})
 
-    def _lapsed(self, lease: Lease) -> None:
+    def lapsed(self, lease: Lease) -> None:
+        """Tell it that its lease is over."""
         if not self.gone:
             self.send({"v": VERSION, "lapsed": lease.number})

@@ -275,7 +275,7 @@ class Robot:
             raise ExceptionGroup(f"robot {self.name!r} cannot start", mistakes)
         loop = asyncio.get_running_loop()
         has_seat = self._keeping.has_seat = bool(self._has_socket or self._page)
-        seat = self._make_seat() if has_seat and not repeats(loop) else None
+        seat = self._make_seat(closed=repeats(loop)) if has_seat else None
         self._entered = True
         self._resources.wake()
         self._behaviors.wake()
@@ -305,8 +305,9 @@ class Robot:
         )
         try:
             self._seat = seat
-            if has_seat:
-                await outside(("seat", "start"), self._start_seat)
+            if seat is not None:
+                seat.begin(self)
+                await outside(("seat", "start"), seat.start)
             self._behaviors.accept(self._list_of_behaviors)
             if self._keeper is not None:
                 await self._keeper.start()
@@ -422,21 +423,19 @@ class Robot:
 
     # Inside.
 
-    def _make_seat(self) -> Seat:
+    def _make_seat(self, *, closed: bool) -> Seat:
         from esair.seat import Seat
 
+        if closed:
+            return Seat(self.name, socket=False)
         return Seat(self.name, socket=self._has_socket, page=self._page)
-
-    async def _start_seat(self) -> None:
-        if self._seat is not None:
-            await self._seat.start(self)
 
     async def _typed(self, text: str) -> str:
         if self._seat is None:
             if not self._is_up:
                 raise StoppingError(f"robot {self.name!r}", "it does not run")
-            self._seat = self._make_seat()
-            await self._seat.start(self)
+            self._seat = self._make_seat(closed=True)
+            self._seat.begin(self)
         return await self._seat.typed(text)
 
     def _stop_once(self) -> asyncio.Task[None]:
