@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import importlib
 import json
 import time
@@ -114,10 +113,14 @@ class Replay:
             robot: The robot, not started.
             script: A coroutine function that runs it, as the recorded one was run;
                 `esair.run` unless given.
+
+        Raises:
+            ExceptionGroup: The robot cannot start; every mistake is named.
         """
         player = Player(self._items)
         loop = TurnLoop(player=player)
         found: list[Divergence] = []
+        refused: list[BaseException] = []
 
         def diverged(divergence: Divergence) -> None:
             found.append(divergence)
@@ -133,9 +136,20 @@ class Replay:
         robot.journal.listen(comparison.hear, backlog=1 << 20)
         duration = float(self.about["duration"]) if self.about["duration"] else None
 
+        async def run() -> None:
+            try:
+                if script is None:
+                    await run_to_its_end(robot, duration)
+                else:
+                    await script(robot)
+            except BaseException as error:
+                # The end of the recorded run, which a signal may have brought; or the
+                # robot of today cannot start.
+                if not loop.plays:
+                    refused.append(error)
+
         async def main() -> None:
-            run = run_to_its_end(robot, duration) if script is None else script(robot)
-            task = asyncio.ensure_future(run)
+            task = asyncio.ensure_future(run())
 
             def over() -> None:
                 comparison.end()
@@ -144,11 +158,11 @@ class Replay:
             player.on_over = over
             await asyncio.wait({task})
             comparison.end()
-            with contextlib.suppress(BaseException):  # it is the recorded run's own end
-                task.result()
 
         began = time.monotonic()
         run_and_end(main(), lambda: loop)
+        for error in refused:
+            raise error
         lost = comparison.lost
         return Outcome(
             equal=comparison.equal,
