@@ -36,6 +36,48 @@ async def test_the_stop_ends_those_who_wait_for_the_end() -> None:
     await waiting
 
 
+@pytest.mark.fault("M20", "B11")
+@pytest.mark.parametrize("verb", ["remove", "restart", "replace"])
+async def test_a_stop_does_not_cut_short_a_clean_up(verb: str) -> None:
+    """What a command has told to end has its grace, though the robot stops meanwhile."""
+    ended: list[float] = []
+
+    async def clean_up(_behavior: object) -> None:
+        await asyncio.sleep(0.5)
+        ended.append(loop.time())
+
+    loop = asyncio.get_running_loop()
+    behavior = Scripted(for_ever, teardown=clean_up, name="a")
+    async with esair.Robot(behaviors=[behavior]) as robot:
+        more = [Idle()] if verb == "replace" else []
+        command = asyncio.ensure_future(getattr(robot.behaviors, verb)("a", *more))
+        await asyncio.sleep(0.1)
+    with pytest.raises(esair.EsairError):
+        await command
+    assert ended == [0.5]
+    assert loop.time() == 0.5
+
+
+@pytest.mark.fault("M20", "B14")
+async def test_a_stop_waits_for_a_thread_that_was_told_to_end() -> None:
+    """It ends at its next call, which is soon: that is no zombie."""
+    loop: Any = asyncio.get_running_loop()
+
+    class Looks(esair.ThreadBehavior):
+        def run(self) -> None:
+            loop.wait_in_thread(0.3)
+            self.receive()
+
+    async with esair.Robot(behaviors=[Looks()]) as robot:
+        await asyncio.sleep(0.1)
+        command = asyncio.ensure_future(robot.behaviors.remove("looks"))
+        await asyncio.sleep(0.1)
+    with pytest.raises(esair.StoppingError):
+        await command
+    assert robot.behaviors.zombies == ()
+    assert loop.time() == pytest.approx(0.3)
+
+
 @pytest.mark.fault("M20")
 @pytest.mark.parametrize("seed", seeds)
 async def test_a_stop_in_the_middle_of_commands_leaves_nothing(seed: int) -> None:

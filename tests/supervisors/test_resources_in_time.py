@@ -77,7 +77,7 @@ async def test_a_hung_opening_holds_no_other_command_up() -> None:
     deaf = Deaf("open")
     async with esair.Robot(resources=[], grace=1.0) as robot:
         adding = asyncio.create_task(robot.resources.add(deaf))
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(0.01)
         began = now()
         await robot.resources.add(FakeSensor("sonar", 1.0))
         await robot.resources.replace("sonar", FakeSensor("sonar", 2.0))
@@ -148,3 +148,31 @@ async def test_a_caller_that_gives_up_leaves_no_gate_behind() -> None:
         assert robot.resources.get("wheels") is second
         assert await user.wheels.write(1.0)
         first.resume()
+
+
+class Blocks(esair.Actuator[float]):
+    """Its driver blocks for a while."""
+
+    safe = 0.0
+
+    def __init__(self) -> None:
+        super().__init__(name="arm")
+        self.loop: Any = asyncio.get_running_loop()
+
+    def write(self, command: float) -> None:
+        self.loop.wait_in_thread(0.02)
+
+
+@pytest.mark.promise("SUP-3")
+async def test_a_removal_is_not_undone_by_the_addition_that_it_ends() -> None:
+    """One of them takes the device away; who waits for that learns of it."""
+    async with esair.Robot(resources=[], grace=1.0) as robot:
+        adding = asyncio.create_task(robot.resources.add(Blocks()))
+        await asyncio.sleep(0.01)
+        removing = asyncio.create_task(robot.resources.remove("arm"))
+        await asyncio.sleep(0.01)
+        restarting = asyncio.create_task(robot.resources.restart("arm"))
+        await asyncio.wait({adding, removing, restarting}, timeout=5.0)
+        assert isinstance(adding.exception(), esair.ResourceRemovedError)
+        assert removing.exception() is None
+        assert isinstance(restarting.exception(), esair.UnknownNameError)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from tests.torture.generated import maker
 
-from esair.torture import Step, Story, Target, World, torture
+from esair.torture import Step, Story, Target, World, survive, torture
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 FAULTS, SOAK = 1_500, 100_000
 EACH = 500
@@ -43,3 +47,23 @@ def test_a_device_that_is_removed_while_the_robot_stops_is_not_opened_again() ->
     )
     world = World(Target("robot 3", maker(3)), Story(0, steps, 2.222))
     assert world.run().violations == ()
+
+
+@pytest.mark.promise("ROB-2", "SUP-3")
+def test_the_stop_closes_what_an_addition_in_vain_undoes() -> None:
+    """Both forgot the device; the one that came second ended the stop half done."""
+    survive(
+        f"{EXAMPLES / 'slow_arm.py'}:robot",
+        seed=881628831,
+        lasts=1.788,
+        own=True,
+        steps=[
+            Step(0.515, "halt", lasts=0.02),
+            Step(0.515, "crash", "visitor", how="SystemExit"),
+            Step(0.515, "hang", "guard", lasts=1, how="deaf"),
+            Step(0.515, "hang", "visitor", lasts=0.1, how="deaf"),
+            Step(0.515, "replace", "arm"),
+            Step(0.788, "remove", "arm", lasts=1),
+            Step(1.788, "end", how="error"),
+        ],
+    )

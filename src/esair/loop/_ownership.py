@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import threading
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import Callable, Coroutine, Generator, Sequence
 from random import Random
 from typing import Any, TypeVar
 
@@ -17,7 +17,15 @@ T = TypeVar("T")
 class Owner:
     """Holds every task that a component has started and that still runs."""
 
-    __slots__ = ("_first", "_others", "context", "over", "stream", "threads")
+    __slots__ = (
+        "_first",
+        "_others",
+        "context",
+        "over",
+        "stream",
+        "threads",
+        "told",
+    )
 
     def __init__(self, context: contextvars.Context | None = None) -> None:
         self.context = context
@@ -31,6 +39,8 @@ class Owner:
         """Gives its random numbers."""
         self.over = False
         """Its run has ended: what would not end with it speaks for nobody."""
+        self.told: Sequence[asyncio.Task[Any]] = ()
+        """Those of its tasks that were cancelled: each has its grace to clean up."""
 
     def adopt(self, task: asyncio.Task[Any]) -> None:
         """Remember a task until it is done. The loop itself keeps only weak references."""

@@ -25,17 +25,25 @@ async def until_ended(tasks: list[asyncio.Task[Any]], grace: float) -> None:
 
 
 def cancel(owner: Owner) -> None:
-    """Cancel the tasks of an owner, without waiting."""
-    for task in owner.living():
-        task.cancel()
+    """Cancel the tasks of an owner, without waiting; those that were, not again."""
+    left = owner.living()
+    for task in left:
+        if task not in owner.told:
+            task.cancel()
+    owner.told = left
 
 
 async def end(owner: Owner, grace: float) -> list[asyncio.Task[Any]]:
-    """Cancel the tasks of an owner, twice if need be; returns those that would not end."""
-    left = living(owner)
+    """Cancel the tasks of an owner, twice if need be; returns those that would not end.
+
+    What was cancelled before this is cleaning up: it is left alone until its grace is over.
+    """
+    told, left = owner.told, living(owner)
     for seconds in (grace, _SECOND):
         for task in left:
-            task.cancel()
+            if task not in told:
+                task.cancel()
+        owner.told, told = left, []
         await until_ended(left, seconds)
         left = living(owner)
     for task in left:

@@ -338,6 +338,8 @@ class ResourceDeployment:
         else:
             life.channel.down(state, StoppingError(name, "closed"))
         await life.stop(until)
+        if self.lives.get(name) is not life:
+            return  # the stop and a command have closed it at the same time
         if isinstance(life.channel, ActuatorChannel):
             life.channel.closed()
         self._forget(name, state)

@@ -141,8 +141,9 @@ class ResourceSupervisor(abc.Supervisor):
             deployed = await self._commands.run(deploy, name=title, undo=True)
             await asyncio.shield(deployed.tried)
         except BaseException:
-            # Undone, unless somebody has taken it away meanwhile.
-            if life is not None and self._deployment.lives.get(added.name) is life:
+            # Undone, unless somebody takes it away, or has done so.
+            there = life is not None and self._deployment.lives.get(added.name) is life
+            if there and not self._deployment.is_departing(added.name):
                 undoing = self._deployment.undo(added.name, title)
                 await asyncio.wait({undoing})
             raise
