@@ -52,10 +52,12 @@ class Zombie(NamedTuple):
     Attributes:
         behavior: The name of the component it belonged to.
         task: The name of the task or thread.
+        at: When it was given up, in seconds of the loop's clock.
     """
 
     behavior: str
     task: str
+    at: float
 
 
 class BehaviorDeployment:
@@ -309,7 +311,7 @@ class BehaviorDeployment:
             task.add_done_callback(self.undead.discard)
         for name in member.zombies:
             self.zombie_count += 1
-            self.zombies.append(Zombie(member.name, name))
+            self.zombies.append(Zombie(member.name, name, loop.time()))
             del self.zombies[:-ZOMBIE_LIMIT]
             _log.warning("%s: %s would not end; it is fenced off", member.name, name)
 

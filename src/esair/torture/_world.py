@@ -19,7 +19,7 @@ from esair.resources import Resource
 from esair.testing import DeadlockError, LivelockError, VirtualLoop
 from esair.torture._boxes import Boxes
 from esair.torture._gate import Gate
-from esair.torture._judge import Judge, Violation, protected_in
+from esair.torture._judge import SLACK, Judge, Violation, protected_in
 from esair.torture._kinds import KINDS, NotNowError
 from esair.torture._lever import Lever
 from esair.torture._patience import HeldError, Patience, abandon
@@ -327,7 +327,9 @@ class World:
             self.loop.run_until_complete(asyncio.wait(left, timeout=1.0))
         deaf = {each.action.name for each in self.levers.values() if each.deaf}
         for zombie in self.robot.behaviors.zombies:
-            if zombie.behavior not in deaf:
+            told = zombie.at - self.grace - SLACK
+            in_time = not any(told < when <= zombie.at for when, _ in self._jumps)
+            if zombie.behavior not in deaf and in_time:  # else its grace was skipped
                 text = f"{zombie.task} would not end when it was told to"
                 self.judge.say("left", zombie.behavior, text)
         for call in self.robot.resources.abandoned():
