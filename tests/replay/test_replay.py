@@ -193,7 +193,7 @@ def test_a_recording_runs_no_code(
     robots.recorded(path, 0.1)
 
     with pytest.raises(RecordingBrokenError, match="no plain data"):
-        Replay(path)
+        Replay(path).run(robots.make())
 
 
 def draws() -> float:

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.text import Text
 
+import esair
 from esair import config
 from esair.cli._errors import CANNOT_USE, missing_extra, tell
 from esair.exceptions import EsairError, describe
@@ -30,7 +31,7 @@ def replay(
     file: Path,
     /,
     *,
-    with_: Annotated[Path | None, Parameter(name="--with")] = None,
+    with_: Annotated[str | None, Parameter(name="--with")] = None,
     check: Annotated[bool, Parameter(negative=())] = False,
     verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative=())] = False,
 ) -> int:
@@ -42,7 +43,9 @@ def replay(
 
     Args:
         file: The recording of 'esair run' or 'esair sim'.
-        with_: The robot.toml; that of the recorded run unless given.
+        with_: What the robot is made of: a robot.toml, module:robot, file.py:robot (or
+            a function that returns it), or a program that runs it; the robot.toml of
+            the recorded run unless given.
         check: Run nothing: name what in the robot's code cannot be repeated. The exit
             code is 3 if there is such a thing.
         verbose: Show the log of the replay.
@@ -61,19 +64,15 @@ def replay(
             outcome = recorded.run_script()
             if outcome is not None:
                 return show(outcome, console)
-        robot_file = with_ or recorded.file
-        if robot_file is None:
-            tell(
-                f"{file}: the robot was made by a program: name a robot.toml that makes "
-                "the same one, --with robot.toml"
-            )
+        made_of = with_ or (str(recorded.file) if recorded.file else "")
+        if not made_of:
+            program = recorded.program or "PROGRAM.py"
+            tell(f"{file}: a program made this robot, name it: --with {program}")
             return CANNOT_USE
-        sys.path.insert(0, str(robot_file.resolve().parent))
-        described = config.load(robot_file, simulated=recorded.is_simulated)
+        robot = _robot_of(made_of, simulated=recorded.is_simulated)
         if check:
-            return _check(described)
-        robot = config.build(described)
-        for line in _changes(recorded, robot_file, described):
+            return _check(robot)
+        for line in _changes(recorded, robot):
             console.print(line, style="yellow")
         outcome = recorded.run(robot)
     except ModuleNotFoundError as error:
@@ -89,10 +88,18 @@ def replay(
     return show(outcome, console)
 
 
-def _check(described: config.Description) -> int:
+def _robot_of(made_of: str, *, simulated: bool) -> esair.Robot:
+    if config.is_of_module(made_of) or made_of.endswith(".py"):
+        return config.robot_of(made_of)
+    path = Path(made_of)
+    sys.path.insert(0, str(path.resolve().parent))
+    return config.build(config.load(path, simulated=simulated))
+
+
+def _check(robot: esair.Robot) -> int:
     from esair.replay import unrepeatable
 
-    found = unrepeatable(described.behaviors.values())
+    found = unrepeatable(robot.plan.behaviors)
     for each in found:
         print(each)  # noqa: T201 - this is the command line
     if not found:
@@ -100,23 +107,31 @@ def _check(described: config.Description) -> int:
     return DIVERGED if found else 0
 
 
-def _changes(
-    recorded: Replay, robot_file: Path, described: config.Description
-) -> list[str]:
+def _changes(recorded: Replay, robot: esair.Robot) -> list[str]:
     """Say what is not as it was recorded: a difference may come from there."""
     from esair.recording import facts_about
 
     lines: list[str] = []
-    text = robot_file.read_text(encoding="utf-8")
-    if text != recorded.facts["robot"].get("robot.toml", text):
-        lines.append(f"{robot_file.name} is not as it was when the run was recorded")
-    components = [*described.resources.values(), *described.behaviors.values()]
+    before = recorded.facts["robot"].get("robot.toml")
+    file = None if robot.source is None else robot.source[0]
+    if file is not None and before and file.read_text(encoding="utf-8") != before:
+        lines.append(f"{file.name} is not as it was when the run was recorded")
+    components = [*robot.plan.resources, *robot.plan.behaviors]
     code = dict(facts_about("", components))["code"]
-    before = recorded.facts.get("code", {})
-    changed = sorted(name for name in code if before.get(name, "") != code[name])
+    known = recorded.facts.get("code", {})
+    changed = sorted(
+        name
+        for name, now in code.items()
+        # What was a part of the program then may be one of a module now.
+        if now not in {known.get(name), known.get(f"__main__.{_of_class(name)}")}
+    )
     if changed:
         lines.append(f"changed since it was recorded: {', '.join(changed)}")
     return lines
+
+
+def _of_class(name: str) -> str:
+    return name.rpartition(".")[2]
 
 
 def show(outcome: Outcome, console: Console) -> int:

@@ -27,7 +27,7 @@ from esair.config._construct import keywords_of
 from esair.config._description import Description
 from esair.config._load import build, load, load_robot
 from esair.config._mistakes import ConfigFileError
-from esair.config._module import find_robot, is_of_module
+from esair.config._module import find_robot, is_of_module, robot_of
 from esair.config._records import fields_of
 from esair.config._values import INVALID, convert
 
@@ -46,5 +46,6 @@ __all__ = [
     "keywords_of",
     "load",
     "load_robot",
+    "robot_of",
     "searched_first",
 ]

@@ -1,4 +1,4 @@
-"""A robot of a module: ``module:robot``, or ``file.py:robot``."""
+"""A robot of a module: ``module:robot``, ``file.py:robot``; or of a program."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, Literal, overload
 from esair.config._classes import searched_first
 from esair.exceptions import ConfigError, describe, did_you_mean
 from esair.plan import only_looking
-from esair.standard import Robot
+from esair.standard import Robot, RunWanted, instead_of_running
 
 
 def is_of_module(target: str) -> bool:
@@ -57,6 +57,53 @@ def find_robot(target: str, *, or_maker: bool = False) -> Any:
     )
     told = f"expected an esair.Robot named {name!r} in {where!r}, {has}{hint}"
     raise ConfigError(target, "", told)
+
+
+def robot_of(target: str) -> Robot:
+    """Return the robot of a module or a program; it is not started.
+
+    Args:
+        target: ``module:robot`` or ``file.py:robot``, where the name may be that of a
+            function that returns a robot; or ``program.py``, which is run until its
+            `esair.run`.
+
+    Raises:
+        ConfigError: There is no such robot.
+    """
+    if not is_of_module(target):
+        return _robot_of_program(target)
+    found = find_robot(target, or_maker=True)
+    try:
+        made = found if isinstance(found, Robot) else found()
+    except Exception as error:  # the user's code may do anything
+        raise ConfigError(target, "", f"it raised {describe(error)}") from error
+    if isinstance(made, Robot):
+        return made
+    told = f"expected it to return an esair.Robot, not {made!r:.80}"
+    raise ConfigError(target, "", told)
+
+
+def _robot_of_program(path: str) -> Robot:
+    """Run a program as Python does, and end it where it runs its robot."""
+    place = Path(path)
+    if not place.is_file():
+        raise ConfigError(path, "", "there is no such file")
+    program = ModuleType("__main__")
+    program.__file__ = str(place)
+    sys.modules["__main__"] = program
+    sys.path.insert(0, str(place.resolve().parent))
+    sys.argv = [str(place)]
+    try:
+        with instead_of_running():
+            exec(compile(place.read_bytes(), str(place), "exec"), vars(program))
+    except RunWanted as wanted:
+        return wanted.robot
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # the user's code may do anything
+        told = f"it has ended before it ran a robot: {describe(error)}"
+        raise ConfigError(path, "", told) from error
+    raise ConfigError(path, "", "it has ended, and has not called esair.run(robot)")
 
 
 def _import(name: str) -> ModuleType:

@@ -39,7 +39,7 @@ __all__ = [
 
 
 def repeat(recorded: Replay, *, seed: int, duration: float) -> Outcome:
-    """Repeat a show that was recorded, for ``esair replay``.
+    """Repeat a show that was recorded, for ``esair replay``; a fast one with its world.
 
     Args:
         recorded: The recording.

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import importlib.resources
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -186,7 +185,7 @@ async def perform(
 
 
 def repeat(recorded: Replay, *, seed: int, duration: float) -> Outcome:
-    """Repeat a recorded show: the same story, and nothing of the world.
+    """Repeat a recorded show: the same story; of a fast one the world, too.
 
     Args:
         recorded: The recording.
@@ -200,7 +199,9 @@ def repeat(recorded: Replay, *, seed: int, duration: float) -> Outcome:
         async with Simulation(seed=seed) as simulation:
             await _play(Ending(), screen, robot, described, simulation, duration)
 
-    return recorded.run(build(described), play)
+    return recorded.run(
+        build(described), play, _virtual(seed) if recorded.is_virtual else None
+    )
 
 
 async def _play(
@@ -299,13 +300,11 @@ def _robot_file() -> Path:
         return path
 
 
-@contextlib.contextmanager
-def _runner(fast: bool, seed: int) -> Iterator[asyncio.Runner]:
-    if not fast:
-        with asyncio.Runner(loop_factory=TurnLoop) as runner:
-            yield runner
-        return
+def _runner(fast: bool, seed: int) -> asyncio.Runner:
+    return asyncio.Runner(loop_factory=lambda: _virtual(seed) if fast else TurnLoop())
+
+
+def _virtual(seed: int) -> asyncio.AbstractEventLoop:
     from esair.testing import VirtualLoop
 
-    with asyncio.Runner(loop_factory=lambda: VirtualLoop(seed=seed)) as runner:
-        yield runner
+    return VirtualLoop(seed=seed)

@@ -67,8 +67,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         self.turn = 0
         """The number of this turn, since the run began that is kept or repeated."""
         self.player = player
-        self.plays = False
-        """Whether the run is repeated that the player has."""
+        self._plays = False
         self._tape: TapeWriter | None = None
         self._shift = 0.0
         if player is not None:
@@ -96,7 +95,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         """Begin to repeat the run, in the turn in which its keeping began."""
         player = self.player
         assert player is not None
-        self.plays = True
+        self._plays = True
         self.turn = 0
         self._now = player.moments[0]
         self._door.tape = player
@@ -148,7 +147,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
     def _border(
         self, timeout: float | None, select: Callable[[float | None], Any]
     ) -> Any:
-        if self.plays:
+        if self._plays:
             return self._replay(timeout, select)
         door, scheduler, beside = self._door, self._scheduler, self._beside
         if door.waiting:

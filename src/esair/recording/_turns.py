@@ -12,7 +12,8 @@ import enum
 import io
 import itertools
 import pickle
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,12 +91,13 @@ class Kept(NamedTuple):
     spoiled: str | None
 
 
-def turns_of(path: Path, chunks: list[bytes]) -> Kept:
+def turns_of(path: Path, chunks: list[bytes], programs: Sequence[str] = ()) -> Kept:
     """Return the turns of a recording.
 
     Args:
         path: The recording, for messages.
         chunks: What `contents_of` has found there.
+        programs: The modules that may have been the program which was recorded.
 
     Raises:
         RecordingBrokenError: It holds none, or not the beginning; or they hold what is
@@ -105,7 +107,7 @@ def turns_of(path: Path, chunks: list[bytes]) -> Kept:
     spoiled: str | None = None
     for expected, data in enumerate(chunks):
         try:
-            number, more = _Unpickler(io.BytesIO(data)).load()
+            number, more = _Unpickler(io.BytesIO(data), programs).load()
         except pickle.UnpicklingError as error:
             raise RecordingBrokenError(str(path), str(error)) from error
         except Exception as error:
@@ -201,11 +203,18 @@ _ARRAYS = frozenset({"_reconstruct", "_frombuffer", "scalar", "dtype", "ndarray"
 class _Unpickler(pickle.Unpickler):
     """Makes plain data only: attrs and data classes, named tuples, enums, errors."""
 
+    def __init__(self, data: io.BytesIO, programs: Sequence[str]) -> None:
+        super().__init__(data)
+        self._programs = programs
+
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) in _PLAIN or (
             module.partition(".")[0] == "numpy" and name in _ARRAYS
         ):
             return super().find_class(module, name)
+        if module == "__main__":  # the program then; now it may be a module
+            has = (it for it in self._programs if hasattr(sys.modules.get(it), name))
+            module = next(has, module)
         found = super().find_class(module, name)
         if isinstance(found, type) and (
             attrs.has(found)

@@ -69,17 +69,23 @@ class Replay:
             raise RecordingBrokenError(
                 str(path), f"it is not exact: {self.about['why']}"
             )
-        self._events = contents.events
-        kept = turns_of(path, contents.turns)
-        self._items = kept.items
-        self.spoiled = kept.spoiled or ""
-        """Why its end cannot be repeated; empty if it can."""
+        self._contents = contents
         self.seed = int(facts["robot"]["seed"])
 
     @property
     def file(self) -> Path | None:
         """The robot.toml that the robot was made of; None if of none."""
         return Path(self.about["file"]) if self.about["file"] else None
+
+    @property
+    def program(self) -> str:
+        """The program that made the robot, if no file did."""
+        return str(self.about.get("program", ""))
+
+    @property
+    def is_virtual(self) -> bool:
+        """Whether its time was virtual: then all of it happens again, devices too."""
+        return bool(self.about.get("clock") == "virtual")
 
     @property
     def is_simulated(self) -> bool:
@@ -104,6 +110,7 @@ class Replay:
         self,
         robot: Robot,
         script: Callable[[Robot], Coroutine[Any, Any, None]] | None = None,
+        loop: asyncio.AbstractEventLoop | None = None,
     ) -> Outcome:
         """Repeat the run with a robot that was made as the recorded one.
 
@@ -113,23 +120,36 @@ class Replay:
             robot: The robot, not started.
             script: A coroutine function that runs it, as the recorded one was run;
                 `esair.run` unless given.
+            loop: One with virtual time, on which all happens again, the devices too;
+                one that plays what was recorded unless given.
 
         Raises:
+            RecordingBrokenError: What was recorded cannot be read.
             ExceptionGroup: The robot cannot start; every mistake is named.
         """
-        player = Player(self._items)
-        loop = TurnLoop(player=player)
+        spoiled, moments, player = "", self._moments(), None
+        if loop is None:
+            kept = turns_of(self.path, self._contents.turns, _modules_of(robot))
+            spoiled = kept.spoiled or ""
+            player = Player(kept.items)
+            moments = player.moments
+            loop = TurnLoop(player=player)
         found: list[Divergence] = []
         refused: list[BaseException] = []
+        task: asyncio.Task[None]
 
         def diverged(divergence: Divergence) -> None:
             found.append(divergence)
-            loop.call_soon(player.end)
+            loop.call_soon(over if player is None else player.end)
+
+        def over() -> None:
+            comparison.end()
+            task.cancel()
 
         comparison = Comparison(
-            self._events,
-            player.moments,
-            whole="end" in self.facts and not self.spoiled,
+            self._contents.events,
+            moments,
+            whole="end" in self.facts and not spoiled,
             diverged=diverged,
         )
         prepare_replay(robot, self.seed, has_seat=self.about["seat"] == "yes")
@@ -145,17 +165,14 @@ class Replay:
             except BaseException as error:
                 # The end of the recorded run, which a signal may have brought; or the
                 # robot of today cannot start.
-                if not loop.plays:
+                if not comparison.equal and not found:
                     refused.append(error)
 
         async def main() -> None:
+            nonlocal task
             task = asyncio.ensure_future(run())
-
-            def over() -> None:
-                comparison.end()
-                task.cancel()
-
-            player.on_over = over
+            if player is not None:
+                player.on_over = over
             await asyncio.wait({task})
             comparison.end()
 
@@ -167,8 +184,19 @@ class Replay:
         return Outcome(
             equal=comparison.equal,
             divergence=found[0] if found else None,
-            turns=min(loop.turn, len(player.moments)),
-            seconds=player.moments[-1] - player.moments[0],
+            turns=min(getattr(loop, "turn", len(moments)), len(moments)),
+            seconds=moments[-1] - moments[0],
             took=time.monotonic() - began,
-            short=self.spoiled or (f"{lost} events were not recorded" if lost else ""),
+            short=spoiled or (f"{lost} events were not recorded" if lost else ""),
         )
+
+    def _moments(self) -> list[float]:
+        """Return the moments at which something has happened."""
+        return sorted({event.time for event in self._contents.events}) or [0.0]
+
+
+def _modules_of(robot: Robot) -> list[str]:
+    """Return the modules of a robot's components: one may have been the program."""
+    parts: list[Any] = [*robot.plan.resources, *robot.plan.behaviors]
+    parts = [getattr(each, "reaction", each) for each in parts]
+    return list(dict.fromkeys(type(each).__module__ for each in parts))

@@ -3,13 +3,22 @@
 from esair.standard._care import STALL_WARNING
 from esair.standard._recording import FORMAT
 from esair.standard._robot import LAST_WAIT, Robot
-from esair.standard._run import prepare_replay, recorded_as, run, run_to_its_end
+from esair.standard._run import (
+    RunWanted,
+    instead_of_running,
+    prepare_replay,
+    recorded_as,
+    run,
+    run_to_its_end,
+)
 
 __all__ = [
     "FORMAT",
     "LAST_WAIT",
     "STALL_WARNING",
     "Robot",
+    "RunWanted",
+    "instead_of_running",
     "prepare_replay",
     "recorded_as",
     "run",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,11 +87,18 @@ class Keeping:
         components = [*plan.resources, *plan.behaviors]
         facts = facts_about(plan.name, components, text, str(seed))
         recorder = Recorder(recording, journal, name=plan.name, facts=facts)
-        exact = isinstance(loop, TurnLoop)
+        virtual = getattr(loop, "virtual", False)
+        why = ""
+        if virtual and self.script is None:
+            why = "its time was virtual: its own test or program repeats it"
+        elif not virtual and not isinstance(loop, TurnLoop):
+            why = f"its event loop is {type(loop).__name__}: esair.run brings its own"
         about = {
             "format": FORMAT,
-            "exact": "yes" if exact else "no",
-            "why": "" if exact else f"its event loop is {type(loop).__name__}",
+            "exact": "no" if why else "yes",
+            "why": why,
+            "clock": "virtual" if virtual else "real",
+            "program": _program(),
             "file": "" if file is None else str(file.resolve()),
             "simulated": "yes" if simulated else "no",
             "duration": "" if self.duration is None else repr(self.duration),
@@ -113,3 +121,9 @@ class Keeping:
         if isinstance(loop, TurnLoop):
             loop.keep(None)
         await asyncio.to_thread(self.recorder.close)
+
+
+def _program() -> str:
+    """Return the file of the program that runs; empty if it has none."""
+    file = getattr(sys.modules.get("__main__"), "__file__", None)
+    return "" if file is None else str(Path(file).resolve())
