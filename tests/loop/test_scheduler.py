@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.loop import Order, Scheduler
+from esair.loop import Order, Scheduler, TurnLoop
 from esair.testing import VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
@@ -267,3 +267,23 @@ async def test_shots_that_were_cancelled_keep_nothing_alive() -> None:
 
     names = [task.get_name() for task in asyncio.all_tasks()]
     assert "esair scheduler" not in names
+
+
+@pytest.mark.promise("TURN-2")
+@pytest.mark.real_clock
+def test_what_the_end_of_a_turn_asks_for_comes_in_the_next_one() -> None:
+    """Also where turns have a border and nothing else is due for long."""
+
+    async def main() -> float:
+        loop = asyncio.get_running_loop()
+        called: asyncio.Future[float] = loop.create_future()
+        job = Scheduler.of(loop).on_demand(called.set_result)
+        due = loop.time() + 0.01
+        Scheduler.of(loop).at(due, lambda _now: job.soon(), order=Order.EXPIRY)
+        far = Scheduler.of(loop).at(due + 100.0, lambda _now: None)
+        moment = await asyncio.wait_for(called, 10.0)
+        Scheduler.of(loop).cancel(far)
+        return moment - due
+
+    with asyncio.Runner(loop_factory=TurnLoop) as runner:
+        assert runner.run(main()) < 1.0

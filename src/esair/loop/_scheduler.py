@@ -398,7 +398,13 @@ class Scheduler:
         return (fired,)
 
     async def _wait(self) -> None:
-        if not self._has_border and (
+        if self._has_border:
+            # What the end of the turn has asked for is for the next one.
+            self._later += self._queue
+            self._decided_later += self._decided
+            self._derived_later += self._derived
+            self._queue, self._decided, self._derived = [], [], []
+        elif (
             self._queue
             or self._derived
             or self._decided
