@@ -185,7 +185,7 @@ class Output:
             self.later = command
             return True, None
         try:
-            outcome = self.channel.begin(self.registration, command, None, told=False)
+            outcome = self.channel.begin(self.registration, command, None, False)
         except EsairError as error:
             self._reject(error)
             return False, None

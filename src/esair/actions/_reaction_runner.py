@@ -246,13 +246,12 @@ class ReactionRunner:
         asked = [each for one in self._inputs for each in one.channel.sampled]
         polled = tuple(dict.fromkeys(asked))
         name, scheduler = self.reaction.name, self._scheduler
-        step = self._turn
-        if polled:
-            self._sampling = Sampling(scheduler, polled, step, name, rate)
-            step = self._sampling.turn
         names = [each.name for each in polled] or [name]
         phase = max(map(scheduler.phase, names))
-        self.job = scheduler.every(1.0 / rate, step, name=name, phase=phase)
+        self.job = scheduler.every(1.0 / rate, self._turn, name=name, phase=phase)
+        if polled:
+            self._sampling = Sampling(scheduler, polled, self._turn, name, rate)
+            self.job.waits = self._sampling.waits
 
     def stop(self) -> None:
         """Never step again, and follow nothing. What it wrote is the caller's to undo."""
@@ -406,17 +405,20 @@ class ReactionRunner:
     def _decide(self, now: float) -> None:
         """Make one step on the values that there are now."""
         self.steps += 1
-        self._clock.step(now)
+        clock = self._clock  # `StepClock.step` in its place: each step comes here
+        clock.before = clock.now
+        clock.now = now
+        if clock.reaction is not None:
+            clock.tell()
         stepping = self._stepping
         stepping.owner = self._owner
-        values = self.values
         try:
             if not self._by_place:
                 result = self._react(**self.readings())
-            elif len(values) == 1:
-                result = self._react(values[0])
+            elif self._is_alone:
+                result = self._react(self.values[0])
             else:
-                result = self._react(*values)
+                result = self._react(*self.values)
         except BaseException as error:  # contained: one component's failure
             self._crash(error)
             return

@@ -29,7 +29,6 @@ class Sampling:
         "_polled",
         "_sampled_in",
         "_scheduler",
-        "_step",
     )
 
     def __init__(
@@ -42,7 +41,6 @@ class Sampling:
     ) -> None:
         self._scheduler = scheduler
         self._polled = polled
-        self._step = step
         self._half = 0.5 / rate
         self._deferred: Job = scheduler.on_demand(step, name=name)
         self._awaits = 0
@@ -51,19 +49,8 @@ class Sampling:
         """and of which turn they are; 0 if it waits for none."""
         self._patience: OneShot | None = None
 
-    def turn(self, now: float) -> None:
-        """Step, or see to it that the step comes when its samples are there."""
-        # One look for all: a thousand sensors that answer at once are not touched.
-        scheduler = self._scheduler
-        if scheduler.polled_in != scheduler.turns or not self._waits(now):
-            self._step(now)
-
-    def stop(self) -> None:
-        """Never step again."""
-        self._deferred.stop()
-        self._lose_patience()
-
-    def _waits(self, now: float) -> bool:
+    def waits(self, now: float) -> bool:
+        """Tell whether the step waits; then it comes when its samples are there."""
         turn, half = self._scheduler.turns, self._half
         awaited = [
             each
@@ -81,6 +68,11 @@ class Sampling:
             now + half, self._wait_no_longer, order=Order.EXPIRY
         )
         return True
+
+    def stop(self) -> None:
+        """Never step again."""
+        self._deferred.stop()
+        self._lose_patience()
 
     def _answered(self, turn: int) -> None:
         """A sample has come; step when all have."""

@@ -16,32 +16,38 @@ class StepClock:
         reaction: Who is told at each step, because it cannot ask: one of MIN.
     """
 
-    __slots__ = ("_before", "_began", "_now", "_reaction")
+    __slots__ = ("_began", "before", "now", "reaction")
 
     def __init__(self, began: float, reaction: Any = None) -> None:
         self._began = began
-        self._now: float | None = None
-        self._before: float | None = None
-        self._reaction = reaction
+        self.now: float | None = None
+        """When the step began, in seconds of the loop's clock; None before the first,"""
+        self.before: float | None = None
+        """and the one before it."""
+        self.reaction = reaction
 
     def step(self, now: float) -> None:
         """Begin a step."""
-        self._before = self._now
-        self._now = now
-        if self._reaction is not None:
-            self._reaction.now_ms = self.now_ms
-            self._reaction.elapsed_ms = self.elapsed_ms
+        self.before = self.now
+        self.now = now
+        if self.reaction is not None:
+            self.tell()
+
+    def tell(self) -> None:
+        """Tell the reaction, which cannot ask."""
+        self.reaction.now_ms = self.now_ms
+        self.reaction.elapsed_ms = self.elapsed_ms
 
     @property
     def now_ms(self) -> int:
         """The moment of this step, in whole milliseconds since the robot started."""
-        return 0 if self._now is None else self._since_start(self._now)
+        return 0 if self.now is None else self._since_start(self.now)
 
     @property
     def elapsed_ms(self) -> int:
         """Milliseconds since its previous step; 0 at the first."""
         return (
-            0 if self._before is None else self.now_ms - self._since_start(self._before)
+            0 if self.before is None else self.now_ms - self._since_start(self.before)
         )
 
     def _since_start(self, moment: float) -> int:

@@ -78,7 +78,6 @@ class ActuatorChannel(HeldDevice):
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
         "_accepts",
-        "_begin_call",
         "_blocks",
         "_check",
         "_checked",
@@ -108,7 +107,6 @@ class ActuatorChannel(HeldDevice):
         """Write to this actuator from now on; it is not ready yet."""
         super().attach(actuator)
         self._blocks = self._write.executor is not None
-        self._begin_call = self.calls.begin
 
     def configured(self) -> None:
         """Take over changed limits and time-outs."""
@@ -195,7 +193,6 @@ class ActuatorChannel(HeldDevice):
         registration: Registration,
         command: Any,
         hold: float | None,
-        *,
         told: bool = True,
     ) -> Sent:
         """Check everything and send a command, without a wait if the driver has none.
@@ -271,13 +268,14 @@ class ActuatorChannel(HeldDevice):
             journal.publish(Kind.SENT, self.name, registration.behavior, command)
         guard = self._guard(registration) if self._blocks else None
         try:
-            sent = self._begin_call(
-                "write", self._write, (command,), self._deadline, self._ended, guard
+            sent = self.calls.begin(
+                "write", self._write, (command,), self._deadline, guard
             )
         except Exception as error:
             self._busy = self._lane is not None or self._safe_task is not None
             raise self._interrupted(error, command) from error
         if type(sent) is Call:
+            sent.apply = self._ended
             sent.owner = registration
             self._lane = sent
             self._told_error = "it has not answered yet"

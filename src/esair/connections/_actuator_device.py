@@ -236,13 +236,12 @@ class ActuatorDevice:
                 self._lane_free(call)
 
         try:
-            value = self.calls.begin(
-                method.name, method, (), self.actuator.deadline, ended
-            )
+            value = self.calls.begin(method.name, method, (), self.actuator.deadline)
         except Exception as error:
             told(End(None, error))
         else:
             if type(value) is Call:
+                value.apply = ended
                 self._lane = value
                 self._busy = True
             else:

@@ -71,7 +71,6 @@ class Call:
         number: int,
         args: tuple[Any, ...],
         begun: float,
-        apply: Apply | None,
     ) -> None:
         self.resource = resource
         self.kind = kind
@@ -79,7 +78,7 @@ class Call:
         self.number = number
         self.args = args
         self.begun = begun
-        self.apply = apply
+        self.apply: Apply | None = None
         self.ended: float | None = None
         self.outcome: End | None = None
         self.cancelled = False

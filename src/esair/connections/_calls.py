@@ -7,7 +7,7 @@ import contextvars
 from collections.abc import Callable
 from typing import Any
 
-from esair.connections._call import Apply, Call, End
+from esair.connections._call import Call, End
 from esair.connections._driver import Driver, Guard, Method
 from esair.connections._taped import begin_taped
 from esair.connections._threaded_call import ThreadedCall, awaited
@@ -45,7 +45,6 @@ class Calls:
     """
 
     __slots__ = (
-        "_context",
         "_deadlines",
         "_door",
         "_left",
@@ -53,10 +52,10 @@ class Calls:
         "_on_late",
         "_on_stuck",
         "_steps",
-        "_task_name",
         "_time",
         "abandoned",
         "alive",
+        "context",
         "driver",
         "late",
         "number",
@@ -94,8 +93,13 @@ class Calls:
         self._on_stuck = on_stuck
         self._left = left
         self._steps = FirstSteps.of(loop)
-        self._task_name = f"{self.resource} driver"
-        self._context = contextvars.Context()
+        self.context = contextvars.Context()
+        """What the driver's first steps run in, so that it belongs to nobody."""
+
+    @property
+    def task_name(self) -> str:
+        """What tools see where a task of the driver runs."""
+        return f"{self.resource} driver"
 
     def begin(
         self,
@@ -103,7 +107,6 @@ class Calls:
         method: Method,
         args: tuple[Any, ...],
         limit: float | None,
-        apply: Apply | None = None,
         guard: Guard | None = None,
     ) -> Any:
         """Call a method of the driver, now.
@@ -113,11 +116,11 @@ class Calls:
             method: What is called.
             args: What with.
             limit: The deadline, in seconds; None for a stream, which has none.
-            apply: Told the outcome of a call that waits, before anybody else.
             guard: Asked on a thread immediately before the call.
 
         Returns:
-            What the driver returned; or a `Call`, which waits.
+            What the driver returned; or a `Call`, which waits. Who sets its ``apply``
+            at once is told its outcome before anybody else.
 
         Raises:
             DriverStuckError: Too many abandoned calls are alive.
@@ -129,23 +132,21 @@ class Calls:
             self._check_abandoned(kind)
         tape = self._door.tape
         if tape is not None:
-            return begin_taped(self, tape, kind, method, args, limit, apply, guard)
-        if not method.is_usual:
-            return self.begin_untaped(kind, method, args, limit, apply, guard)
-        steps, loop = self._steps, self._loop
+            return begin_taped(self, tape, kind, method, args, limit, guard)
+        steps = self._steps
         light = steps.spare
-        if light is None:  # this call begins in the first step of another one
-            return self.begin_untaped(kind, method, args, limit, apply, guard)
+        if light is None or not method.is_usual:
+            return self.begin_untaped(kind, method, args, limit, guard)
         # Most calls are these, and end here: it is `FirstSteps.begin` in its place.
         steps.spare = None
-        light.name = self._task_name
-        light.context = context = self._context
+        light.caller = self
+        loop = self._loop
         caller = current_tasks.get(loop)
         current_tasks[loop] = light
         waits_for: Any = None
         try:
             coroutine = method.function(*args)
-            waits_for = context.run(light.send, coroutine)
+            waits_for = self.context.run(light.send, coroutine)
         except BaseException as error:
             raise self._contained(error) from error.__cause__
         finally:
@@ -154,13 +155,14 @@ class Calls:
             else:
                 current_tasks[loop] = caller
             if waits_for is ENDED and not light._num_cancels_requested:  # noqa: SLF001 - the name that anyio looks at
+                light.caller = None
                 steps.spare = light
             else:
-                steps.spare = LightTask(loop, "driver")
+                steps.spare = LightTask(loop)
         if waits_for is ENDED:
             return light.value
         light.goes_on(coroutine, waits_for)
-        return self._waits(light, kind, args, limit, apply)
+        return self._waits(light, kind, args, limit)
 
     def begin_untaped(
         self,
@@ -168,12 +170,11 @@ class Calls:
         method: Method,
         args: tuple[Any, ...],
         limit: float | None,
-        apply: Apply | None,
         guard: Guard | None,
     ) -> Any:
         """Call a method of the driver, whether or not the run is kept."""
         if method.executor is not None:
-            call = self.track(kind, args, limit, apply)
+            call = self.track(kind, args, limit)
             threaded = ThreadedCall(self, call, method, guard)
             call.engine = threaded
             try:
@@ -184,32 +185,26 @@ class Calls:
             return call
         try:
             if method.is_plain:
-                value = self._context.run(method.function, *args)
+                value = self.context.run(method.function, *args)
                 if value is None or not hasattr(value, "__await__"):
                     return value
                 coroutine = awaited(value)
             else:
                 coroutine = method.function(*args)
-            value = self._steps.begin(coroutine, self._task_name, self._context)
+            value = self._steps.begin(coroutine, self)
         except BaseException as error:
             raise self._contained(error) from error.__cause__
         if type(value) is not LightTask:
             return value
-        return self._waits(value, kind, args, limit, apply)
+        return self._waits(value, kind, args, limit)
 
     def _waits(
-        self,
-        light: LightTask,
-        kind: str,
-        args: tuple[Any, ...],
-        limit: float | None,
-        apply: Apply | None,
+        self, light: LightTask, kind: str, args: tuple[Any, ...], limit: float | None
     ) -> Any:
         """Make the call of a driver that goes on in a light task."""
         if light.get_coro() is None:
             return light  # it has not: this is what the driver has returned
-        self._context = contextvars.Context()  # that one is the light task's now
-        call = self.track(kind, args, limit, apply)
+        call = self.track(kind, args, limit)
         call.engine = light
         light.then(lambda value, error: self.over(call, End(value, error)))
         return call
@@ -313,13 +308,9 @@ class Calls:
 
     # Inside.
 
-    def track(
-        self, kind: str, args: tuple[Any, ...], limit: float | None, apply: Apply | None
-    ) -> Call:
+    def track(self, kind: str, args: tuple[Any, ...], limit: float | None) -> Call:
         number = self.number
-        call = Call(
-            self.resource, kind, self.opening, number, args, self._time(), apply
-        )
+        call = Call(self.resource, kind, self.opening, number, args, self._time())
         self.alive[number] = call
         if limit is not None:
             call.deadline = self._deadlines.after(limit, self._expire, call, limit)

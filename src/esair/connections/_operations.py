@@ -147,7 +147,6 @@ class Operations:
                 method,
                 (),
                 max(0.001, this.until - self._time()),
-                self._ended,
             )
         except Exception as error:
             self._over(this, End(None, error))
@@ -155,6 +154,7 @@ class Operations:
                 device.operated(None)
             return
         if type(value) is Call:
+            value.apply = self._ended
             this.call = value
             value.owner = this.registration
             device.operating(this, value)

@@ -177,13 +177,13 @@ class ProtectedDevice(ActuatorDevice):
                 self._write,
                 (less,),
                 self.actuator.deadline,
-                self._ended,
                 self._may_leave() if self._blocks else None,
             )
         except Exception as error:
             self._failed(error, "write")
             return
         if type(sent) is Call:
+            sent.apply = self._ended
             self._busy = True
             self._lane = sent
             self._told_error = "it has not answered yet"

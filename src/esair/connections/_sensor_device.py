@@ -27,10 +27,8 @@ class SensorDevice:
         "_asking",
         "_asks",
         "_awaiting",
-        "_begin_call",
         "_begun",
         "_deadline",
-        "_ended",
         "_left",
         "_loop",
         "_on_error",
@@ -100,8 +98,6 @@ class SensorDevice:
         )
         if sensor.can_be_asked:
             self._read = self.driver.method("read")
-        self._begin_call = self.calls.begin
-        self._ended = self._read_ended
         self.configured()
 
     def configured(self) -> None:
@@ -130,15 +126,14 @@ class SensorDevice:
         calls = self.calls
         opening = calls.opening
         try:
-            value = self._begin_call(
-                "read", self._read, (), self._deadline, self._ended
-            )
+            value = calls.begin("read", self._read, (), self._deadline)
         except Exception as error:
             self._asking = False
             if opening == calls.opening:
                 self._fail(error, number)
         else:
             if type(value) is Call:
+                value.apply = self._read_ended
                 self._asking = value
                 return
             self._asking = False
@@ -205,13 +200,12 @@ class SensorDevice:
             self._free()
 
         try:
-            value = self.calls.begin(
-                method.name, method, (), self.sensor.deadline, ended
-            )
+            value = self.calls.begin(method.name, method, (), self.sensor.deadline)
         except Exception as error:
             told(End(None, error))
         else:
             if type(value) is Call:
+                value.apply = ended
                 self._asking = value
             else:
                 told(End(value, None))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from esair.connections._call import Call, End
@@ -20,7 +19,6 @@ def begin_taped(
     method: Method,
     args: tuple[Any, ...],
     limit: float | None,
-    apply: Callable[..., None] | None,
     guard: Guard | None,
 ) -> Any:
     """Begin a call and keep what comes of it, or take that from the tape.
@@ -32,7 +30,7 @@ def begin_taped(
         Exception: Whatever the driver raises, or has raised.
     """
     if getattr(calls.driver.resource, "is_computed", False):  # it is no device
-        return calls.begin_untaped(kind, method, args, limit, apply, guard)
+        return calls.begin_untaped(kind, method, args, limit, guard)
     tag = ("call", calls.resource, kind)
     if isinstance(tape, Player):
         number, first = tape.first(tag)
@@ -40,11 +38,11 @@ def begin_taped(
             raise first.error
         if not first.waits:
             return first.value
-        call = calls.track(kind, args, limit, apply)
+        call = calls.track(kind, args, limit)
         tape.expect(tag, number, lambda end: calls.ended(call, End(*end)))
         return call
     try:
-        value = calls.begin_untaped(kind, method, args, limit, apply, guard)
+        value = calls.begin_untaped(kind, method, args, limit, guard)
     except Exception as error:
         tape.first(tag, First(waits=False, value=None, error=error))
         raise

@@ -18,7 +18,7 @@ from asyncio.tasks import (
     _leave_task,  # noqa: PLC2701 - documented, for third-party tasks
 )
 from collections.abc import Callable, Coroutine, Generator
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from esair.loop._of_loop import of_loop
 
@@ -68,6 +68,17 @@ def _run_all(light: LightTask) -> Generator[Any, Any, None]:
         coroutine = yield ENDED
 
 
+class Caller(Protocol):
+    """Whose coroutines a light task runs."""
+
+    context: contextvars.Context
+    """What their first steps run in; one that goes on keeps it."""
+
+    @property
+    def task_name(self) -> str:
+        """What their task is named."""
+
+
 class LightTask(asyncio.Future[None]):
     """Runs one coroutine after the other, each from its first step on.
 
@@ -79,14 +90,16 @@ class LightTask(asyncio.Future[None]):
 
     Args:
         loop: The event loop.
-        name: The name of the task.
+        name: The name of the task, unless it is that of a caller.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, name: str) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, name: str = "") -> None:
         super().__init__(loop=loop)
         self._running_on = loop
-        self.name = name
-        self.context = contextvars.Context()
+        self.caller: Caller | None = None
+        """Whose coroutine it runs; asked for what it is only when somebody wants to know."""
+        self._name = name
+        self._context: contextvars.Context | None = None
         self._coroutine: Coroutine[Any, Any, Any] | None = None
         self._ended: Callable[[Any, BaseException | None], None] | None = None
         self._runs = runs = _run_all(self)
@@ -114,7 +127,7 @@ class LightTask(asyncio.Future[None]):
         caller = current.get(loop)
         current[loop] = self
         try:
-            waits_for = self.context.run(self.send, coroutine)
+            waits_for = self.get_context().run(self.send, coroutine)
         finally:
             if caller is None:
                 del current[loop]
@@ -127,6 +140,12 @@ class LightTask(asyncio.Future[None]):
 
     def goes_on(self, coroutine: Coroutine[Any, Any, Any], waits_for: Any) -> None:
         """Drive a coroutine whose first step has ended in a wait."""
+        caller = self.caller
+        if caller is not None:
+            self._context = (
+                caller.context
+            )  # its own now; the next first step has another
+            caller.context = contextvars.Context()
         self._coroutine = coroutine
         self._wait_for(waits_for)
 
@@ -161,11 +180,11 @@ class LightTask(asyncio.Future[None]):
 
     def get_name(self) -> str:
         """Return the name."""
-        return self.name
+        return self._name or (self.caller.task_name if self.caller else "")
 
     def set_name(self, value: object) -> None:
         """Change the name."""
-        self.name = str(value)
+        self._name = str(value)
 
     def get_coro(self) -> Coroutine[Any, Any, Any] | None:
         """Return the coroutine; None while the first step runs."""
@@ -173,7 +192,11 @@ class LightTask(asyncio.Future[None]):
 
     def get_context(self) -> contextvars.Context:
         """Return the context that the coroutine runs in."""
-        return self.context
+        if self._context is None:
+            if self.caller is not None:
+                return self.caller.context
+            self._context = contextvars.Context()
+        return self._context
 
     # Steps after the first one.
 
@@ -207,18 +230,18 @@ class LightTask(asyncio.Future[None]):
 
     def _wait_for(self, waits_for: Any) -> None:
         if waits_for is None:  # ``sleep(0)``
-            self._running_on.call_soon(self._step, context=self.context)
+            self._running_on.call_soon(self._step, context=self._context)
         elif getattr(waits_for, "_asyncio_future_blocking", None):
             waits_for._asyncio_future_blocking = False  # noqa: SLF001 - the protocol of tasks
-            waits_for.add_done_callback(self._wake_up, context=self.context)
+            waits_for.add_done_callback(self._wake_up, context=self._context)
             self._fut_waiter = waits_for
             if self._must_cancel and waits_for.cancel(self._cancel_message):
                 self._must_cancel = False
         else:
             error = RuntimeError(
-                f"{self.name} waits for {waits_for!r:.80}, which is nothing of asyncio"
+                f"{self.get_name()} waits for {waits_for!r:.80}, which is nothing of asyncio"
             )
-            self._running_on.call_soon(self._step, error, context=self.context)
+            self._running_on.call_soon(self._step, error, context=self._context)
 
     def _wake_up(self, future: asyncio.Future[Any]) -> None:
         try:
@@ -240,7 +263,7 @@ class FirstSteps:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self.spare: LightTask | None = LightTask(loop, "driver")
+        self.spare: LightTask | None = LightTask(loop)
         """Runs the next first step; None while one runs."""
 
     @classmethod
@@ -248,18 +271,13 @@ class FirstSteps:
         """Return that of a loop."""
         return of_loop(loop, cls)
 
-    def begin(
-        self,
-        coroutine: Coroutine[Any, Any, Any],
-        name: str,
-        context: contextvars.Context,
-    ) -> Any:
+    def begin(self, coroutine: Coroutine[Any, Any, Any], caller: Caller) -> Any:
         """Run a coroutine to its end or its first wait, now.
 
         Args:
             coroutine: What to run.
-            name: The name of the task that it is in.
-            context: What it runs in, unless another one is in its first step.
+            caller: Whose it is; if another one is in its first step it runs in a
+                context of its own.
 
         Returns:
             Its result; or the `LightTask` that it goes on in, whose `then` has to be
@@ -270,11 +288,10 @@ class FirstSteps:
         """
         light = self.spare
         if light is None:  # one begins another: each has a task and a context
-            light = LightTask(self._loop, name)
-        else:
-            self.spare = None
-            light.name = name
-            light.context = context
+            light = LightTask(self._loop, caller.task_name)
+            return light if light.begin(coroutine) is WAITS else light.value
+        self.spare = None
+        light.caller = caller
         value: Any = WAITS
         try:
             value = light.begin(coroutine)
@@ -284,6 +301,8 @@ class FirstSteps:
 
     def take_back(self, light: LightTask, *, can_be_used: bool) -> None:
         """Have a light task run the next first step, unless it is used up."""
-        if not can_be_used or light.cancelling():
-            light = LightTask(self._loop, "driver")
-        self.spare = light
+        if can_be_used and not light.cancelling():
+            light.caller = None
+            self.spare = light
+        else:
+            self.spare = LightTask(self._loop)

@@ -62,6 +62,11 @@ def idle(_now: float) -> None:
     """Do nothing: the step of what was stopped."""
 
 
+def _never(_now: float) -> bool:
+    """Wait for no sample."""
+    return False
+
+
 class OneShot:
     """One call at one moment."""
 
@@ -86,6 +91,7 @@ class Job:
         "order",
         "queued",
         "scheduler",
+        "waits",
     )
 
     def __init__(
@@ -98,6 +104,9 @@ class Job:
         name: str,
         number: int,
     ) -> None:
+        self.waits: Callable[[float], bool] = _never
+        """Says whether it waits for a sensor that was asked in this turn; if it does it
+        is called by somebody else, when there is an answer."""
         self.scheduler = scheduler
         self.function = function
         self.group = group

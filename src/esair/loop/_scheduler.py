@@ -218,11 +218,12 @@ class Scheduler:
 
     def decide(self, decision: Callee) -> None:
         """Call something when all steps of the turn have decided."""
-        if self._has_border and not self._in_turn:
+        if self._in_turn:
+            self._decided.append(decision)
+        elif self._has_border:
             self._decided_later.append(decision)
-            return
-        self._decided.append(decision)
-        if self._sleep is not None or not self._turning:
+        else:
+            self._decided.append(decision)
             self._wake()
 
     def is_due(self, now: float) -> bool:
@@ -304,9 +305,10 @@ class Scheduler:
         me = self._leader = asyncio.current_task()
         try:
             while True:
+                now = self._now
                 for call in self._calls:
                     try:
-                        rest = call.function(self._now)
+                        rest = call.function(now)
                     except Exception:
                         _log.exception("a step of the scheduler raised; it goes on")
                         continue
@@ -366,6 +368,8 @@ class Scheduler:
             yield self._shallowest()
         if self._queue:
             yield from self._queued(Order.STEP)
+        if self.polled_in == self.turns:
+            steps = [tuple(j for j in jobs if not j.waits(self._now)) for jobs in steps]
         yield from steps
         while self._decided:
             decided, self._decided = self._decided, []
