@@ -44,7 +44,6 @@ RECORDER = "there is no recorder yet"
 
 EXCLUDED = {
     "O10": "it is a measurement: P13 of the benchmarks",
-    "O12": "out of memory ends the process: see O04",
     "G11": "a file names any class, as a script does; no message names one: the socket "
     "adds what the robot's own file has",
     "M19": "data between behaviors has no declared type",

@@ -15,9 +15,11 @@ import subprocess
 import sys
 import time
 import tty
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from tests.watchdog.cgroups import cgroup_of, killed_in
 
 from esair.watchdog import SafeFrames, can_frame
 
@@ -26,31 +28,42 @@ pytestmark = pytest.mark.real_clock
 VICTIM = Path(__file__).with_name("victim.py")
 DEAD = ["kill", "segfault", "abort"]
 STUCK = ["stop", "spin", "sleep", "regex"]
+OOM_BYTES = 64 * 2**20
 
 
 class Run:
     """One victim, from the far end of its line."""
 
-    def __init__(self, way: str, policy: str = "kill") -> None:
-        self.far, near = os.openpty()
-        tty.setraw(near)
+    def __init__(
+        self, way: str, policy: str = "kill", *more: str, program: Path = VICTIM
+    ) -> None:
+        self.far, self.near = os.openpty()
+        tty.setraw(self.near)
         self.received: list[tuple[float, bytes]] = []
+        words = [str(program), os.ttyname(self.near), way, policy, *more]
         self.process = subprocess.Popen(
-            [sys.executable, str(VICTIM), os.ttyname(near), way, policy],
-            stderr=subprocess.PIPE,
-            text=True,
+            [sys.executable, *words], stderr=subprocess.PIPE, text=True
         )
-        self.near = near
+        self.pidfd = os.pidfd_open(self.process.pid)
+        self.died = 0.0
 
     def hear(self, until: float, quiet: float = 0.3) -> None:
         """Listen until the process has ended and the line is quiet."""
         last = time.monotonic()
         while time.monotonic() < until:
-            if select.select([self.far], [], [], 0.01)[0]:
-                last = time.monotonic()
-                self.received.append((last, os.read(self.far, 4096)))
+            pidfds = [] if self.died else [self.pidfd]
+            ready = select.select([self.far, *pidfds], [], [], 0.01)[0]
+            if self.pidfd in ready:
+                self.died = time.monotonic()
+            if self.far in ready:
+                last = self.read()
             elif self.process.poll() is not None and time.monotonic() - last > quiet:
                 return
+
+    def read(self) -> float:
+        now = time.monotonic()
+        self.received.append((now, os.read(self.far, 4096)))
+        return now
 
     @property
     def data(self) -> bytes:
@@ -59,22 +72,24 @@ class Run:
     def close(self) -> str:
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.process.pid, signal.SIGKILL)
-        _, errors = self.process.communicate(timeout=5.0)
-        os.close(self.far)
-        os.close(self.near)
+        _, errors = self.process.communicate(timeout=5.0)  # the watchdog's last line
+        while select.select([self.far], [], [], 0.0)[0]:
+            self.read()
+        for descriptor in (self.far, self.near, self.pidfd):
+            os.close(descriptor)
         return errors
 
-    def took(self) -> float:
-        """From the last motion to the safe command, in ms."""
+    def took(self, *, since_death: bool = False) -> float:
+        """From the last motion, or the end of the process, to the safe command, in ms."""
         motion = max(when for when, data in self.received if b"GO" in data)
         safe = max(when for when, data in self.received if b"STOP" in data)
-        return (safe - motion) * 1000
+        return (safe - (self.died if since_death else motion)) * 1000
 
 
-def run(way: str, policy: str = "kill") -> tuple[Run, str]:
-    victim = Run(way, policy)
+def run(*words: str, program: Path = VICTIM) -> tuple[Run, str]:
+    victim = Run(*words, program=program)
     try:
-        victim.hear(time.monotonic() + 10.0)
+        victim.hear(time.monotonic() + 60.0)
     finally:
         errors = victim.close()
     return victim, errors
@@ -93,6 +108,20 @@ def test_safe_is_the_last_thing_on_the_wire(way: str) -> None:
     if way in STUCK and way != "stop":  # that one tells nothing any more
         assert "no turn for 0." in errors
         assert re.search(r'in File ".*victim.py", line \d+ in die: ', errors)
+
+
+@pytest.mark.promise("GRD-1")
+@pytest.mark.fault("O04", "O12")
+def test_the_watchdog_outlives_a_robot_that_is_out_of_memory() -> None:
+    """The kernel kills the one that has taken it all, in a group that both belong to."""
+    with cgroup_of(OOM_BYTES) as group:
+        victim, errors = run("oom", "kill", str(group))
+        assert victim.process.returncode == -signal.SIGKILL
+        assert killed_in(group) == 1
+    assert victim.data.endswith(b"STOP\n")
+    assert re.fullmatch(
+        r"esair watchdog: its process died: wheels safe, after .*\n", errors
+    )
 
 
 @pytest.mark.promise("GRD-3")
@@ -130,17 +159,7 @@ def test_a_child_that_holds_everything_open_hides_no_death() -> None:
     changed = VICTIM.with_name("victim_that_forks.py")
     changed.write_text(source, "utf-8")
     try:
-        victim = Run.__new__(Run)
-        victim.far, victim.near = os.openpty()
-        tty.setraw(victim.near)
-        victim.received = []
-        victim.process = subprocess.Popen(
-            [sys.executable, str(changed), os.ttyname(victim.near), "kill", "kill"],
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        victim.hear(time.monotonic() + 4.0)
-        victim.close()
+        victim, _ = run("kill", program=changed)
     finally:
         changed.unlink()
     assert victim.data.endswith(b"STOP\n")
@@ -210,16 +229,18 @@ def test_two_hundred_orderly_exits(request: pytest.FixtureRequest) -> None:
 
 
 @pytest.mark.promise("GRD-3")
-@pytest.mark.parametrize("way", [*DEAD, *STUCK])
+@pytest.mark.parametrize("way", [*DEAD, "oom", *STUCK])
 def test_the_time_it_takes(way: str, request: pytest.FixtureRequest) -> None:
     """Two hundred times: always safe; the times are printed, and bounded loosely."""
     if not request.config.getoption("--esair-soak"):
         pytest.skip("two hundred processes each: --esair-soak")
     times = []
     for _ in range(200):
-        victim, _ = run(way)
+        with cgroup_of(OOM_BYTES) if way == "oom" else nullcontext() as group:
+            victim, _ = run(way, "kill", *([] if group is None else [str(group)]))
         assert victim.data.endswith(b"STOP\n")
-        times.append(victim.took())
+        # Before it kills, the kernel looks for memory elsewhere, and that takes long.
+        times.append(victim.took(since_death=way == "oom"))
     times.sort()
     middle, slow = statistics.median(times), times[197]
     sys.stderr.write(f"{way}: p50 {middle:.1f} ms, p99 {slow:.1f} ms\n")

@@ -1,4 +1,4 @@
-"""A process that drives, until it dies or hangs: ``victim.py TTY WAY``."""
+"""A process that drives, until it dies or hangs: ``victim.py TTY WAY POLICY [CGROUP]``."""
 
 import asyncio
 import ctypes
@@ -7,8 +7,9 @@ import re
 import signal
 import sys
 import time
+from pathlib import Path
 
-from esair.watchdog import Outlet, SafeFrames, Watchdog
+from esair.watchdog import LIMIT, Outlet, SafeFrames, Watchdog
 
 SAFE = SafeFrames([b"STOP\n"], resync=b"\n")
 
@@ -33,15 +34,20 @@ def die(way: str) -> None:
 
 async def main(tty: str, way: str, policy: str) -> None:
     line = os.open(tty, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    dog = Watchdog(policy=policy)  # type: ignore[arg-type]
+    # What is short of memory is slow, too: here it must die of it.
+    limit = 5.0 if way == "oom" else LIMIT
+    dog = Watchdog(limit=limit, policy=policy)  # type: ignore[arg-type]
     await dog.start()
     refused = await dog.arm("wheels", SAFE, Outlet("serial", descriptor=line))
     assert not refused, refused
+    hoard = []
     for number in range(40):
         dog.beat()
         dog.moving("wheels", True)
         os.write(line, b"GO\n")
-        if number == 20 and way != "end":
+        if way == "oom":
+            hoard.append(b"x" * 4 * 2**20)
+        elif number == 20 and way != "end":
             os.write(line, b"GO")  # cut in half
             die(way)
         await asyncio.sleep(0.005)
@@ -52,4 +58,6 @@ async def main(tty: str, way: str, policy: str) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(*sys.argv[1:]))
+    for cgroup in sys.argv[4:]:  # the watchdog's process will belong to it, too
+        Path(cgroup, "cgroup.procs").write_text(str(os.getpid()), "ascii")
+    asyncio.run(main(*sys.argv[1:4]))
