@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
+import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.torture.generated import maker
 
 import esair
 from esair.connections import ActuatorChannel
+from esair.testing import VirtualLoop
 from esair.torture import Outcome, Step, Story, Target, World
 from esair.torture._kinds import KINDS, Cast
+from esair.torture._patience import HeldError, Patience
 from esair.torture._teller import random_story
 
 HERE = Path(__file__).parent
@@ -138,7 +143,7 @@ def test_what_will_not_end_is_left_behind() -> None:
 HELD = """
 import esair.torture._patience
 from esair.torture import Story, Target, World
-esair.torture._patience.PATIENCE = 0.3
+esair.torture._patience.PATIENCE = 1.0
 (violation,) = World(Target.of({robot!r}, own=True), Story(0)).run().violations
 print(*violation.key, violation.text)
 """
@@ -151,6 +156,17 @@ def test_what_holds_the_loop_is_ended_and_named() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert done.stdout.startswith("holds run Endless.run at "), done
+
+
+def test_a_story_that_goes_on_may_take_long() -> None:
+    """On a busy computer; what counts is whether virtual time passes."""
+    with contextlib.closing(VirtualLoop()) as loop, Patience(loop) as patience:
+        for _ in range(3):
+            loop.advance(0.001)
+            signal.raise_signal(signal.SIGALRM)
+        assert patience.lost is None
+        with pytest.raises(HeldError, match="10 s of real time"):
+            signal.raise_signal(signal.SIGALRM)
 
 
 @pytest.mark.parametrize(
@@ -170,3 +186,41 @@ def test_a_core_that_breaks_its_promise_is_seen(
     """Without the dead man, the halt, or the holds of those that cannot see."""
     monkeypatch.setattr(ActuatorChannel, broken, lambda *_args, **_options: None)
     assert (rule, "wheels") in told_to(Drive, Stop, steps=steps).keys
+
+
+@pytest.mark.parametrize(
+    ("number", "lasts", "steps"),
+    [
+        pytest.param(
+            171,
+            6.472,
+            (
+                Step(6.172, "flood", "driver_0"),
+                Step(6.172, "remove", "reflex_1", lasts=0.02),
+            ),
+            id="who-is-taken-away-need-not-see",
+        ),
+        pytest.param(
+            175,
+            1.366,
+            (Step(1.1, "slow", "reflex_2", lasts=1.0, much=0.2),),
+            id="a-thread-begins-when-the-loop-is-quiet",
+        ),
+        pytest.param(
+            217,
+            3.054,
+            (
+                Step(1.5, "mute", "reflex_1", much=1.0),
+                Step(1.7, "unplugged", "polled_1", lasts=1.0),
+                Step(2.436, "held up", much=0.5),
+                Step(2.8, "flood", "driver_0"),
+            ),
+            id="a-stall-makes-a-mute-longer",
+        ),
+    ],
+)
+def test_what_is_no_finding(number: int, lasts: float, steps: tuple[Step, ...]) -> None:
+    """What looks like a broken promise, and is what the user or the clock has done."""
+    world = World(Target("robot", maker(number)), Story(0, steps, lasts))
+    assert world.run().violations == ()
+    assert world.done.total() == len(steps)

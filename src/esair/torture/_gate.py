@@ -89,6 +89,7 @@ class Gate:
         left: When it was taken away from the robot; None while it belongs to it.
         faulty: When its last fault is over.
         was_here: Whether its driver was ever called.
+        in_thread: Whether it is read or told in a thread.
     """
 
     def __init__(
@@ -110,6 +111,7 @@ class Gate:
         self.bad = self.frozen = self.flood = -1.0
         self.deaf = self.unpowered = False
         self.was_here = False
+        self.in_thread = False
         self.before = self.after = 0.0
         self.error = "OSError"
         self.how_bad = "nan"
@@ -170,6 +172,8 @@ class Gate:
                 return result
 
             return call
+
+        self.in_thread |= name in {"read", "write"}
 
         @functools.wraps(inner)
         def blocking(*args: Any, **options: Any) -> Any:

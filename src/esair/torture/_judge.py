@@ -158,12 +158,13 @@ class Judge:
 
     def _check_sight(self, gate: Gate, action: Any, what: str, more: str = "") -> None:
         world = self._world
-        if world.now < world.muted.get(action.name, -1.0):
+        muted = world.muted.get(action.name, -1.0)
+        if world.now - world.jumped(muted, gate) < muted:
             return
         lever = world.levers.get(id(action))
         if lever is not None and lever.crashed:
             text = f"{what}{more} while {action.name} had crashed and not decided anew"
-            self.say("blind", gate.name, text)
+            self._blind(gate, action, text)
             return
         for need in action.needs.values():
             if not isinstance(need, Reads) or need.optional:
@@ -171,19 +172,25 @@ class Judge:
             channel = world.robot.sensors.channels.get(need.resource)
             sensor = None if channel is None else world.gate_of(channel.sensor)
             if channel is None or sensor is None:
-                self.say("blind", gate.name, f"{what}{more} while {action.name} had no "
-                         f"{need.resource}: it was removed")  # fmt: skip
+                self._blind(gate, action, f"{what}{more} while {action.name} had no "
+                            f"{need.resource}: it was removed")  # fmt: skip
                 return
             limit = channel.max_age if need.max_age is None else need.max_age
             slack = SLACK + (1.0 / action.rate if action.rate else 0.0)
-            age = world.now - sensor.heard - world.jumped(sensor.heard)
+            age = world.now - sensor.heard - world.jumped(sensor.heard, sensor)
             if math.isfinite(limit) and age > limit + slack:
                 text = (
                     f"{what}{more} while {action.name} could not see: {need.resource} "
                     f"was silent for {age:.3f} s, its limit is {limit:g} s"
                 )
-                self.say("blind", gate.name, text)
+                self._blind(gate, action, text)
                 return
+
+    def _blind(self, gate: Gate, action: Any, text: str) -> None:
+        """Say so, unless the user is just taking away who was to see."""
+        member = self._world.robot.behaviors.query(action.name)
+        if member.state not in {BehaviorState.STOPPING, BehaviorState.REMOVED}:
+            self.say("blind", gate.name, text)
 
     # The dead man.
 
@@ -197,7 +204,7 @@ class Judge:
         if last is None or last.safe or last.landed is None:
             return
         timeout = gate.resource.command_timeout  # type: ignore[attr-defined]
-        stood = now - last.landed - self._world.jumped(last.landed)
+        stood = now - last.landed - self._world.jumped(last.landed, gate)
         if stood <= timeout + 2 * SLACK or gate.faulty >= last.begun:
             return
         world = self._world

@@ -11,7 +11,7 @@ from types import FrameType
 from typing import Any
 
 PATIENCE = 10.0
-"""How long a story may take in real time while nothing virtual happens, in seconds."""
+"""How long virtual time may stand still at most, in seconds of real time."""
 
 
 class HeldError(BaseException):
@@ -27,9 +27,10 @@ class HeldError(BaseException):
 
 
 class Patience:
-    """Raises `HeldError` in what runs if it takes too long, and stops the loop.
+    """Raises `HeldError` in what runs if virtual time stands, and stops the loop.
 
-    It can do so in the main thread only.
+    It can do so in the main thread only. However busy the computer is, a story that goes
+    on may go on.
 
     Args:
         loop: The loop of the story.
@@ -43,11 +44,12 @@ class Patience:
         self._loop = loop
         self._main = threading.current_thread() is threading.main_thread()
         self._before: Any = None
+        self._seen = -1.0
 
     def __enter__(self) -> Patience:
         if self._main:
             self._before = signal.signal(signal.SIGALRM, self._tired)
-            signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -56,6 +58,9 @@ class Patience:
             signal.signal(signal.SIGALRM, self._before)
 
     def _tired(self, _number: int, frame: FrameType | None) -> None:
+        before, self._seen = self._seen, self._loop.time()
+        if before != self._seen:
+            return
         # Whoever contains it does not contain the end of the loop.
         self.lost = _held_in(frame, PATIENCE)
         self._loop.stop()
@@ -84,4 +89,4 @@ def _held_in(frame: FrameType | None, seconds: float) -> HeldError:
                 text = f"{what} does not end: {seconds:g} s of real time have passed"
                 return HeldError(each.f_code.co_name, text)
             each = each.f_back
-    return HeldError("robot", f"a story has taken {seconds:g} s of real time")
+    return HeldError("robot", f"time stood still for {seconds:g} s of real time")
