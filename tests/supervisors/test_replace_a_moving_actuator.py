@@ -1,6 +1,7 @@
 """An actuator that somebody moves while another takes its place."""
 
 import asyncio
+from typing import Any
 
 import pytest
 
@@ -28,9 +29,7 @@ class Drive(esair.Behavior):
 
     async def run(self) -> None:
         while True:
-            try:
-                await self.motor.write(0.5)
-            except esair.DeviceLostError:
+            if not await self.motor.write(0.5):
                 await asyncio.sleep(0.001)
 
 
@@ -49,3 +48,74 @@ async def test_a_write_that_waits_does_not_follow_the_safe_command() -> None:
     assert old.commands[-2:] == [0.5, 0.0]
     assert new.commands[0] == new.commands[-1] == 0.0
     assert 0.5 in new.commands
+
+
+class Beat(esair.Behavior):
+    """Writes on and on, and catches nothing."""
+
+    restart = esair.Restart(max=0)
+    motor = esair.writes(float)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.answers: list[Any] = []
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.01):
+            self.answers.append(await self.motor.write(0.5))
+
+
+class SlowToOpen(Slow):
+    """It takes a while to come and to go."""
+
+    async def open(self) -> None:
+        await asyncio.sleep(0.2)
+
+    async def close(self) -> None:
+        await asyncio.sleep(0.2)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("SUP-2", "RS-5", "AC-1")
+async def test_who_writes_meanwhile_is_refused_and_crashes_not() -> None:
+    """The user's will is no loss of a device: it costs its writers no restart."""
+    beat = Beat()
+
+    async with esair.Robot(resources=[SlowToOpen()], behaviors=[beat]) as robot:
+        await asyncio.sleep(0.5)
+        replacing = asyncio.create_task(robot.resources.replace("motor", SlowToOpen()))
+        await asyncio.sleep(0.1)
+        (refused,) = {each for each in beat.answers if not each}
+        assert (refused.holder, refused.rule) == ("user", "it is being replaced")
+        why = robot.resources.why("motor")
+        assert (why.holder, why.rule, why.since) == (
+            refused.holder,
+            refused.rule,
+            refused.since,
+        )
+        await replacing
+        await asyncio.sleep(0.3)
+        assert beat.answers[-1]
+        status = robot.behaviors.query("beat")
+        assert (status.state, status.restarts) == (esair.BehaviorState.RUNNING, 0)
+
+
+class NotThere(Slow):
+    """It cannot be opened."""
+
+    async def open(self) -> None:
+        raise esair.DeviceLostError("motor", "not plugged in")
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("AC-1", "RS-5")
+async def test_a_replacement_that_is_not_there_is_lost() -> None:
+    """From when that is known its writers are told so, as of any device."""
+    user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
+
+    async with esair.Robot(resources=[Slow()], behaviors=[user]) as robot:
+        await user.motor.write(0.5)
+        await robot.resources.replace("motor", NotThere())
+        await asyncio.sleep(1.0)
+        with pytest.raises(esair.DeviceLostError, match="not plugged in"):
+            await user.motor.write(0.5)

@@ -3,6 +3,7 @@
 from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
 from esair.connections._actuator_device import LastCommand
+from esair.connections._answers import BeingReplacedError
 from esair.connections._applied_channel import Applied, AppliedChannel
 from esair.connections._call import Call, End
 from esair.connections._calls import Calls
@@ -27,6 +28,7 @@ __all__ = [
     "ActuatorPort",
     "Applied",
     "AppliedChannel",
+    "BeingReplacedError",
     "Call",
     "Calls",
     "CommandCheck",

@@ -7,7 +7,7 @@ import copy
 from collections.abc import Callable, Generator
 from typing import Any
 
-from esair.connections._answers import why, withdrawn
+from esair.connections._answers import BeingReplacedError, why, withdrawn
 from esair.connections._call import Call, End
 from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
@@ -175,9 +175,10 @@ class ActuatorChannel(HeldDevice):
         ready = self.state is ResourceState.READY and self.error is None
         self._accepts = ready and not self.latched
 
-    def leaving(self, error: EsairError) -> None:
+    def leaving(self, error: BeingReplacedError) -> None:
         """The device is about to go: only its safe command may leave, no write that waits."""
         self.error = error
+        self.since = self._time()
         self._accepts = False
         self._look()
 

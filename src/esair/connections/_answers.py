@@ -7,10 +7,19 @@ from typing import TYPE_CHECKING
 
 from esair.connections._halt import HALT, HALT_PRIORITY
 from esair.connections._registrations import Registration
+from esair.exceptions import DeviceLostError
 from esair.messages import Refused, Why
 
 if TYPE_CHECKING:
     from esair.connections._actuator_channel import ActuatorChannel
+
+
+USER = "user"
+"""Who holds an actuator that is being replaced."""
+
+
+class BeingReplacedError(DeviceLostError):
+    """The user is about to put another device in its place; no device was lost."""
 
 
 def why(channel: ActuatorChannel, now: float) -> Why:
@@ -27,6 +36,18 @@ def why(channel: ActuatorChannel, now: float) -> Why:
             halt.since,
             math.inf,
             "robot.resume(), by the user",
+            channel.told().command,
+        )
+    if isinstance(channel.error, BeingReplacedError):
+        return Why(
+            channel.name,
+            channel.state,
+            USER,
+            HALT_PRIORITY,
+            channel.error.detail,
+            channel.since,
+            None,
+            "the device that takes its place, when it is open",
             channel.told().command,
         )
     held = holder is not None and now < channel.until

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from esair.connections._answers import rule_of
+from esair.connections._answers import USER, BeingReplacedError, rule_of
 from esair.connections._call import Call
 from esair.connections._halt import HALT, HALT_PRIORITY, Halt
 from esair.connections._operations import Operating, Operations
@@ -139,23 +139,25 @@ class HeldDevice(ProtectedDevice):
             halts: How many halts there were when the write began to wait.
 
         Raises:
-            EsairError: It is not the halt that keeps it.
+            EsairError: It is no act of the user that keeps it.
         """
         halt = self.registrations.halt
         if halt is None and halts is not None and halts != self._halts:
             halt = Halt("it was asked for before the robot was halted", self._time())
-        if halt is None or self.latched or not registration.usable:
+        error = self.error
+        if self.latched or not registration.usable:
             raise self._refusal(registration) from None
-        self.refusals += 1
-        refused = Refused(HALT, HALT_PRIORITY, halt.reason, halt.since, math.inf)
+        if halt is not None:
+            refused = Refused(HALT, HALT_PRIORITY, halt.reason, halt.since, math.inf)
+        elif isinstance(error, BeingReplacedError):
+            refused = Refused(USER, HALT_PRIORITY, error.detail, self.since, None)
+        else:
+            raise self._refusal(registration) from None
         if self._journal.heard:
             self._journal.publish(
                 Kind.COMMAND, self.name, registration.behavior, command
             )
-            self._journal.publish(
-                Kind.REFUSED, self.name, registration.behavior, refused
-            )
-        return refused
+        return self._refuse(registration, refused)
 
     def _refusal(self, registration: Registration) -> EsairError:
         """Make the error for a write that may not even be looked at."""

@@ -11,6 +11,7 @@ from esair.actions import Derived
 from esair.connections import (
     ActuatorChannel,
     ActuatorConnection,
+    BeingReplacedError,
     Call,
     DerivedChannel,
     LastCommand,
@@ -245,7 +246,7 @@ class ResourceDeployment:
         if not keep:
             self._fence(name)
         elif isinstance(channel, ActuatorChannel):
-            channel.leaving(DeviceLostError(name, "it is being replaced"))
+            channel.leaving(BeingReplacedError(name, "it is being replaced"))
         return self._apart(self._exchange(name, resource, keep, until), title)
 
     def _depart(self, name: str) -> None:
@@ -305,7 +306,7 @@ class ResourceDeployment:
         try:
             await self._make_safe(name, until)
             if keep:
-                error = DeviceLostError(name, "it is being replaced")
+                error = BeingReplacedError(name, "it is being replaced")
                 channel.down(ResourceState.LOST, error)
             else:
                 channel.removed()
@@ -319,6 +320,8 @@ class ResourceDeployment:
             self.came(name, resource, "in its place")
             return new
         finally:
+            if self.lives.get(name) is life and keep:
+                channel.error = DeviceLostError(name, "nothing took its place")
             self._has_departed(name)
 
     async def _make_safe(self, name: str, until: float = math.inf) -> None:
