@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import json
 import logging
+import os
 import platform
 import sys
 import time
@@ -28,6 +29,7 @@ from benchmarks.cases import (
     minimal,
     reactions,
     recording,
+    ros2,
     seat,
     starting,
     wire_garbage,
@@ -45,6 +47,7 @@ CASES = {
     "P13": garbage,
     "P15": minimal,
     "P18": journal,
+    "P19": ros2,
     "P21": wire_garbage,
     "OPS": seat,
     "REC": recording,
@@ -61,8 +64,16 @@ def main() -> None:
         "--smoke", action="store_true", help="see that all cases run; measure nothing"
     )
     parser.add_argument("--json", type=Path, help="write the rows to a file")
-    parser.add_argument("--markdown", type=Path, help="write the table to a file")
+    parser.add_argument(
+        "--markdown",
+        type=Path,
+        help="write the table to a file: between its marks, if it has some",
+    )
+    parser.add_argument(
+        "--ros", type=Path, help="a Python of its own with ros-kilted-rclpy, for P19"
+    )
     arguments = parser.parse_args()
+    harness.ros_python = arguments.ros
     logging.disable(logging.WARNING)
     if arguments.smoke:
         _shorten()
@@ -74,20 +85,23 @@ def main() -> None:
         factory = uvloop.new_event_loop
     elif arguments.loop == "esair":  # that of esair.run
         factory = TurnLoop
-    begin = time.perf_counter()
+    begin, load = time.perf_counter(), os.getloadavg()[0]
     rows: list[Row] = []
     for goals, case in CASES.items():
         if not wanted or wanted & set(goals.split(",")):
             with asyncio.Runner(loop_factory=factory) as runner:
                 rows += runner.run(case.rows())
     seconds = time.perf_counter() - begin
-    machine = f"Python {platform.python_version()}, {arguments.loop}, {seconds:.0f} s"
+    machine = (
+        f"Python {platform.python_version()}, loop: {arguments.loop}, {seconds:.0f} s, "
+        f"{os.cpu_count()} cores, load {load:.1f} at the start"
+    )
     _show(rows, machine)
     if arguments.json:
         text = json.dumps([attrs.asdict(row) for row in rows], indent=2)
         arguments.json.write_text(text + "\n")
     if arguments.markdown:
-        arguments.markdown.write_text(_markdown(rows, machine))
+        _write(arguments.markdown, _markdown(rows, machine))
 
 
 SMOKE: dict[ModuleType, dict[str, object]] = {
@@ -97,6 +111,7 @@ SMOKE: dict[ModuleType, dict[str, object]] = {
     devices: {"COUNT": 20},
     lifecycle: {"PAIRS": 18},
     garbage: {"SECONDS": 0.5},
+    ros2: {"SECONDS": 0.1},
     seat: {"SECONDS": 0.1},
 }
 """How long, and how large, the cases are when nothing is measured."""
@@ -123,6 +138,19 @@ def _show(rows: list[Row], machine: str) -> None:
     for row in rows:
         table.add_row(*_cells(row), style="red" if row.met == "NO" else "")
     Console(width=None if sys.stdout.isatty() else 150).print(table)
+
+
+BEGIN, END = "<!-- python -m benchmarks -->", "<!-- end -->"
+"""Between these marks the table of a page is written."""
+
+
+def _write(page: Path, table: str) -> None:
+    text = page.read_text() if page.exists() else f"{BEGIN}\n{END}\n"
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        sys.exit(f"{page}: expected the marks {BEGIN} and {END} around its table")
+    page.write_text(f"{before}{BEGIN}\n\n{table}\n{END}{after}")
 
 
 def _markdown(rows: list[Row], machine: str) -> str:

@@ -6,6 +6,7 @@ import asyncio
 import statistics
 import time
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 
 import attrs
 
@@ -13,6 +14,9 @@ ROUNDS = 9
 
 smoke = False
 """Everything once, and short: it shows that each case works, and measures nothing."""
+
+ros_python: Path | None = None
+"""A Python with rclpy, if there is one."""
 
 
 @attrs.frozen
