@@ -65,7 +65,7 @@ async def test_a_bad_value_never_reaches_the_device(
         await user.wheels.write(0.5)
         with pytest.raises(esair.BadValueError):
             await user.wheels.write(value)
-        await asyncio.sleep(0.2)
+        await asyncio.sleep(0.21)
 
         assert wheels.commands == [0.0, 0.5, 0.0]
 

@@ -56,6 +56,7 @@ async def test_who_is_disarmed_does_not_die_and_may_be_armed_again() -> None:
     one.talk()
     await asyncio.sleep(1.0)
     assert (one.died, other.died) == ([0.3], [])
+    other.man.disarm()
 
 
 async def test_who_gets_impatient_dies_sooner() -> None:
@@ -69,6 +70,7 @@ async def test_who_gets_impatient_dies_sooner() -> None:
     one.talk()
     await asyncio.sleep(8.0)
     assert one.died == [0.2]
+    other.man.disarm()
 
 
 async def test_one_that_raises_does_not_keep_the_others_alive() -> None:

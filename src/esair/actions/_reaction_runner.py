@@ -24,6 +24,8 @@ from esair.exceptions import (
 )
 from esair.loop import (
     Job,
+    OneShot,
+    Order,
     Owner,
     Scheduler,
     Step,
@@ -38,6 +40,7 @@ _log = logging.getLogger("esair")
 
 _COLLECTS = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
+_EARLY = 1e-6  # timers may fire a hair early
 _QUICK = 100.0
 """From this rate on, in Hz, the next step finds soon enough that a reading is too old."""
 
@@ -173,7 +176,7 @@ class ReactionRunner:
         self._on_crash = on_crash
         self._until = by_name(until, reaction) if until is not None else None
         self._on_end = on_end
-        self._watch: asyncio.TimerHandle | None = None
+        self._watch: OneShot | None = None
         self._watch_at = FOR_EVER
         self.stopped = False
         self.settling: set[asyncio.Task[Any]] = set()
@@ -260,7 +263,7 @@ class ReactionRunner:
         if self._sampling is not None:
             self._sampling.stop()
         if self._watch is not None:
-            self._watch.cancel()
+            self._scheduler.cancel(self._watch)
             self._watch = None
         for each in self._inputs:
             each.channel.unfollow(each)
@@ -316,23 +319,22 @@ class ReactionRunner:
         self.parked = False
         self._on_state(True, "")
 
-    def _look(self) -> None:
+    def _look(self, now: float) -> None:
         """Park a reaction that nothing steps before a reading is too old."""
         self._watch, self._watch_at = None, FOR_EVER
-        now = self._time()
         if self.stale_at == FOR_EVER:
             return  # it is parked; the next reading begins anew
-        if now < self.stale_at:
+        if now + _EARLY < self.stale_at:
             self._watch_for_age()
         else:
-            self._stale(now)
+            self._stale(max(now, self.stale_at))
 
     def _watch_for_age(self) -> None:
         """Look when the first reading becomes stale: earlier than was thought, maybe."""
         if self._watch is not None:
-            self._watch.cancel()
+            self._scheduler.cancel(self._watch)
         self._watch_at = self.stale_at
-        self._watch = self._loop.call_at(self.stale_at, self._look)
+        self._watch = self._scheduler.at(self.stale_at, self._look, order=Order.STALE)
 
     def _stale(self, now: float) -> None:
         for each in self._inputs:

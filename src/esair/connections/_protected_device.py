@@ -14,6 +14,7 @@ from esair.connections._registrations import Registration
 from esair.connections._weaker import weaker_of
 from esair.exceptions import BadValueError
 from esair.journal import Kind
+from esair.loop import OneShot, Order, Scheduler
 from esair.messages import ResourceState
 from esair.resources import HOLD
 
@@ -48,7 +49,7 @@ class ProtectedDevice(ActuatorDevice):
         if not hasattr(self, "_guards"):  # else what protects the name goes on
             self._blind: Protection | None = None
             self._guards: tuple[Protection, ...] = ()
-            self._blind_look: asyncio.TimerHandle | None = None
+            self._blind_look: OneShot | None = None
             self._fence = 0
         self._asked: Any = None
         super().attach(actuator)
@@ -106,17 +107,19 @@ class ProtectedDevice(ActuatorDevice):
             )
         ):
             if self._blind_look is None:
-                self._blind_look = self._loop.call_at(self.until, self._look_at_blind)
+                self._blind_look = Scheduler.of(self._loop).at(
+                    self.until, self._look_at_blind, order=Order.STALE
+                )
             return
         self.make_safe(stay=True)
 
-    def _look_at_blind(self) -> None:
+    def _look_at_blind(self, _now: float) -> None:
         self._blind_look = None
         self._keep_still()
 
     def _look_no_more(self) -> None:
         if self._blind_look is not None:
-            self._blind_look.cancel()
+            Scheduler.of(self._loop).cancel(self._blind_look)
             self._blind_look = None
 
     # Guards.

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from esair.connections._weaker import is_same, is_weaker
 from esair.exceptions import BadValueError, describe
-from esair.loop import clock_of
+from esair.loop import Deadlines, clock_of
 from esair.messages import Refused
 from esair.resources import HOLD
 
@@ -310,7 +310,8 @@ class Protections:
             entry.muted_for = reason
             self._tell(entry.actuator)
         if seconds > 0:
-            asyncio.get_running_loop().call_at(until, self._tell_all)
+            loop = asyncio.get_running_loop()
+            Deadlines.of(loop).after(seconds, self._tell_all)
 
     def reset(self, entries: Iterable[Protection]) -> None:
         """Take the latches of guards back."""

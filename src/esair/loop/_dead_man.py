@@ -8,10 +8,11 @@ import itertools
 from collections.abc import Callable
 from typing import Protocol
 
+from esair.loop._deadlines import contained
 from esair.loop._of_loop import of_loop
+from esair.loop._rate_group import EARLY, SECOND, OneShot, Order
+from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
-
-_EARLY = 1e-6  # timers may fire a hair early
 
 
 class Mortal(Protocol):
@@ -62,17 +63,18 @@ class DeadMen:
     A timer each, moved at each command, would cost more than the commands. Here being
     heard of costs nothing: at the moment that was known first it is looked whether it
     has moved. Each has one place in the heap at most, but for those that get impatient.
+    Who is heard of in a turn is so before anybody is found dead in it.
     """
 
-    __slots__ = ("_armed", "_heap", "_looks_at", "_loop", "_numbers", "_time", "_timer")
+    __slots__ = ("_armed", "_heap", "_look", "_loop", "_numbers", "_scheduler", "_time")
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
+        self._scheduler = Scheduler.of(loop)
         self._time = clock_of(loop)
         self._numbers = itertools.count(1)
         self._heap: list[tuple[float, int, DeadMan]] = []
-        self._timer: asyncio.TimerHandle | None = None
-        self._looks_at = 0.0
+        self._look: OneShot | None = None
         self._armed = 0
 
     @classmethod
@@ -87,7 +89,7 @@ class DeadMen:
         if man.number and man.moment <= moment:
             return  # it has a place from before, and is looked at there
         self._place(man, moment, heapq.heappush)
-        if self._timer is None or moment < self._looks_at:
+        if self._heap[0][-1] is man or self._look is None:
             self._look_at(moment)
 
     def drop(self) -> None:
@@ -97,9 +99,7 @@ class DeadMen:
             for _, _, man in self._heap:
                 man.number = 0
             self._heap.clear()
-            if self._timer is not None:
-                self._timer.cancel()
-                self._timer = None
+            self._look_no_more()
 
     def _place(self, man: DeadMan, moment: float, put: Callable[..., object]) -> None:
         man.moment = moment
@@ -107,28 +107,29 @@ class DeadMen:
         put(self._heap, (moment, man.number, man))
 
     def _look_at(self, moment: float) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        self._looks_at = moment
-        self._timer = self._loop.call_at(moment, self._look)
+        self._look_no_more()
+        self._look = self._scheduler.at(moment, self._looks, order=Order.DEAD)
 
-    def _look(self) -> None:
-        self._timer = None
-        heap, now = self._heap, self._time() + _EARLY
-        try:
-            while heap and heap[0][0] <= now:
-                _, number, man = heap[0]
-                if number == man.number and man.armed:
-                    moment = man.mortal.dies
-                    if moment > now:
-                        self._place(man, moment, heapq.heapreplace)
-                        continue
-                heapq.heappop(heap)
-                if number == man.number:
-                    man.number = 0
-                    if man.armed:
-                        man.disarm()
-                        man.mortal.dead()
-        finally:
-            if heap and self._timer is None:
-                self._look_at(heap[0][0])
+    def _look_no_more(self) -> None:
+        if self._look is not None:
+            self._scheduler.cancel(self._look)
+            self._look = None
+
+    def _looks(self, _now: float) -> None:
+        self._look = None
+        heap, now = self._heap, self._time() + EARLY / SECOND
+        while heap and heap[0][0] <= now:
+            _, number, man = heap[0]
+            if number == man.number and man.armed:
+                moment = man.mortal.dies
+                if moment > now:
+                    self._place(man, moment, heapq.heapreplace)
+                    continue
+            heapq.heappop(heap)
+            if number == man.number:
+                man.number = 0
+                if man.armed:
+                    man.disarm()
+                    contained(self._loop, man.mortal.dead)
+        if heap and self._look is None:
+            self._look_at(heap[0][0])

@@ -1,4 +1,4 @@
-"""All deadlines of a loop, behind one timer."""
+"""All deadlines of a loop, behind one timer; they take effect at the end of a turn."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.loop._of_loop import of_loop
+from esair.loop._rate_group import EARLY, SECOND, Order
+from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
 
 
@@ -42,7 +44,9 @@ class Deadlines:
     Nearly every wait is over long before its deadline, and a timer of the loop for
     each would cost more than many a wait. Here it is an entry in a dictionary: the
     one timer of the loop is moved when an earlier moment comes, and else left alone.
-    When it fires for an entry that has gone, it looks for the next.
+    When it fires for an entry that has gone, it looks for the next. The timer only
+    rings: the functions are called by the scheduler, when all that is due at the same
+    moment has been done, so it does not matter who set what first.
 
     Args:
         loop: Whose clock counts.
@@ -51,9 +55,12 @@ class Deadlines:
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._time = clock_of(loop)
+        self._scheduler = self._scheduler_of(loop)
         self._waiting: dict[Deadline, None] = {}
         self._looks_at = math.inf
         self._timer: asyncio.TimerHandle | None = None
+
+    _scheduler_of = Scheduler.of
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Deadlines:
@@ -82,29 +89,43 @@ class Deadlines:
         if self._timer is not None:
             self._timer.cancel()
         self._looks_at = when
-        self._timer = self._loop.call_at(when, self._look)
+        self._timer = self._loop.call_at(when, self._ring, when)
 
-    def _look(self) -> None:
-        # The timer may be early by as much as the clock can tell moments apart.
-        now = max(self._looks_at, self._time())
+    def _ring(self, when: float) -> None:
         self._timer = None
+        self._scheduler.at(when, self._look, order=Order.EXPIRY)
+
+    def _look(self, _now: float) -> None:
+        now = self._time() + EARLY / SECOND
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
         self._looks_at = math.inf
         due = sorted(
             (each for each in self._waiting if each.when <= now), key=_by_moment
         )
-        try:
-            for deadline in due:
-                if deadline in self._waiting:  # those before it may have cancelled it
-                    del self._waiting[deadline]
-                    deadline._call()  # noqa: SLF001 - two halves of one
-        finally:
-            earliest = min((each.when for each in self._waiting), default=math.inf)
-            if earliest < self._looks_at:
-                self._look_at(earliest)
+        for deadline in due:
+            if deadline in self._waiting:  # those before it may have cancelled it
+                del self._waiting[deadline]
+                contained(self._loop, deadline._call)  # noqa: SLF001 - two halves of one
+        earliest = min((each.when for each in self._waiting), default=math.inf)
+        if earliest < self._looks_at:
+            self._look_at(earliest)
 
 
 class _DeadlinesBeside(Deadlines):
     """The deadlines of what is outside of the robot."""
+
+    _scheduler_of = Scheduler.beside
+
+
+def contained(loop: asyncio.AbstractEventLoop, function: Callable[[], object]) -> None:
+    """Call a function; what it raises is told to the loop, as of any timer."""
+    try:
+        function()
+    except Exception as error:
+        message = f"{function!r:.200} raised at its moment"
+        loop.call_exception_handler({"message": message, "exception": error})
 
 
 def _by_moment(deadline: Deadline) -> float:

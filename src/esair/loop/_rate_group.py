@@ -34,7 +34,11 @@ class Order(enum.IntEnum):
     WAKE = 2
     """Go on with what waited for this moment."""
     EXPIRY = 3
-    """End what did not come until this moment."""
+    """End a call or a wait that was not over until this moment."""
+    STALE = 4
+    """See that a reading has become too old, or that a hold has ended."""
+    DEAD = 5
+    """Make an actuator safe that nobody has written until this moment."""
 
 
 class Callee(Protocol):

@@ -7,8 +7,9 @@ that rest, and a new task goes on turning (the *leader and followers* pattern), 
 that whatever the step began stays in the task that began it.
 
 In a turn everything that is due is called in one order (`Order`): sensors are asked,
-what is derived of them is computed, steps decide, what was decided leaves, then those
-go on who waited for the moment.
+what is derived of them is computed, steps decide, what was decided leaves, those go on
+who waited for the moment, and then what has not come until now is over: a call, a
+reading that was good until now, an actuator that nobody has written.
 
 Where turns have a border the task is woken there and nowhere else, by what was asked for
 before it: so what is called in a turn depends on nobody who happens to keep it awake.
@@ -178,7 +179,7 @@ class Scheduler:
         Args:
             due: The moment, in seconds.
             function: What to call.
-            order: `Order.WAKE` or `Order.EXPIRY`.
+            order: `Order.WAKE`, or what expires after it.
         """
         one_shot = OneShot(round(due * SECOND), order, function)
         self._push(one_shot.due, one_shot)
