@@ -49,7 +49,7 @@ class OnLine:
     stall, resume = silence, speak
 
     async def power_cycle(self, _device: Any) -> None:
-        self.fakes.feetech[2].power_cycle()
+        self.fakes.power_cycle()
 
 
 class TestFeetechBus(OnLine, BusContract):
@@ -70,20 +70,19 @@ class TestFeetechBus(OnLine, BusContract):
 
 
 class TestPosition(OnLine, SensorContract):
+    keeps_nothing = "each request says all that the servo needs"
+
     def make(self) -> ServoPosition:
         return ServoPosition(id=2, bus=self.make_bus())
 
 
 class TestFeetechServo(OnLine, ActuatorContract):
     def make(self) -> Any:
-        return Servo(id=2, safe=RELEASE, limits=(-1.0, 1.0), bus=self.make_bus())
+        bus = self.make_bus()
+        return Servo(id=2, safe=RELEASE, limits=(-1.0, 1.0), speed=1.0, bus=bus)
 
     def commands(self) -> list[Any]:
         return [Goal(0.5), Goal(-1.0), Goal(mode=Mode.HOLD), RELEASE]
-
-    async def power_cycle(self, device: Any) -> None:
-        await device.write(Goal(0.5))  # without torque there is nothing to lose
-        self.fakes.feetech[2].power_cycle()
 
 
 class TestFeetechVelocity(OnLine, ActuatorContract):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import collections
 import contextlib
+import fcntl
 import math
 import os
 import pty
 import struct
 import termios
 import threading
-import time
 import tty
 from collections.abc import Iterator
 from typing import Any
@@ -109,7 +110,9 @@ class TestServoPosition(Memory, SensorContract):
         self.fakes.resume()
 
     async def power_cycle(self, device: Any) -> None:
-        self.fakes.servos[2].power_cycle()
+        self.fakes.power_cycle()
+
+    keeps_nothing = "an answer of one that has restarted says so, and it is lost"
 
     async def unplug(self, device: ServoPosition) -> None:
         self.fakes.unplug()
@@ -131,7 +134,7 @@ class TestServo(Memory, ActuatorContract):
         self.fakes.resume()
 
     async def power_cycle(self, device: Any) -> None:
-        self.fakes.servos[2].power_cycle()
+        self.fakes.power_cycle()
 
     async def unplug(self, device: Servo) -> None:
         self.fakes.unplug()
@@ -167,50 +170,73 @@ def bus(fakes: FakeServos) -> ServoBus:
 # Together.
 
 
-async def test_six_servos_take_two_turns_of_the_wire() -> None:
-    """All are read in one, and asked whether they are set up in one; goals need none."""
-    fakes = FakeServos(range(1, 7))
+SIX = range(1, 7)
+
+
+async def six(fakes: FakeServos) -> tuple[ServoBus, list[Servo], list[ServoPosition]]:
+    """Six servos with torque on one line, each with its position."""
     bus = ServoBus(name="arm", opener=fakes.open)
-    servos = [Servo(name=f"s{n}", id=n, safe=RELEASE, bus=bus) for n in range(1, 7)]
-    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in range(1, 7)]
+    servos = [Servo(name=f"s{n}", id=n, safe=RELEASE, bus=bus) for n in SIX]
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in SIX]
     await bus.open()
-    await asyncio.gather(*(each.open() for each in servos))
+    await asyncio.gather(*(each.open() for each in [*servos, *places]))
     await asyncio.gather(*(each.write(Goal(0.1)) for each in servos))
     fakes.written.clear()
     fakes.turns = 0
+    return bus, servos, places
+
+
+@pytest.mark.virtual_clock
+async def test_six_servos_take_one_turn_of_the_wire() -> None:
+    """Goals need none; where all are, and whether they are set up, is one question."""
+    fakes = FakeServos(SIX)
+    bus, servos, places = await six(fakes)
+    await asyncio.gather(*(each.read() for each in places))
     for step in range(1, 11):
-        await asyncio.gather(*(each.write(Goal(0.1 * step)) for each in servos))
-        found = await asyncio.gather(*(each.read() for each in places))
+        told = [each.write(Goal(0.1 * step)) for each in servos]
+        asked = [each.read() for each in places]
+        found = (await asyncio.gather(*asked, *told))[:6]
         assert found == pytest.approx([0.1 * step] * 6, abs=1e-3)
 
-    assert fakes.turns == 2 * 10
-    assert [kind for _, kind, _ in fakes.written] == [
-        SYNC_READ,
-        SYNC_WRITE,
-        SYNC_READ,
-    ] * 10
+    kinds = [kind for _, kind, _ in fakes.written]
+    assert kinds == [SYNC_READ, *[SYNC_WRITE, SYNC_READ] * 10]
+    assert fakes.turns == 11
     await bus.close()
 
 
-@pytest.mark.real_clock
-async def test_six_servos_wait_for_the_latency_of_the_adapter_twice() -> None:
-    """Each cycle, read and told; one after the other it would be eighteen times."""
-    fakes = FakeServos(range(1, 7))
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize("rate", [50.0, None])
+@pytest.mark.parametrize("latency", [0.016, 0.001])
+async def test_six_servos_at_50_hz_within_the_latency_of_the_adapter(
+    latency: float, rate: float | None
+) -> None:
+    """Asked and told in a rhythm, or told what follows from where they are."""
+    fakes = FakeServos(SIX)
+    fakes.delay = latency
     bus = ServoBus(name="arm", opener=fakes.open)
-    servos = [Servo(name=f"s{n}", id=n, safe=RELEASE, bus=bus) for n in range(1, 7)]
-    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in range(1, 7)]
-    await bus.open()
-    await asyncio.gather(*(each.open() for each in servos))
-    await asyncio.gather(*(each.write(Goal(0.1)) for each in servos))
-    fakes.delay, fakes.turns = 0.016, 0
-    begin = time.monotonic()
-    for step in range(10):
-        await asyncio.gather(*(each.write(Goal(0.1 * step)) for each in servos))
-        await asyncio.gather(*(each.read() for each in places))
+    names = [f"s{n}" for n in SIX]
+    ports: dict[str, Any] = {name: esair.writes(Goal) for name in names}
+    ports |= {f"p{n}": esair.reads(float) for n in SIX}
 
-    assert time.monotonic() - begin >= 20 * fakes.delay, "the fake has that latency"
-    assert fakes.turns == 20
-    await bus.close()
+    def react(self: esair.Reaction, **places: float) -> dict[str, Goal]:
+        return dict.fromkeys(names, Goal(0.3 * math.sin(0.001 * self.now_ms)))
+
+    wave = type("Wave", (esair.Reaction,), {"rate": rate, "react": react, **ports})
+    servos = [Servo(name=f"s{n}", id=n, safe=RELEASE, bus=bus) for n in SIX]
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in SIX]
+    async with esair.Robot(resources=[*servos, *places], behaviors=[wave()]):
+        await asyncio.sleep(2.0)
+        fakes.written.clear()
+        fakes.turns = 0
+        await asyncio.sleep(4.0)
+        counted = collections.Counter(
+            (kind, len(data)) for _, kind, data in fakes.written
+        )
+
+    all_told, all_asked = (SYNC_WRITE, 4 + 6 * 5), (SYNC_READ, 4 + 6)
+    assert counted.keys() == {all_told, all_asked}
+    assert counted[all_told] >= 199
+    assert 199 <= fakes.turns <= 205
 
 
 async def test_a_silent_servo_costs_the_others_nothing_but_time() -> None:
@@ -353,7 +379,7 @@ async def test_what_a_servo_refuses_is_told_in_its_words(bus: ServoBus) -> None:
     await bus.open()
 
     with pytest.raises(DeviceFaultError, match="not available to target address"):
-        await bus.write(1, 146, 4, 0)
+        await bus.write(1, 251, 4, 0)
 
     await bus.close()
 
@@ -410,7 +436,7 @@ async def test_a_goal_goes_before_the_torque(bus: ServoBus, fakes: FakeServos) -
         if instruction == WRITE
     ]
     assert writes[:2] == [(GOAL_POSITION, 3072), (TORQUE_ENABLE, 1)]
-    assert writes[-1] == (GOAL_POSITION, CENTER)
+    assert fakes.servos[1].get(GOAL_POSITION) == CENTER
     assert [address for address, _ in writes].count(TORQUE_ENABLE) == 1
     await bus.close()
 
@@ -564,6 +590,32 @@ async def test_a_line_that_takes_no_bytes(terminal: Terminal) -> None:
     termios.tcflow(terminal.slave, termios.TCOON)
     assert await bus.ping(1) == 1060
     await bus.close()
+
+
+@pytest.mark.real_clock
+async def test_an_adapter_is_told_to_keep_nothing_back(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Then that of FTDI passes on in 1 ms what it keeps for 16 ms; others have no such flag."""
+    flags, real = 0x1000, fcntl.ioctl
+
+    def ioctl(fd: int, request: int, state: Any = 0, *rest: Any) -> Any:
+        nonlocal flags
+        if request == termios.TIOCGSERIAL:
+            struct.pack_into("=i", state, 16, flags)
+        elif request == termios.TIOCSSERIAL:
+            (flags,) = struct.unpack_from("=i", state, 16)
+        else:
+            return real(fd, request, state, *rest)
+        return 0
+
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    bus = ServoBus(name="arm", port=terminal.path)
+    await bus.open()
+    assert await bus.ping(1) == 1060
+    await bus.close()
+
+    assert flags == 0x1000 | 0x2000, "ASYNC_LOW_LATENCY, and what was there"
 
 
 @pytest.mark.real_clock

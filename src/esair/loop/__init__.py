@@ -14,7 +14,7 @@ from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import ENDED, WAITS, FirstSteps, LightTask, current_tasks
-from esair.loop._now import now, works_for
+from esair.loop._now import now, sleep_in_thread, works_for
 from esair.loop._outside import News, ask_outside, outside
 from esair.loop._ownership import (
     OwnedTasks,
@@ -90,6 +90,7 @@ __all__ = [
     "portal",
     "run_and_end",
     "script_context",
+    "sleep_in_thread",
     "spawn",
     "speaks_for_nobody",
     "threads_that_keep_the_process",

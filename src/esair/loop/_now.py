@@ -17,6 +17,15 @@ def works_for(loop: asyncio.AbstractEventLoop) -> None:
     _thread.loop = loop
 
 
+def sleep_in_thread(seconds: float) -> None:
+    """Sleep in a thread that works for a robot, by the clock of `now`.
+
+    For a fake whose calls block: on the virtual clock it takes no real time.
+    """
+    virtual = getattr(getattr(_thread, "loop", None), "wait_in_thread", None)
+    (time.sleep if virtual is None else virtual)(seconds)
+
+
 def now() -> float:
     """Return the robot's monotonic time, in seconds.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeVar
@@ -17,8 +18,8 @@ from dynamixel_sdk import (  # type: ignore[import-untyped]
 from esair.buses import Bus, Exchanges, open_on, shut_on, wanted
 from esair.buses.serial import OPEN_TIMEOUT, Port, SerialPlace, close_port, reach_port
 from esair.drivers.servo._line import ANSWER_TIMEOUT, PortLink, SdkPort, ServoLink
-from esair.drivers.servo._tables import DYNAMIXEL_X
-from esair.drivers.servo._together import Together
+from esair.drivers.servo._tables import DYNAMIXEL_X, Snapshot
+from esair.drivers.servo._together import Key, Kind, Together
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -27,6 +28,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
+from esair.loop import now
 from esair.watchdog import Outlet
 
 T = TypeVar("T")
@@ -59,7 +61,8 @@ class ServoBus(Bus):
 
     Requests of several servos for the same entry that are there at the same time are one
     on the wire (sync read, sync write): the wire is turned once for all of them, which
-    takes most of the time. A sync write has no answer.
+    takes most of the time. A sync write has no answer, so what servos are told goes
+    before what they are asked.
 
     In ``bus.stats`` what is sent and received is counted in packets.
 
@@ -95,6 +98,7 @@ class ServoBus(Bus):
         self._opener = opener
         self._exchanges = Exchanges(self, late_limit=LATE_LIMIT)
         self._together = Together(self._make)
+        self._snapshots: dict[int, tuple[float, Snapshot]] = {}
         self._device: Port | None = None
         self._link: SdkPort | None = None
         self._handler: Any = self._make_handler()
@@ -169,27 +173,74 @@ class ServoBus(Bus):
 
         Errors are those of `ping`; a servo that has shut down is a fault, too.
         """
-        value = await self._together.ask(servo, address, size, None)
-        assert value is not None
-        return value
+        return await self._together.ask(Kind.READ, servo, address, size)
 
     async def write(self, servo: int, address: int, size: int, value: int) -> None:
         """Change an entry of a servo's control table; args and errors as for `read`."""
-        await self._together.ask(servo, address, size, value & (1 << 8 * size) - 1)
+        raw = value & (1 << 8 * size) - 1
+        await self._together.ask(Kind.WRITE, servo, address, size, raw)
+
+    async def tell(self, servo: int, address: int, size: int, value: int) -> None:
+        """Change an entry without an answer, for which the wire would be turned.
+
+        Raises:
+            DeviceLostError: The line is gone.
+            DriverStuckError: It took too long.
+        """
+        raw = value & (1 << 8 * size) - 1
+        await self._together.ask(Kind.TELL, servo, address, size, raw)
+
+    async def set_up(self, servo: int) -> None:
+        """Have a servo tell its `Snapshot` in one block; errors as for `read`."""
+        table = self.table
+        if table.mapped is not None:
+            addresses = b"".join(each.to_bytes(2, "little") for each in table.places)
+            value = int.from_bytes(addresses, "little")
+            await self.write(servo, table.mapped, len(addresses), value)
+        if table.light is not None:
+            await self.write(servo, table.light, 1, 1)
+
+    async def snapshot(self, servo: int, *, max_age: float = 0.0) -> Snapshot:
+        """Return where a servo is, and what shows whether it has restarted.
+
+        Args:
+            servo: Which one; it was set up by `set_up`.
+            max_age: How old an answer may be that was there already, in seconds.
+        """
+        time, known = self._snapshots.get(servo, (-math.inf, None))
+        if known is not None and now() - time < max_age:
+            return known
+        look = self.table.look
+        return self.table.snapshot(await self.read(servo, look.address, look.size))
 
     async def _make(
-        self, address: int, size: int, asked: Mapping[int, int | None]
+        self, key: Key, asked: Mapping[int, int]
     ) -> Mapping[int, int | BaseException]:
         """Make requests of one or of several servos for one entry."""
-        if len(asked) == 1:
-            ((servo, value),) = asked.items()
-            try:
-                return {servo: await self._make_one(servo, address, size, value)}
-            except EsairError as error:
-                return {servo: error}
-        if None in asked.values():
+        if key[0] is Kind.WRITE:
+            for servo in asked:
+                self._snapshots.pop(servo, None)
+        made = await self._made(key, asked)
+        if key == (Kind.READ, *self.table.look[:2]):
+            for servo, block in made.items():
+                if isinstance(block, int):
+                    self._snapshots[servo] = now(), self.table.snapshot(block)
+        return made
+
+    async def _made(
+        self, key: Key, asked: Mapping[int, int]
+    ) -> Mapping[int, int | BaseException]:
+        kind, address, size = key
+        if kind is Kind.TELL or (kind is Kind.WRITE and len(asked) > 1):
+            return await self._write_all(address, size, asked)
+        if len(asked) > 1:
             return await self._read_all(address, size, tuple(asked))
-        return await self._write_all(address, size, asked)
+        ((servo, value),) = asked.items()
+        told = value if kind is Kind.WRITE else None
+        try:
+            return {servo: await self._make_one(servo, address, size, told)}
+        except EsairError as error:
+            return {servo: error}
 
     async def _make_one(
         self, servo: int, address: int, size: int, value: int | None
@@ -237,11 +288,10 @@ class ServoBus(Bus):
         return found
 
     async def _write_all(
-        self, address: int, size: int, asked: Mapping[int, int | None]
+        self, address: int, size: int, asked: Mapping[int, int]
     ) -> Mapping[int, int | BaseException]:
         data: list[int] = []
         for servo, value in asked.items():
-            assert value is not None
             data += [servo, *value.to_bytes(size, "little")]
 
         def call(handler: Any, link: SdkPort) -> list[tuple[int, int, int]]:
@@ -340,6 +390,7 @@ class ServoBus(Bus):
     async def _open(self) -> None:
         await self._close()  # what a loss has left behind
         self._exchanges.clear()
+        self._snapshots.clear()
         line: ServoLink
         if self._opener is None:
             assert self._place is not None

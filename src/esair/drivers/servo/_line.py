@@ -9,8 +9,9 @@ import os
 import select
 import struct
 import termios
-import time
 from typing import Final, Protocol
+
+from esair.loop import now
 
 ANSWER_TIMEOUT: Final = 0.05
 """How long a servo may take for a whole answer, in seconds."""
@@ -60,12 +61,12 @@ class SdkPort:
 
     def writePort(self, packet: list[int]) -> int:  # noqa: N802
         self.line.write(bytes(packet), ANSWER_TIMEOUT)
-        self._end = time.monotonic() + ANSWER_TIMEOUT
+        self._end = now() + ANSWER_TIMEOUT
         return len(packet)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         # What is there is taken a little later, too: this thread may have come late.
-        left = self._end - time.monotonic()
+        left = self._end - now()
         return self.line.read(length, max(0.0, left)) if left > -GRACE else b""
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
@@ -75,7 +76,7 @@ class SdkPort:
         """Keep the deadline, which began with the request."""
 
     def isPacketTimeout(self) -> bool:  # noqa: N802
-        return time.monotonic() >= self._end
+        return now() >= self._end
 
 
 class PortLink:
@@ -95,12 +96,12 @@ class PortLink:
             fcntl.ioctl(self._fd, termios.TIOCSSERIAL, state)
 
     def write(self, data: bytes, seconds: float) -> None:
-        end = time.monotonic() + seconds
+        end = now() + seconds
         while data:
-            self._wait(select.POLLOUT, end - time.monotonic())
+            self._wait(select.POLLOUT, end - now())
             with contextlib.suppress(BlockingIOError):
                 data = data[os.write(self._fd, data) :]
-            if data and time.monotonic() > end:
+            if data and now() > end:
                 raise TimeoutError(errno.ETIMEDOUT, "the servos' line takes no bytes")
 
     def read(self, size: int, seconds: float) -> bytes:

@@ -40,11 +40,27 @@ class Entry(NamedTuple):
         return raw - 2 * sign if raw & sign else raw
 
 
+class Snapshot(NamedTuple):
+    """What one answer of a servo tells: where it is, and whether it has restarted.
+
+    Attributes:
+        has_torque: Whether it holds its goal.
+        is_lit: Whether its light is lit, which a restart puts out; True if it has none.
+        position: Where it is, in steps.
+        speed: How fast it goes to its goal, in units of its table.
+    """
+
+    has_torque: bool
+    is_lit: bool
+    position: int
+    speed: int
+
+
 class Table(NamedTuple):
     """The entries of a servo's control table that are used here.
 
     Attributes:
-        torque: Whether it holds its goal; what follows in the next byte is its light.
+        torque: Whether it holds its goal.
         mode: Its mode of operation.
         modes: The values of that for a current, a velocity and a position; None if it
             has no such mode.
@@ -54,6 +70,9 @@ class Table(NamedTuple):
         speed: How fast it goes to its goal.
         velocity_unit: The unit of both in rad/s.
         errors: The bits of why it has shut down.
+        look: What is read for a `Snapshot`: its entries, as they are in one block.
+        mapped: Where the addresses of the bytes of that block are put; None if they are
+            there by themselves.
         light: Its light, which a restart puts out; None if it has none.
         lock: What keeps its mode from being changed; None if nothing does.
     """
@@ -67,8 +86,41 @@ class Table(NamedTuple):
     speed: Entry
     velocity_unit: float
     errors: int
+    look: Entry
+    mapped: int | None = None
     light: int | None = None
     lock: int | None = None
+
+    @property
+    def places(self) -> list[int]:
+        """The addresses of the bytes of the block."""
+        if self.mapped is None:
+            return [*range(self.look.address, self.look.address + self.look.size)]
+        assert self.light is not None
+        entries = (
+            Entry(self.torque, 1),
+            Entry(self.light, 1),
+            self.position,
+            self.speed,
+        )
+        return [each.address + n for each in entries for n in range(each.size)]
+
+    def snapshot(self, block: int) -> Snapshot:
+        """Return what a block tells."""
+        places = self.places
+        data = block.to_bytes(self.look.size, "little")
+
+        def number(entry: Entry) -> int:
+            at = places.index(entry.address)
+            raw = int.from_bytes(data[at : at + entry.size], "little")
+            return entry.unpack(raw)
+
+        return Snapshot(
+            has_torque=bool(number(Entry(self.torque, 1))),
+            is_lit=self.light is None or bool(number(Entry(self.light, 1))),
+            position=number(self.position),
+            speed=number(self.speed),
+        )
 
 
 DYNAMIXEL_X: Final = Table(
@@ -81,6 +133,8 @@ DYNAMIXEL_X: Final = Table(
     speed=Entry(112, 4),
     velocity_unit=0.229 * math.tau / 60,
     errors=70,
+    look=Entry(224, 10),
+    mapped=168,
     light=65,
 )
 """The X series of ROBOTIS: the control table of the XL430-W250."""
@@ -95,6 +149,7 @@ FEETECH_STS: Final = Table(
     speed=Entry(46, 2, has_sign_bit=True),
     velocity_unit=math.tau / 4096,
     errors=65,
+    look=Entry(40, 18),
     lock=55,
 )
 """The STS and SMS series of Feetech: the memory table of the STS3215."""

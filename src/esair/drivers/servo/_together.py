@@ -3,64 +3,96 @@
 from __future__ import annotations
 
 import asyncio
+import enum
 from collections.abc import Awaitable, Callable, Mapping
 
 from esair.loop import spawn
 
+QUIET = 3
+"""For how many turns of the loop nothing is asked before what was asked leaves."""
+
 Made = Mapping[int, "int | BaseException"]
+
+
+class Kind(enum.IntEnum):
+    """What a request does with an entry, in the order in which they leave."""
+
+    TELL = 0
+    """Change it; nobody answers, so nobody waits."""
+    WRITE = 1
+    READ = 2
+
+
+Key = tuple[Kind, int, int]
+"""What requests have in common that are made together: its kind, address and size."""
 
 
 class Together:
     """Gathers requests for the same entry of several servos until their turn.
 
+    What servos are told goes before what they are asked: only that has to wait for them.
+
     Args:
-        make: Makes requests for one entry; gets its address and size and, by servo, the
-            value to write or None to read. Returns the value, or the error, by servo.
+        make: Makes requests for one entry; gets what they have in common and, by servo,
+            the value to write. Returns the value, or the error, by servo.
     """
 
     def __init__(
-        self, make: Callable[[int, int, Mapping[int, int | None]], Awaitable[Made]]
+        self, make: Callable[[Key, Mapping[int, int]], Awaitable[Made]]
     ) -> None:
         self._make = make
-        self._turn = asyncio.Lock()
-        self._open: dict[tuple[int, int, bool], _Batch] = {}
+        self._batches: dict[Key, list[tuple[int, int, asyncio.Future[int]]]] = {}
+        self._is_running = False
 
     async def ask(
-        self, servo: int, address: int, size: int, value: int | None
-    ) -> int | None:
-        """Read or write an entry; one that is cancelled before its turn is not sent."""
-        key = (address, size, value is None)
-        batch = self._open.get(key)
-        if batch is None:
-            loop = asyncio.get_running_loop()
-            batch = self._open[key] = _Batch()
-            spawn(loop, self._run(key, batch), name="servos together")
-        future: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        self, kind: Kind, servo: int, address: int, size: int, value: int = 0
+    ) -> int:
+        """Make a request; one that is cancelled before its turn is not sent."""
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[int] = loop.create_future()
+        batch = self._batches.setdefault((kind, address, size), [])
         batch.append((servo, value, future))
+        if not self._is_running:
+            self._is_running = True
+            spawn(loop, self._run(), name="servos together")
         return await future
 
-    async def _run(self, key: tuple[int, int, bool], batch: _Batch) -> None:
-        await asyncio.sleep(0)  # what is asked in the same moment comes with it
-        async with self._turn:
-            if self._open.get(key) is batch:
-                del self._open[key]
-            live = [each for each in batch if not each[2].done()]
-            asked = {servo: value for servo, value, _ in live}  # the newest wins
-            made: Made = {}
-            if asked:
-                try:
-                    made = await self._make(key[0], key[1], asked)
-                except Exception as error:
-                    made = dict.fromkeys(asked, error)
-            for servo, _, future in live:
-                result = made[servo]
-                if future.done():
-                    continue
-                if isinstance(result, BaseException):
-                    future.set_exception(result)
-                else:
-                    future.set_result(result)
+    async def _run(self) -> None:
+        try:
+            while self._batches:
+                await self._settled()
+                batches, self._batches = self._batches, {}
+                for key in sorted(batches, key=lambda key: key[0]):
+                    await self._run_batch(key, batches[key])
+        finally:
+            self._is_running = False
 
+    async def _settled(self) -> None:
+        """Wait for what is asked in the same moment, which takes some turns of the loop."""
+        asked, quiet = -1, 0
+        while quiet < QUIET:
+            now = sum(map(len, self._batches.values()))
+            quiet = quiet + 1 if now == asked else 0
+            asked = now
+            await asyncio.sleep(0)
 
-class _Batch(list[tuple[int, "int | None", "asyncio.Future[int]"]]):
-    """Requests that wait for their turn."""
+    async def _run_batch(
+        self, key: Key, batch: list[tuple[int, int, asyncio.Future[int]]]
+    ) -> None:
+        live = [each for each in batch if not each[2].done()]
+        if not live:
+            return
+        made: Made
+        asked = {servo: value for servo, value, _ in live}  # the newest wins
+        try:
+            made = await self._make(key, asked)
+        except Exception as error:
+            made = dict.fromkeys(asked, error)
+        for servo, _, future in live:
+            result = made[servo]
+            if future.done():
+                continue
+            if isinstance(result, BaseException):
+                future.set_exception(result)
+            else:
+                future.set_result(result)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import struct
-import threading
-import time
 from collections.abc import Iterable
 
 from dynamixel_sdk import Protocol2PacketHandler  # type: ignore[import-untyped]
@@ -20,6 +18,7 @@ from esair.drivers.servo import (
     TORQUE_ENABLE,
     ServoLink,
 )
+from esair.loop import now, sleep_in_thread
 
 PING, READ, WRITE, STATUS = 0x01, 0x02, 0x03, 0x55
 SYNC_READ, SYNC_WRITE = 0x82, 0x83
@@ -32,7 +31,10 @@ ALERT = 0x80
 ACCESS_ERROR = 7
 """What a servo answers to a request beyond its control table."""
 
-TABLE_SIZE = 147
+TABLE_SIZE = 252
+
+MAP, MAPPED = 168, 224
+"""Where the table has 28 addresses, and where it has what is at them."""
 
 _crc = Protocol2PacketHandler().updateCRC
 
@@ -56,17 +58,17 @@ class FakeServo:
 
     def __init__(self, *, model: int = 1060, steps: int = CENTER) -> None:
         self.model = model
-        self.table = bytearray(TABLE_SIZE)
-        self.table[OPERATING_MODE] = 3
-        self.shut_down = 0
-        self.put(GOAL_POSITION, steps)
-        self.put(PRESENT_POSITION, steps)
+        self._start(mode=3, steps=steps)
 
     def power_cycle(self) -> None:
         """Lose the power for a moment: it stays where it is, without torque."""
-        steps, mode = self.get(PRESENT_POSITION), self.table[OPERATING_MODE]
+        self._start(mode=self.table[OPERATING_MODE], steps=self.get(PRESENT_POSITION))
+
+    def _start(self, mode: int, steps: int) -> None:
         self.table = bytearray(TABLE_SIZE)
         self.table[OPERATING_MODE] = mode
+        for place in range(28):
+            self.table[MAP + 2 * place] = MAPPED + place
         self.shut_down = 0
         self.put(GOAL_POSITION, steps)
         self.put(PRESENT_POSITION, steps)
@@ -84,6 +86,13 @@ class FakeServo:
         """Change an entry of four bytes."""
         self.table[address : address + 4] = value.to_bytes(4, "little", signed=True)
 
+    def _at(self, address: int) -> int:
+        """Return where a byte really is, which is another place if it is mapped."""
+        if address < MAPPED:
+            return address
+        place = MAP + 2 * (address - MAPPED)
+        return int.from_bytes(self.table[place : place + 2], "little") % TABLE_SIZE
+
     def obey(self, instruction: int, parameters: bytes) -> bytes:
         """Return what stands in the answer: the error, and what was asked for."""
         self.table[HARDWARE_ERROR] = self.shut_down
@@ -95,12 +104,14 @@ class FakeServo:
             size = int.from_bytes(parameters[2:4], "little")
             if address + size > TABLE_SIZE:
                 return bytes([error | ACCESS_ERROR])
-            return bytes([error]) + self.table[address : address + size]
+            told = (self.table[self._at(address + n)] for n in range(size))
+            return bytes([error, *told])
         if instruction != WRITE or address + len(parameters) - 2 > TABLE_SIZE:
             return bytes([error | ACCESS_ERROR])
         if address == OPERATING_MODE and self.torque:
             return bytes([error | ACCESS_ERROR])
-        self.table[address : address + len(parameters) - 2] = parameters[2:]
+        for n, byte in enumerate(parameters[2:]):
+            self.table[self._at(address + n)] = byte
         if self.torque and not self.shut_down and self.table[OPERATING_MODE] == 3:
             self.put(PRESENT_POSITION, self.get(GOAL_POSITION))
         return bytes([error])
@@ -141,6 +152,11 @@ class FakeServos:
     def plug(self) -> None:
         """Be there again."""
         self.plugged = True
+
+    def power_cycle(self) -> None:
+        """Lose the power for a moment, all of them."""
+        for servo in self.servos.values():
+            servo.power_cycle()
 
     def stall(self) -> None:
         """Answer nothing until `resume`."""
@@ -225,28 +241,27 @@ class _MemoryLink:
         self._servos = servos
         self._answers = b""
         self._late = 0.0
-        self._never = threading.Event()
 
     def write(self, data: bytes, seconds: float) -> None:
         self._servos.check()
         answers = self._servos.heard(data)
         if answers:
             self._servos.turns += 1
-            self._late = time.monotonic() + self._servos.delay
+            self._late = now() + self._servos.delay
         self._answers += answers
 
     def read(self, size: int, seconds: float) -> bytes:
         self._servos.check()
-        early = self._late - time.monotonic()
+        early = self._late - now()
         if not self._answers or early > 0:
-            self._never.wait(min(seconds, early) if self._answers else seconds)
-        if time.monotonic() < self._late:
+            sleep_in_thread(min(seconds, early) if self._answers else seconds)
+        if now() < self._late:
             return b""
         data, self._answers = self._answers[:size], self._answers[size:]
         return data
 
     def discard(self) -> None:
-        if time.monotonic() >= self._late:
+        if now() >= self._late:
             self._answers = b""
 
     def close(self) -> None:

@@ -73,6 +73,11 @@ class FakeFeetechServos(FakeServos):
         super().__init__(())
         self.feetech = {number: FakeFeetechServo() for number in servos}
 
+    def power_cycle(self) -> None:
+        """Lose the power for a moment, all of them."""
+        for servo in self.feetech.values():
+            servo.power_cycle()
+
     def heard(self, data: bytes) -> bytes:
         """Take bytes from the line; return the answers of the servos."""
         data, answers = self._rest + data, b""

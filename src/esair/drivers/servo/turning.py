@@ -55,8 +55,11 @@ class _Turned(Torqued[float]):
         await self._check_set_up()
         entry = self._entry
         told = self.id, entry.address, entry.size, entry.pack(self._units(command))
+        if self._torque and command != self.safe:
+            await self.bus.tell(*told)
+            return
         await self.bus.write(*told)
-        if command != self.safe and not self._torque:
+        if command != self.safe:
             await self._begin()
             await self.bus.write(*told)
             self._torque = True
