@@ -97,6 +97,53 @@ class TestFeetechVelocity(OnLine, ActuatorContract):
         self.fakes.feetech[2].power_cycle()
 
 
+class TestFeetechCurrent(OnLine, ActuatorContract):
+    """Of the HLS series, which has that mode."""
+
+    def make(self) -> Any:
+        self.fakes = FakeFeetechServos([1, 2])
+        bus = FeetechBus(name="arm", series="hls", opener=self.fakes.open)
+        return ServoCurrent(id=2, bus=bus)
+
+    def commands(self) -> list[Any]:
+        return [0.1, -0.5]
+
+    async def power_cycle(self, device: Any) -> None:
+        await device.write(0.1)
+        self.fakes.power_cycle()
+
+
+async def test_a_current_is_in_its_units_with_a_bit_for_its_sign() -> None:
+    """6.5 mA each, in mode 2; STS has no such mode, and says so at once."""
+    fakes = FakeFeetechServos([1])
+    bus = FeetechBus(name="arm", series="hls", opener=fakes.open)
+    grip = ServoCurrent(name="grip", bus=bus)
+    await bus.open()
+    await grip.open()
+    await grip.write(-0.065)
+    assert fakes.feetech[1].table[33] == 2
+    assert fakes.feetech[1].get(44) == 0x8000 | 10
+    assert fakes.feetech[1].torque
+    await bus.close()
+
+    with pytest.raises(ConfigError, match="no current mode"):
+        ServoCurrent(bus=FeetechBus(name="arm", opener=fakes.open))
+    with pytest.raises(ConfigError, match="series: expected 'sts' or 'hls'"):
+        FeetechBus(name="arm", series="scs", opener=fakes.open)  # type: ignore[arg-type]
+
+
+async def test_no_limit_of_the_speed_is_another_number_for_each_series() -> None:
+    """0 would stop those of HLS."""
+    for series, units in (("sts", 0), ("hls", 0x7FFF)):
+        fakes = FakeFeetechServos([1])
+        bus = FeetechBus(name="arm", series=series, opener=fakes.open)  # type: ignore[arg-type]
+        servo = Servo(safe=RELEASE, bus=bus)
+        await bus.open()
+        await servo.apply(speed=0.0)
+        assert fakes.feetech[1].get(46) == units
+        await bus.close()
+
+
 async def test_goals_and_places_are_those_of_its_table() -> None:
     """4096 steps a turn, two bytes, the middle at 2048; several as one request."""
     fakes = FakeFeetechServos([1, 2])
@@ -131,8 +178,6 @@ async def test_it_turns_both_ways_and_its_mode_is_unlocked() -> None:
     for frame in wheel.safe_frames().frames:
         fakes.heard(frame)
     assert fakes.feetech[1].get(46) == 0
-    with pytest.raises(ConfigError, match="have no such mode"):
-        await ServoCurrent(id=1, bus=bus).open()
     await bus.close()
 
 

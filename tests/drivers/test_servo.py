@@ -179,7 +179,8 @@ async def six(fakes: FakeServos) -> tuple[ServoBus, list[Servo], list[ServoPosit
     servos = [Servo(name=f"s{n}", id=n, safe=RELEASE, bus=bus) for n in SIX]
     places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in SIX]
     await bus.open()
-    await asyncio.gather(*(each.open() for each in [*servos, *places]))
+    await asyncio.gather(*(each.open() for each in servos))
+    await asyncio.gather(*(each.open() for each in places))
     await asyncio.gather(*(each.write(Goal(0.1)) for each in servos))
     fakes.written.clear()
     fakes.turns = 0

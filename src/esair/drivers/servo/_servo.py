@@ -168,8 +168,7 @@ class Torqued(Actuator[T]):
         await self.bus.ping(self.id)
         table = self.bus.table
         mode = table.modes[self.mode]
-        if mode is None:
-            raise ConfigError(self.name, "bus", "its servos have no such mode")
+        assert mode is not None  # its class has refused a bus without it
         if await self.bus.read(self.id, table.mode, 1) != mode:
             await self.bus.write(self.id, table.torque, 1, 0)  # else it is refused
             if table.lock is not None:
@@ -243,7 +242,9 @@ class Servo(Torqued[Goal]):
         """Set how fast it moves."""
         value = self.speed if speed is None else speed
         table = self.bus.table
-        units = max(1, round(value / table.velocity_unit)) if value else 0
+        units = table.no_limit
+        if value:
+            units = max(1, round(value / table.velocity_unit))
         self._told_speed = None
         await self.bus.write(self.id, table.speed.address, table.speed.size, units)
         self._told_speed = units

@@ -69,6 +69,9 @@ class Table(NamedTuple):
         velocity: How fast it turns in velocity mode.
         speed: How fast it goes to its goal.
         velocity_unit: The unit of both in rad/s.
+        no_limit: The speed that is none.
+        current: How hard it pushes in current mode; None if it has no such mode.
+        current_unit: The unit of that in A, unless its model has another.
         errors: The bits of why it has shut down.
         look: What is read for a `Snapshot`: its entries, as they are in one block.
         mapped: Where the addresses of the bytes of that block are put; None if they are
@@ -87,6 +90,9 @@ class Table(NamedTuple):
     velocity_unit: float
     errors: int
     look: Entry
+    no_limit: int = 0
+    current: Entry | None = None
+    current_unit: float = 0.0
     mapped: int | None = None
     light: int | None = None
     lock: int | None = None
@@ -134,6 +140,8 @@ DYNAMIXEL_X: Final = Table(
     velocity_unit=0.229 * math.tau / 60,
     errors=70,
     look=Entry(224, 10),
+    current=Entry(102, 2),
+    current_unit=0.00269,
     mapped=168,
     light=65,
 )
@@ -153,3 +161,12 @@ FEETECH_STS: Final = Table(
     lock=55,
 )
 """The STS and SMS series of Feetech: the memory table of the STS3215."""
+
+FEETECH_HLS: Final = FEETECH_STS._replace(
+    modes=(2, 1, 0),
+    velocity_unit=0.732 * math.tau / 60,
+    no_limit=0x7FFF,
+    current=Entry(44, 2, has_sign_bit=True),
+    current_unit=0.0065,
+)
+"""The HLS series of Feetech, which has a current mode; a speed of 0 stops it."""

@@ -1,4 +1,4 @@
-"""Serial servos of Feetech, STS and SMS series, such as the STS3215.
+"""Serial servos of Feetech: STS and SMS series, such as the STS3215, and HLS.
 
 They have a bus of their own kind; the devices on it are the same as for Dynamixel::
 
@@ -15,20 +15,21 @@ They have a bus of their own kind; the devices on it are the same as for Dynamix
 
     pip install 'esair[feetech]'
 
-They have no current mode, and no light: one that restarts is noticed when it had torque.
+They have no light: one that restarts is noticed when it had torque, or a speed. Those of the
+HLS series have a current mode; their bus says ``series = "hls"``.
 
-Source: Feetech's memory table of the STS3215; the packets are made and checked by the
-maker's SDK, in the package ``feetech-servo-sdk``.
+Source: Feetech's memory tables of the STS3215 and of the HLS series; the packets are made
+and checked by the maker's SDK, in the package ``feetech-servo-sdk``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final, Literal
 
 from esair.drivers.servo._bus import ServoBus
 from esair.drivers.servo._line import SdkPort, ServoLink
-from esair.drivers.servo._tables import FEETECH_STS
+from esair.drivers.servo._tables import FEETECH_HLS, FEETECH_STS
 from esair.exceptions import ConfigError, describe
 
 _FAULTS = {
@@ -40,13 +41,21 @@ _FAULTS = {
 }
 
 
-class FeetechBus(ServoBus):
-    """The line that servos of Feetech share; args as those of `ServoBus`.
+_TABLES: Final = {"sts": FEETECH_STS, "hls": FEETECH_HLS}
 
-    They come set to 1 000 000 bits per second.
+
+class FeetechBus(ServoBus):
+    """The line that servos of Feetech share.
+
+    Args:
+        name: The name of the bus.
+        series: ``"sts"``, which is that of SMS too, or ``"hls"``.
+        port: A device file, or ``usb:VID:PID[:SERIAL]``.
+        baudrate: Bits per second; servos come set to 1 000 000.
+        timeout: How long one request may take, its turn included, in seconds.
+        opener: Opens something else than a port, such as a fake; may block.
     """
 
-    table = FEETECH_STS
     _rx_timeout = -6
     _rx_corrupt = -7
 
@@ -54,6 +63,7 @@ class FeetechBus(ServoBus):
         self,
         *,
         name: str,
+        series: Literal["sts", "hls"] = "sts",
         port: str = "",
         baudrate: int = 1_000_000,
         timeout: float = 0.5,
@@ -62,6 +72,11 @@ class FeetechBus(ServoBus):
         super().__init__(
             name=name, port=port, baudrate=baudrate, timeout=timeout, opener=opener
         )
+        if series not in _TABLES:
+            raise ConfigError(
+                name, "series", f"expected 'sts' or 'hls', not {series!r:.80}"
+            )
+        self.table = _TABLES[series]
 
     def _make_handler(self) -> Any:
         try:

@@ -17,7 +17,6 @@ from typing import Any
 
 from esair.drivers.servo._servo import (
     CURRENT,
-    GOAL_CURRENT,
     VELOCITY,
     Torqued,
 )
@@ -33,9 +32,7 @@ class _Turned(Torqued[float]):
 
     safe = 0.0
 
-    @property
-    def _entry(self) -> Entry:
-        raise NotImplementedError
+    _entry: Entry
 
     def _units(self, command: float) -> int:
         raise NotImplementedError
@@ -84,10 +81,7 @@ class ServoVelocity(_Turned):
     ) -> None:
         super().__init__(id=id, **keywords)
         self.limits = limits
-
-    @property
-    def _entry(self) -> Entry:
-        return self.bus.table.velocity
+        self._entry = self.bus.table.velocity
 
     def _units(self, command: float) -> int:
         return round(command / self.bus.table.velocity_unit)
@@ -96,27 +90,31 @@ class ServoVelocity(_Turned):
 class ServoCurrent(_Turned):
     """A servo that pushes with a current in A, which is a torque; 0 lets it go.
 
-    The XL430 has no such mode; the XL330, XM and XH have.
+    The XL430 and Feetech's STS have no such mode; the XL330, XM and XH have, and HLS.
 
     Args:
         id: The servo's id, 0 to 252; they come with 1.
-        unit: The current of one unit of its table, in A: 0.00269 for XM and XH, 0.001
-            for the XL330.
+        unit: The current of one unit of its table, in A: 0.001 for the XL330; that of
+            XM and XH, 0.00269, or of HLS, 0.0065, unless given.
         limits: Least and greatest current, in A.
     """
 
     mode = CURRENT
-    _entry = Entry(GOAL_CURRENT, 2)
 
     def __init__(
         self,
         *,
         id: int = 1,  # noqa: A002 - the maker's word
-        unit: float = 0.00269,
+        unit: float | None = None,
         limits: tuple[float, float] = (-0.5, 0.5),
         **keywords: Any,
     ) -> None:
         super().__init__(id=id, **keywords)
+        table = self.bus.table
+        if table.current is None:
+            raise ConfigError(self.name, "bus", "its servos have no current mode")
+        self._entry = table.current
+        unit = table.current_unit if unit is None else unit
         if not 0 < unit < 1:
             raise ConfigError(self.name, "unit", f"expected A, above 0, not {unit!r}")
         if max(map(abs, limits)) > unit * 0x7FFF:
