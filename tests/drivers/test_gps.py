@@ -53,14 +53,16 @@ class TestGps(SensorContract):
         device, _, self.part = make()
         return device
 
-    async def unplug(self, device: Gps) -> None:
-        device.bus.unplug()
-
     async def silence(self, device: Gps) -> None:
         self.part.silent = True
 
     async def speak(self, device: Gps) -> None:
         self.part.silent = False
+
+    async def power_cycle(self, device: Gps) -> None:
+        self.part.power_cycle()
+
+    keeps_nothing = "it is told nothing"
 
 
 @pytest.mark.real_clock

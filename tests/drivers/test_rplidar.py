@@ -62,16 +62,17 @@ class TestRpLidar(SensorContract):
     async def speak(self, device: RpLidar) -> None:
         self.part.silent = False
 
-    async def unplug(self, device: RpLidar) -> None:
-        device.bus.unplug()
+    async def power_cycle(self, device: RpLidar) -> None:
+        self.part.power_cycle()
+
+    keeps_nothing = "a lidar that does not scan is silent: it is lost, and told to scan"
 
 
 @pytest.mark.real_clock
 class TestRpLidarOnATerminal(TestRpLidar):
     """The same, through the kernel."""
 
-    async def silence(self, device: RpLidar) -> None:
-        pytest.skip("twelve seconds of silence: on the virtual clock, above")
+    silent_for = 1.0
 
 
 # The codec.

@@ -30,6 +30,7 @@ import attrs
 from pynmeagps import NMEAReader, exceptions  # type: ignore[import-untyped]
 
 from esair.buses import SerialBus
+from esair.drivers._silence import heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Sentences
 from esair.resources import Sensor
@@ -237,10 +238,14 @@ class Gps(Sensor[Fix]):
                 raise fault from None
 
     async def stream(self) -> AsyncIterator[Fix]:
-        """Yield each fix as soon as it is whole."""
+        """Yield each fix as soon as it is whole.
+
+        Raises:
+            DeviceLostError: It falls silent; a receiver without a fix still speaks.
+        """
         self.builder = FixBuilder(self.sentences)
         with contextlib.closing(self.bus.frames(limit=256)) as sentences:
-            async for body in sentences:
+            async for body in heard(self, sentences, self.deadline):
                 fix = self.builder.feed(body)
                 if fix is not None:
                     yield fix

@@ -11,6 +11,9 @@ from esair.buses.serial import FakeSerial
 from esair.drivers.gps import KNOT, Fix
 from esair.framing import encode_sentence
 
+START = 20
+"""How many moments a receiver takes to know where it is; in half of them it is silent."""
+
 
 class FakeGps:
     """Says ``$GPGGA`` and ``$GPRMC`` again and again, as receivers do.
@@ -32,17 +35,24 @@ class FakeGps:
         self.fix = fix or Fix(48.1173, 11.516667, altitude=545.4, quality=1)
         self.moments = 0
         self.silent = False
+        self._starting = 0
         self._start = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
         self._period = datetime.timedelta(seconds=period)
         line.repeat(self.next, period)
 
     def next(self) -> bytes:
         """Return the sentences of the next moment."""
-        if self.silent:
+        self._starting -= 1
+        if self.silent or self._starting > START / 2:
             return b""
         moment = self._start + self.moments * self._period
         self.moments += 1
-        return encode_fix(attrs.evolve(self.fix, time=moment))
+        quality = 0 if self._starting > 0 else self.fix.quality
+        return encode_fix(attrs.evolve(self.fix, time=moment, quality=quality))
+
+    def power_cycle(self) -> None:
+        """Lose the power: it says nothing for a while, then that it has no fix yet."""
+        self._starting = START
 
 
 def encode_fix(fix: Fix) -> bytes:

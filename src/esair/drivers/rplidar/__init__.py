@@ -32,6 +32,7 @@ from typing import Any
 import attrs
 
 from esair.buses import Inbox, SerialBus
+from esair.drivers._silence import heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Raw
 from esair.resources import Sensor
@@ -281,13 +282,17 @@ class RpLidar(Sensor[Scan]):
         return None if self.info is None else self.info.serial
 
     async def stream(self) -> AsyncIterator[Scan]:
-        """Start it and yield each turn that comes whole."""
+        """Start it and yield each turn that comes whole.
+
+        Raises:
+            DeviceLostError: It falls silent: it has restarted, say, and scans no more.
+        """
         decoder = self.decoder = ScanDecoder()
         with contextlib.closing(self.bus.frames(limit=1024)) as chunks:
             rest = await self._ask(SCAN, SCAN_DESCRIPTOR, 0, chunks)
             for scan in decoder.feed(rest):
                 yield scan
-            async for chunk in chunks:
+            async for chunk in heard(self, chunks, self.deadline):
                 for scan in decoder.feed(chunk):
                     yield scan
 
