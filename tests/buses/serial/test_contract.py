@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
+import pytest_asyncio
 
 from esair.buses import SerialBus
 from esair.testing import BusContract, FakeSerial
@@ -44,10 +47,84 @@ class TestOnATerminal(OnFakes):
 
 @pytest.mark.real_clock
 class TestOnAUrl(BusContract):
-    """On pyserial's own loop, which has no descriptor: threads wait for it."""
+    """On pyserial's own loop, which has no descriptor: threads wait for it.
+
+    Nobody is at its other end who could be late, go, or take nothing.
+    """
 
     def make(self) -> SerialBus:
-        return SerialBus(name="loop", port="loop://")
+        return SerialBus(name="loop", port="loop://", late_limit=0.1)
 
     async def use(self, bus: Any) -> None:
         assert await bus.ask(b"hello") == b"hello"
+
+    async def ask(self, bus: Any, number: int) -> int:
+        return int(await bus.ask(b"%d" % number, timeout=1.0))
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        assert await self.ask(bus, 1) == 1, "there is nothing that could be late"
+
+
+class Server:
+    """A device server: what it gets in lines goes back."""
+
+    def __init__(self) -> None:
+        self.delay = 0.0
+        self.silent = False
+        self.port = 0
+        self._server: asyncio.Server | None = None
+        self._clients: set[asyncio.StreamWriter] = set()
+
+    async def plug(self) -> None:
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def unplug(self) -> None:
+        assert self._server is not None
+        self._server.close()
+        await asyncio.sleep(0.01)  # who has just connected is served first
+        for each in self._clients:
+            each.transport.abort()
+
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        self._clients.add(writer)
+        with contextlib.suppress(ConnectionError):
+            while line := await reader.readline():
+                await asyncio.sleep(self.delay)
+                if not self.silent:
+                    writer.write(line)
+        self._clients.discard(writer)
+        writer.transport.abort()
+
+
+@pytest.mark.real_clock
+class TestOnASocket(TestOnAUrl):
+    """On a socket, by pyserial: without a thread, as any port."""
+
+    @pytest_asyncio.fixture(autouse=True)
+    async def _with_a_server(self) -> AsyncIterator[None]:
+        self.server = Server()
+        await self.server.plug()
+        yield
+        await self.server.unplug()
+
+    def make(self) -> SerialBus:
+        port = f"socket://127.0.0.1:{self.server.port}"
+        return SerialBus(name="remote", port=port, late_limit=0.1)
+
+    async def unplug(self, bus: Any) -> None:
+        await self.server.unplug()
+
+    async def plug(self, bus: Any) -> None:
+        await self.server.plug()
+
+    async def stall(self, bus: Any) -> None:
+        self.server.silent = True
+
+    async def resume(self, bus: Any) -> None:
+        self.server.silent = False
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        self.server.delay = seconds

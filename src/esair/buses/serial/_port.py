@@ -118,8 +118,12 @@ class Port:
         if self._is_terminal:
             with contextlib.suppress(OSError):
                 fcntl.ioctl(self._fd, termios.TIOCNXCL)
+        # pyserial forgets to close a socket whose other end has gone.
+        socket = getattr(self.device, "_socket", None)
         with contextlib.suppress(OSError):
             self.device.close()
+        if socket is not None:
+            socket.close()
 
     def _fail(self, error: Exception | None) -> None:
         # Later: in the middle of its own work the transport cannot be aborted.
