@@ -64,6 +64,12 @@ class Unplugged:
         for address in device.bus.chips:
             device.bus.silent(address, silent=False)
 
+    async def power_cycle(self, device: Any) -> None:
+        for chip in device.bus.chips.values():
+            getattr(chip, "power_cycle", lambda: None)()
+
+    keeps_nothing = "each call of the driver says all that the part needs"
+
 
 @pytest.mark.real_clock
 class TestBme280(Unplugged, SensorContract):
@@ -86,6 +92,49 @@ class TestAds1115(Unplugged, SensorContract):
         return AdafruitSensor(
             library=voltage_of(1), value="voltage", bus=FakeI2c(chips=chips())
         )
+
+
+@pytest.mark.real_clock
+class TestMpu6050(Unplugged, SensorContract):
+    """adafruit_mpu6050: after a restart it sleeps, and gives the last values for ever."""
+
+    def make(self) -> AdafruitSensor:
+        return AdafruitSensor(
+            library=MPU6050,
+            value="acceleration",
+            set_up={"gyro_range": 2, "sleep": False},
+            bus=FakeI2c(chips=chips()),
+        )
+
+
+@pytest.mark.real_clock
+@pytest.mark.parametrize(
+    ("library", "path", "told"),
+    [
+        (BME280, "sea_level_pressure", r"set_up\.sea_level_pressure: .* remembers"),
+        (MPU6050, "registers[0]", r"set_up\.registers\[0\]: expected an attribute"),
+        (MPU6050, "reset()", "expected an attribute"),
+    ],
+)
+async def test_a_set_up_that_would_not_show_a_restart_is_refused(
+    library: str, path: str, told: str
+) -> None:
+    """What the driver has in its own memory is there after a restart of the part."""
+    bus = FakeI2c(chips=chips())
+
+    async def opened() -> None:
+        part = AdafruitSensor(
+            library=library,
+            address=0x76 if library == BME280 else 0x68,
+            value="temperature",
+            set_up={path: 1000.0},
+            bus=bus,
+        )
+        await session(part, "open")
+
+    with pytest.raises(ConfigError, match=told):
+        await opened()
+    await bus.close()
 
 
 class Dac:

@@ -64,6 +64,8 @@ class AdafruitBus:
 
     def __init__(self, bus: I2CBus) -> None:
         self._bus = bus
+        self.transfers = 0
+        """How many have been made."""
 
     def __enter__(self) -> AdafruitBus:
         return self
@@ -130,6 +132,7 @@ class AdafruitBus:
         part[:] = self._transfer(address, out, len(part))
 
     def _transfer(self, address: int, write: bytes, read: int) -> bytes:
+        self.transfers += 1
         return self._bus.direct(
             lambda link: transfer(link, address, write, read), address=address
         )
@@ -151,6 +154,7 @@ class _Part:
         library: str | Callable[..., Any],
         address: int | None,
         arguments: Mapping[str, Any] | None,
+        set_up: Mapping[str, Any] | None,
     ) -> None:
         self._owner = owner
         self._make = _imported(owner, library) if isinstance(library, str) else library
@@ -158,13 +162,31 @@ class _Part:
         if address is not None:
             self._arguments["address"] = address
         self._made: Any = None
+        self.set_up = {
+            path: (_attribute(owner, f"set_up.{path}", path), value)
+            for path, value in (set_up or {}).items()
+        }
+        self._kept: dict[str, Any] = {}
 
     def open(self) -> None:
         bus = i2c_bus(self._owner)
         self._made = None
         with self.alone():
             try:
-                self._made = self._make(AdafruitBus(bus), **self._arguments)
+                wire = AdafruitBus(bus)
+                self._made = self._make(wire, **self._arguments)
+                for pieces, value in self.set_up.values():
+                    self.assign(pieces, value)
+                for path, (pieces, _) in self.set_up.items():
+                    before = wire.transfers
+                    self._kept[path] = self.follow(pieces)
+                    if wire.transfers == before:
+                        raise ConfigError(
+                            self._owner.name,
+                            f"set_up.{path}",
+                            "expected an attribute that is read from the part; the "
+                            "driver remembers this one, and a restart would not show",
+                        )
             except Exception as error:
                 if _is_silence(error) or not bus.is_open:
                     raise DeviceLostError(self._owner.name, describe(error)) from error
@@ -172,6 +194,18 @@ class _Part:
 
     def close(self) -> None:
         self._made = None
+
+    def is_set_up(self) -> bool:
+        with self.alone():
+            return all(
+                self.follow(pieces) == self._kept[path]
+                for path, (pieces, _) in self.set_up.items()
+            )
+
+    def assign(self, pieces: Sequence[str], value: Any) -> None:
+        """Assign to what a path leads to."""
+        *way, last = pieces
+        setattr(self.follow(way), last, value)
 
     def follow(self, pieces: Sequence[str]) -> Any:
         """Return what a path leads to."""
@@ -198,7 +232,32 @@ class _Part:
             _one_at_a_time.release()
 
 
-class AdafruitSensor(Sensor[Any]):
+class _OnPart(Resource):
+    """What the sensor and the actuator have in common: the object of a driver."""
+
+    bus: I2CBus
+    deadline = 2.0
+    _part: _Part
+
+    @property
+    def can_tell_set_up(self) -> bool:
+        """Whether it has a ``set_up``."""
+        return bool(self._part.set_up)
+
+    def open(self) -> None:
+        """Have the driver set the part up; on the thread of the bus."""
+        self._part.open()
+
+    def close(self) -> None:
+        """Forget the driver's object."""
+        self._part.close()
+
+    def is_set_up(self) -> bool:
+        """Tell whether all of ``set_up`` is as it was after the opening."""
+        return self._part.is_set_up()
+
+
+class AdafruitSensor(_OnPart, Sensor[Any]):
     """A part that is read through its CircuitPython driver.
 
     Args:
@@ -209,10 +268,9 @@ class AdafruitSensor(Sensor[Any]):
             there are several, a reading is a dictionary of them.
         address: The address of the part; the driver's own default if None.
         arguments: Further keywords for the driver's class.
+        set_up: Attributes that are assigned at each opening, by their paths. A part that
+            has restarted is known by them, because they are others then.
     """
-
-    bus: I2CBus
-    deadline = 2.0
 
     def __init__(
         self,
@@ -221,23 +279,16 @@ class AdafruitSensor(Sensor[Any]):
         value: str | Sequence[str],
         address: int | None = None,
         arguments: Mapping[str, Any] | None = None,
+        set_up: Mapping[str, Any] | None = None,
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self._part = _Part(self, library, address, arguments)
+        self._part = _Part(self, library, address, arguments, set_up)
         names = [value] if isinstance(value, str) else list(value)
         if not names:
             raise ConfigError(self.name, "value", "expected at least one attribute")
         self._paths = {name: _pieces(self, "value", name) for name in names}
         self._one = isinstance(value, str)
-
-    def open(self) -> None:
-        """Have the driver set the part up; on the thread of the bus."""
-        self._part.open()
-
-    def close(self) -> None:
-        """Forget the driver's object."""
-        self._part.close()
 
     def read(self) -> Any:
         """Read the attributes; on the thread of the bus, nobody else in between."""
@@ -252,7 +303,7 @@ class AdafruitSensor(Sensor[Any]):
         return found() if name.endswith("()") else found
 
 
-class AdafruitActuator(Actuator[Any]):
+class AdafruitActuator(_OnPart, Actuator[Any]):
     """A part that is written to through its CircuitPython driver.
 
     Args:
@@ -265,10 +316,9 @@ class AdafruitActuator(Actuator[Any]):
         limits: Least and greatest command.
         address: The address of the part; the driver's own default if None.
         arguments: Further keywords for the driver's class.
+        set_up: Attributes that are assigned at each opening, by their paths. A part that
+            has restarted is known by them, because they are others then.
     """
-
-    bus: I2CBus
-    deadline = 2.0
 
     def __init__(
         self,
@@ -279,28 +329,19 @@ class AdafruitActuator(Actuator[Any]):
         limits: tuple[float, float] | None = None,
         address: int | None = None,
         arguments: Mapping[str, Any] | None = None,
+        set_up: Mapping[str, Any] | None = None,
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
         self.safe = safe
         self.limits = limits
-        self._part = _Part(self, library, address, arguments)
-        self._pieces = _pieces(self, "attribute", attribute)
+        self._part = _Part(self, library, address, arguments, set_up)
+        self._called = attribute.endswith("()")
+        self._pieces = (_pieces if self._called else _attribute)(
+            self, "attribute", attribute
+        )
         where = "" if address is None else f" at {address:#04x}"
         self.claim = f"{attribute} of {library}{where}"
-        self._called = attribute.endswith("()")
-        if not self._called and self._pieces[-1].startswith("["):
-            raise ConfigError(
-                self.name, "attribute", f"expected an attribute, not {attribute!r}"
-            )
-
-    def open(self) -> None:
-        """Have the driver set the part up; on the thread of the bus."""
-        self._part.open()
-
-    def close(self) -> None:
-        """Forget the driver's object."""
-        self._part.close()
 
     def write(self, command: Any) -> None:
         """Assign the command, or call with it; on the thread of the bus."""
@@ -308,8 +349,7 @@ class AdafruitActuator(Actuator[Any]):
             if self._called:
                 self._part.follow(self._pieces)(command)
             else:
-                *way, last = self._pieces
-                setattr(self._part.follow(way), last, command)
+                self._part.assign(self._pieces, command)
 
 
 def _is_silence(error: Exception) -> bool:
@@ -328,6 +368,14 @@ def _pieces(owner: Resource, field: str, path: str) -> list[str]:
             f"'measure()', not {path!r:.80}",
         )
     return _PIECE.findall(path)
+
+
+def _attribute(owner: Resource, field: str, path: str) -> list[str]:
+    """Return the pieces of a path to something that can be assigned."""
+    pieces = _pieces(owner, field, path)
+    if pieces[-1].startswith("[") or path.endswith("()"):
+        raise ConfigError(owner.name, field, f"expected an attribute, not {path!r}")
+    return pieces
 
 
 def _imported(owner: Resource, library: str) -> Callable[..., Any]:
