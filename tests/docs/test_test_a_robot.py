@@ -106,12 +106,11 @@ async def test_opens_when_it_is_upside_down(fake_can, fake_i2c) -> None:
 
 
 class TestMotor(ActuatorContract):
+    is_heard = False
+    keeps_nothing = "each frame says all that it needs"
+
     def make(self) -> Motor:
         return Motor(bus=FakeCan("arm"))
 
     def commands(self) -> list[float]:
         return [1.0, -1.0]
-
-    async def unplug(self, device: Motor) -> None:
-        assert isinstance(device.bus, FakeCan)
-        device.bus.unplug()

@@ -19,6 +19,8 @@ ROBOT = Path(fake_chips.__file__).with_name("ventilation.toml")
 
 
 class TestFan(ActuatorContract):
+    keeps_nothing = "each command says all that it needs"
+
     def make(self) -> AdafruitActuator:
         return AdafruitActuator(
             library=Fan,
@@ -31,11 +33,10 @@ class TestFan(ActuatorContract):
     def commands(self) -> list[int]:
         return [1, 255]
 
-    async def unplug(self, device: AdafruitActuator) -> None:
-        device.bus.unplug()
-
 
 class TestAir(SensorContract):
+    keeps_nothing = "the driver sets its mode before each reading"
+
     def make(self) -> AdafruitSensor:
         return AdafruitSensor(
             library="adafruit_bme280.basic:Adafruit_BME280_I2C",
@@ -43,9 +44,6 @@ class TestAir(SensorContract):
             value=["temperature", "relative_humidity"],
             bus=fake_chips.FakeChips(name="chips"),
         )
-
-    async def unplug(self, device: AdafruitSensor) -> None:
-        device.bus.unplug()
 
 
 def speed(chips: fake_chips.FakeChips) -> int:

@@ -32,22 +32,20 @@ class Words:
 
 
 class TestMcp9808(SensorContract):
+    keeps_nothing = "it is told nothing"
+
     def make(self) -> Mcp9808:
         return Mcp9808(bus=FakeI2c(chips={0x18: Words(r05="c194", r06="0054")}))
 
-    async def unplug(self, device: Mcp9808) -> None:
-        device.bus.unplug()
-
 
 class TestMcp4725(ActuatorContract):
+    keeps_nothing = "each command says all that it needs"
+
     def make(self) -> Mcp4725:
         return Mcp4725(bus=FakeI2c(chips={0x60: Dac()}))
 
     def commands(self) -> list[float]:
         return [1.0, 0.123]
-
-    async def unplug(self, device: Mcp4725) -> None:
-        device.bus.unplug()
 
 
 class Dac:
@@ -55,6 +53,8 @@ class Dac:
 
     def __init__(self) -> None:
         self.count = 0
+
+    power_cycle = __init__
 
     def read(self, register: int, length: int) -> bytes:
         raise AssertionError("the driver reads nothing")

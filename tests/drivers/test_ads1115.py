@@ -74,8 +74,10 @@ class TestAds1115(SensorContract):
     async def speak(self, device: Any) -> None:
         device.bus.silent(0x48, silent=False)
 
-    async def unplug(self, device: Any) -> None:
-        device.bus.unplug()
+    async def power_cycle(self, device: Any) -> None:
+        device.bus.chips[0x48].power_cycle()
+
+    keeps_nothing = "each conversion says all that the chip needs"
 
 
 async def sensors_on(chip: FakeAds1115, *channels: int | str, **settings: Any) -> Any:

@@ -134,9 +134,6 @@ class TestBme280(SensorContract):
     async def power_cycle(self, device: Any) -> None:
         device.bus.chips[0x76].power_cycle()
 
-    async def unplug(self, device: Any) -> None:
-        device.bus.unplug()
-
 
 async def sensor_on(chip: FakeBme280, **settings: Any) -> Bme280:
     """Make a sensor on a bus with one chip."""

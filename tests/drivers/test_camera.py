@@ -43,6 +43,11 @@ class TestCamera(SensorContract):
     async def speak(self, _device: Any) -> None:
         self.far.silent = False
 
+    async def power_cycle(self, _device: Any) -> None:
+        self.far.power_cycle()
+
+    keeps_nothing = "the kernel gives it a new device, which is opened again"
+
 
 async def first(device: Camera) -> Any:
     await device.open()

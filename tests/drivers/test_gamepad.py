@@ -34,6 +34,11 @@ class TestGamepad(SensorContract):
     async def speak(self, _device: Any) -> None:
         self.far.plug()
 
+    async def power_cycle(self, _device: Any) -> None:
+        self.far.power_cycle()
+
+    keeps_nothing = "the kernel gives it a new device, which is opened again"
+
 
 @asynccontextmanager
 async def followed(device: Gamepad) -> AsyncIterator[Any]:

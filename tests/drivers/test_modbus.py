@@ -49,14 +49,16 @@ class Powered:
         line, self.unit = make(self.framing)
         return line
 
-    async def unplug(self, device: Any) -> None:
-        device.bus.unplug()
-
     async def silence(self, _device: Any) -> None:
         self.unit.silent = True
 
     async def speak(self, _device: Any) -> None:
         self.unit.silent = False
+
+    async def power_cycle(self, _device: Any) -> None:
+        self.unit.power_cycle()
+
+    keeps_nothing = "each request says all that the unit needs"
 
 
 class TestSensor(Powered, SensorContract):

@@ -75,9 +75,6 @@ class TestMpu6050(SensorContract):
     async def power_cycle(self, device: Any) -> None:
         device.bus.chips[0x68].power_cycle()
 
-    async def unplug(self, device: Any) -> None:
-        device.bus.unplug()
-
 
 @pytest.mark.virtual_clock
 async def test_opening_wakes_the_chip_and_sets_its_ranges() -> None:

@@ -100,6 +100,8 @@ class TestPositionThatStays(Wired, ActuatorContract):
 
 
 class TestState(Wired, SensorContract):
+    keeps_nothing = "it is told nothing"
+
     def make(self) -> OdriveState:
         return OdriveState(node=3, bus=self.axis_on_bus())
 

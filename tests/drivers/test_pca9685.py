@@ -43,9 +43,6 @@ class TestPwmChannel(ActuatorContract):
     async def power_cycle(self, device: Any) -> None:
         device.bus.chips[0x40].power_cycle()
 
-    async def unplug(self, device: Any) -> None:
-        device.bus.unplug()
-
     def commands(self) -> list[float]:
         return [0.0, 0.5, 1.0, 1e-9]
 
@@ -64,9 +61,6 @@ class TestPwmServo(ActuatorContract):
 
     async def power_cycle(self, device: Any) -> None:
         device.bus.chips[0x40].power_cycle()
-
-    async def unplug(self, device: Any) -> None:
-        device.bus.unplug()
 
     def commands(self) -> list[ServoPosition]:
         return [ServoPosition(math.pi / 4), ServoPosition(-math.pi / 4)]

@@ -18,6 +18,7 @@ class Plain(Bus):
 
     unplugged = False
     stalled = False
+    latency = 0.0
 
     async def _open(self) -> None:
         if self.unplugged:
@@ -35,6 +36,29 @@ class Plain(Bus):
     async def wait(self) -> None:
         await asyncio.sleep(0.1)
         raise DriverStuckError(self.name, "use", 0.1)
+
+    async def ask(self, number: int) -> int:
+        await asyncio.sleep(self.latency)
+        return number
+
+
+class MixesAnswers(Plain):
+    """Who asks gets what comes next, whoever has asked for it."""
+
+    last: asyncio.Future[int] | None = None
+
+    async def ask(self, number: int) -> int:
+        loop = asyncio.get_running_loop()
+        if self.last is None or self.last.done():
+            self.last = loop.create_future()
+        answer = self.last
+        loop.call_later(self.latency, _settle, answer, number)
+        return await asyncio.shield(answer)
+
+
+def _settle(answer: asyncio.Future[int], number: int) -> None:
+    if not answer.done():
+        answer.set_result(number)
 
 
 class KeepsTheLoop(Plain):
@@ -92,6 +116,12 @@ def suite_of(kind: type[Plain]) -> BusContract:
         async def resume(self, bus: Plain) -> None:
             bus.stalled = False
 
+        async def ask(self, bus: Plain, number: int) -> int:
+            return await bus.ask(number)
+
+        async def delay(self, bus: Plain, seconds: float) -> None:
+            bus.latency = seconds
+
     return Suite()
 
 
@@ -114,6 +144,7 @@ async def test_a_bus_without_a_mistake_passes(test: str) -> None:
         (CountsNothing, "test_it_counts_what_it_does"),
         (IsUsedClosed, "test_it_cannot_be_used_closed"),
         (TellsNoLoss, "test_its_loss_is_told_once"),
+        (MixesAnswers, "test_cancel_then_ask"),
     ],
 )
 async def test_a_bus_with_a_mistake_does_not_pass(kind: Any, test: str) -> None:

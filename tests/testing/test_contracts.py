@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -28,12 +29,22 @@ class Blocking(esair.Sensor[float]):
     """A driver with plain methods."""
 
     gain = esair.setting(1, min=1, max=3)
-    is_open = plugged = True
+    is_open = plugged = powered = set_up = True
+    set_up_period = 0.1
 
     def open(self) -> None:
+        self.check()
+        self.is_open = self.set_up = True
+
+    def is_set_up(self) -> bool:
+        self.check()
+        return self.set_up
+
+    def check(self) -> None:
         if not self.plugged:
             raise ConnectionError("gone")
-        self.is_open = True
+        if not self.powered:
+            raise TimeoutError("silent")
 
     def close(self) -> None:
         self.is_open = False
@@ -42,16 +53,26 @@ class Blocking(esair.Sensor[float]):
         assert self.is_open
 
     def read(self) -> float:
-        if not self.plugged:
-            raise ConnectionError("gone")
+        self.check()
         return 1.5
 
     def unplug(self) -> None:
         self.plugged = False
 
+    def silence(self) -> None:
+        self.powered = False
+
+    def speak(self) -> None:
+        self.powered = True
+
+    def power_cycle(self) -> None:
+        self.set_up = False
+
 
 @pytest.mark.real_clock
 class TestBlockingSensor(SensorContract):
+    silent_for = 1.0
+
     def make(self) -> Blocking:
         return Blocking()
 
@@ -68,9 +89,18 @@ class BlockingArm(esair.Actuator[float]):
     async def unplug(self) -> None:
         self.plugged = False
 
+    def silence(self) -> None:
+        """Be as ever: nobody hears it."""
+
+    speak = power_cycle = silence
+
 
 @pytest.mark.real_clock
 class TestBlockingActuator(ActuatorContract):
+    silent_for = 0.2
+    is_heard = False
+    keeps_nothing = "each command says all that it needs"
+
     def make(self) -> BlockingArm:
         return BlockingArm(name="arm")
 
@@ -79,6 +109,7 @@ class Pushing(esair.Sensor[int]):
     async def stream(self) -> AsyncIterator[int]:
         for value in range(3):
             yield value
+            await asyncio.sleep(0.1)
 
 
 class TestPushingSensor(SensorContract):
@@ -149,5 +180,5 @@ async def test_a_device_that_cannot_be_unplugged_skips_that_test() -> None:
         def make(self) -> Pushing:
             return Pushing()
 
-    with pytest.raises(pytest.skip.Exception, match="override unplug"):
+    with pytest.raises(pytest.skip.Exception, match=r"override unplug\(\) to test"):
         await Suite().test_it_says_when_it_is_gone()

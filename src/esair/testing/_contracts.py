@@ -14,14 +14,20 @@ from __future__ import annotations
 
 import abc
 import asyncio
+import functools
 import inspect
 from typing import Any, ClassVar
 
 import pytest
 
 from esair.connections import CommandCheck, Driver, translate
-from esair.exceptions import DeviceLostError
-from esair.messages import ResourceState
+from esair.exceptions import (
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    StaleReadingError,
+)
+from esair.messages import Access, Policy, ResourceState
 from esair.plan import Plan, errors_in, examine_resource
 from esair.resources import Actuator, Resource, Sensor, settings_of
 from esair.standard import Robot
@@ -32,6 +38,10 @@ PATIENCE = 5.0
 
 LONGEST_PAUSE = 8.0
 """How long a device may take to be found once it has power, in seconds."""
+
+_ME = "contract"
+
+_ABSENT = DeviceLostError, DeviceFaultError, DriverStuckError, StaleReadingError
 
 
 class ResourceContract(abc.ABC):
@@ -45,29 +55,37 @@ class ResourceContract(abc.ABC):
     silent_for: ClassVar[float] = 12.0
     """How long its power is away at first, in seconds; less on the real clock."""
 
+    is_heard: ClassVar[bool] = True
+    """Whether the robot hears anything of the part: an answer, a value, an acknowledge.
+
+    A part that is only talked to is never missed: it is READY without power too.
+    """
+
+    keeps_nothing: ClassVar[str] = ""
+    """Why a restart of the part takes nothing away, if the driver has no `is_set_up`."""
+
     @abc.abstractmethod
     def make(self) -> Resource:
         """Make a device that is there, closed; a new one for each test."""
 
     async def unplug(self, device: Any) -> None:
-        """Take the device away, as a cable that is pulled; skips unless overridden."""
-        unplug = getattr(device, "unplug", None)
-        if unplug is None:
-            pytest.skip("override unplug() to test the loss of the device")
-        result = unplug()
-        if inspect.isawaitable(result):
-            await result
+        """Take the device away, as a cable that is pulled.
+
+        This and the next three call what the device, or its bus, has of that name, as
+        those of the fakes do; override them for others, or their tests are skipped.
+        """
+        await _tell(device, "unplug")
 
     async def silence(self, device: Any) -> None:
-        """Take the device's power away, not its cable; skips unless overridden."""
+        """Take the device's power away, not its cable."""
         await _tell(device, "silence")
 
     async def speak(self, device: Any) -> None:
-        """Give the device its power back; skips unless overridden."""
+        """Give the device its power back."""
         await _tell(device, "speak")
 
     async def power_cycle(self, device: Any) -> None:
-        """Take its power away for a moment, unnoticed; skips unless overridden."""
+        """Take its power away for a moment, unnoticed."""
         await _tell(device, "power_cycle")
 
     async def use(self, driver: Driver) -> Any:
@@ -124,28 +142,40 @@ class ResourceContract(abc.ABC):
         """A part whose power comes later comes up by itself, however late."""
         device = self.make()
         await self.silence(device)
-        async with Robot(resources=[device]) as robot:
+        absent = {ResourceState.LOST, ResourceState.OPENING}
+        async with _robot_with(device) as robot:
+            status = functools.partial(robot.resources.query, device.name)
+            if not self.is_heard:
+                await _until_ready(robot, device)
             for _ in range(12):
                 await asyncio.sleep(self.silent_for / 12)
-                state = robot.resources.query(device.name).state
-                assert state in {ResourceState.LOST, ResourceState.OPENING}
+                assert (status().state in absent) is self.is_heard
             await self.speak(device)
             async with asyncio.timeout(LONGEST_PAUSE):
-                await _until_ready(robot, device)
+                await _until_used(robot, device)
+            assert self.is_heard or not status().losses
 
     async def test_power_cycle(self) -> None:
-        """A part that has restarted is noticed, and set up again."""
+        """A part that has restarted is set up again, if there is something to lose."""
         device = self.make()
-        if not device.can_tell_set_up:
-            pytest.skip("the class has no is_set_up()")
-        async with Robot(resources=[device]) as robot:
-            await _until_ready(robot, device)
+        can_tell = device.can_tell_set_up
+        default = type(self).power_cycle is ResourceContract.power_cycle
+        if default and _told_by(device, "power_cycle") is None:
+            pytest.skip("override power_cycle() to test this")
+        async with _robot_with(device) as robot:
+            async with asyncio.timeout(PATIENCE):
+                await _until_used(robot, device)
             before = robot.resources.query(device.name).losses
             await self.power_cycle(device)
+            assert can_tell or self.keeps_nothing, (
+                "write is_set_up() in the driver, or say in the suite why a restart of "
+                "the part takes nothing away: keeps_nothing = '...'"
+            )
             await asyncio.sleep(device.set_up_period + device.deadline)
-            async with asyncio.timeout(PATIENCE):
-                await _until_ready(robot, device)
-            assert robot.resources.query(device.name).losses > before
+            async with asyncio.timeout(LONGEST_PAUSE):
+                await _until_used(robot, device)
+            losses = robot.resources.query(device.name).losses - before
+            assert losses == 1 if can_tell else losses <= 1
 
     async def test_its_calls_end_within_its_deadline(self) -> None:
         """A use of the device takes no longer than the device itself says."""
@@ -157,7 +187,7 @@ class ResourceContract(abc.ABC):
 
 
 async def _tell(device: Any, what: str) -> None:
-    method = getattr(device, what, None)
+    method = _told_by(device, what)
     if method is None:
         pytest.skip(f"override {what}() to test this")
     result = method()
@@ -165,10 +195,38 @@ async def _tell(device: Any, what: str) -> None:
         await result
 
 
+def _told_by(device: Any, what: str) -> Any:
+    """Return what does it: a method of the device, or of the bus that it is on."""
+    return getattr(device, what, None) or getattr(device.bus, what, None)
+
+
+def _robot_with(device: Resource) -> Robot:
+    right = Access.READ if isinstance(device, Sensor) else Access.WRITE
+    policy = Policy(device.name, allow={_ME: right})
+    return Robot(resources=[device], policies=[policy])
+
+
 async def _until_ready(robot: Robot, device: Resource) -> None:
     query = robot.resources.query
     while query(device.name).state is not ResourceState.READY:  # noqa: ASYNC110
         await asyncio.sleep(0.01)
+
+
+async def _until_used(robot: Robot, device: Resource) -> None:
+    """Use a device through the robot, as soon as it is there."""
+    while True:
+        await _until_ready(robot, device)
+        try:
+            if isinstance(device, Actuator):
+                right = await robot.resources.register(_ME, device.name, Access.WRITE)
+                assert await robot.actuators.write(right, device.safe)
+            else:
+                right = await robot.resources.register(_ME, device.name, Access.READ)
+                await robot.sensors.read(right, fresh=True, timeout=PATIENCE)
+        except _ABSENT:
+            await asyncio.sleep(0.01)  # its loss is just being noticed
+        else:
+            return
 
 
 class SensorContract(ResourceContract):

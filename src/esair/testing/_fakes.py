@@ -22,6 +22,7 @@ class _Faults:
     def __init__(self, name: str) -> None:
         self.name = name
         self.plugged = True
+        self.silent = False
         self._go = asyncio.Event()
         self._go.set()
         self._error: BaseException | None = None
@@ -96,7 +97,9 @@ class _Fake(Resource):
     """Whether its set-up is gone, because its power was, since it was opened."""
 
     async def open(self) -> None:
-        """Be opened, unless it is unplugged."""
+        """Be opened, unless it is unplugged; silent, it never answers that."""
+        if self._faults.silent:
+            await self._faults.call()
         self._faults.check()
         self.opened += 1
         self.is_open = True
@@ -118,12 +121,24 @@ class _Fake(Resource):
 
     async def is_set_up(self) -> bool:
         """Tell whether its power has been on since it was opened."""
+        if self._faults.silent:
+            await self._faults.call()
         self._faults.check()
         return not self.has_power_cycled
 
     def power_cycle(self) -> None:
         """Lose the power for a moment: its set-up is gone, and nobody is told."""
         self.has_power_cycled = True
+
+    def silence(self) -> None:
+        """Have no power: answer nothing, no opening either, until `speak`."""
+        self._faults.silent = True
+        self.stall()
+
+    def speak(self) -> None:
+        """Have power again."""
+        self._faults.silent = False
+        self.resume()
 
     def slow(self, seconds: float, *, acknowledge: float = 0.0) -> None:
         """Take so long for each call from now on.

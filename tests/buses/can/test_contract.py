@@ -9,8 +9,9 @@ import os
 from typing import Any
 
 import pytest
+from tests.buses.can.asked import ANSWER, QUESTION, Asked
 
-from esair.buses import Bus, CanBus, Exchanges, Frame, LateWire
+from esair.buses import Bus, CanBus, Frame, LateWire
 from esair.buses.can import VirtualCan
 from esair.exceptions import DeviceLostError
 from esair.testing import BusContract, FakeCan
@@ -27,7 +28,7 @@ async def ask(bus: CanBus) -> None:
     assert frame.data == b"pong"
 
 
-class TestFakeCan(BusContract):
+class TestFakeCan(Asked, BusContract):
     """On the virtual clock."""
 
     def make(self) -> FakeCan:
@@ -38,30 +39,13 @@ class TestFakeCan(BusContract):
     async def use(self, bus: Any) -> None:
         await ask(bus)
 
-    async def ask(self, bus: Any, number: int) -> int:
-        if self.exchanges is None:  # as a driver of a part that answers
-            self.exchanges = Exchanges(bus, late_limit=0.2)
-            self.hearing = asyncio.ensure_future(self.hear(bus, self.exchanges))
-
-        async def send(_left: float) -> None:
-            await bus.send(0x102, bytes((number,)))
-
-        return (await self.exchanges.ask(send, timeout=1.0))[0]
-
-    async def hear(self, bus: Any, exchanges: Exchanges) -> None:
-        with contextlib.suppress(DeviceLostError):
-            async for frame in bus.frames(0x182):
-                exchanges.offer(frame.data)
-
-    exchanges: Exchanges | None = None
-
     async def delay(self, bus: Any, seconds: float) -> None:
         loop = asyncio.get_running_loop()
 
         def answer(frame: Frame) -> None:
-            loop.call_later(seconds, bus.feed, 0x182, frame.data)
+            loop.call_later(seconds, bus.feed, ANSWER, frame.data)
 
-        bus.answer(0x102, answer)
+        bus.answer(QUESTION, answer)
 
 
 class OnVirtualCan(CanBus):
@@ -75,6 +59,7 @@ class OnVirtualCan(CanBus):
         wire = LateWire(self._begin)
         super().__init__(name="drive", wire=wire)
         self.silent = False
+        self.latency = 0.0
 
     async def _begin(self, _bus: Bus) -> VirtualCan:
         await self.wire.start()
@@ -87,6 +72,10 @@ class OnVirtualCan(CanBus):
     def _heard(self, frame: Frame) -> None:
         if frame.id == 0x101 and not self.silent:
             self.wire.send(Frame(0x181, b"pong"))
+        elif frame.id == QUESTION:
+            loop = asyncio.get_running_loop()
+            answer = Frame(ANSWER, frame.data)
+            loop.call_later(self.latency, self.wire.send, answer)
 
     def unplug(self) -> None:
         self.wire.unplug()
@@ -102,7 +91,7 @@ class OnVirtualCan(CanBus):
 
 
 @pytest.mark.real_clock
-class TestPythonCan(BusContract):
+class TestPythonCan(Asked, BusContract):
     """With a thread that reads and an executor that sends, in real time."""
 
     def make(self) -> OnVirtualCan:
@@ -110,3 +99,6 @@ class TestPythonCan(BusContract):
 
     async def use(self, bus: Any) -> None:
         await ask(bus)
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        bus.latency = seconds

@@ -18,6 +18,7 @@ from typing import Any
 import can
 import pytest
 from can.interfaces.socketcan import SocketcanBus
+from tests.buses.can.asked import ANSWER, Asked
 
 from esair.buses import CanBus, CanState
 from esair.exceptions import DeviceFaultError, DeviceLostError
@@ -339,7 +340,7 @@ async def test_a_flood_does_not_keep_the_loop(
     await bus.close()
 
 
-class TestSocket(BusContract):
+class TestSocket(Asked, BusContract):
     """The contract of buses, with a socket that the event loop watches."""
 
     pytestmark = [pytest.mark.asyncio, pytest.mark.real_clock]  # noqa: RUF012
@@ -377,3 +378,14 @@ class TestSocket(BusContract):
 
     async def resume(self, bus: Any) -> None:
         self.silent = False
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        far, loop = self.wire.far, asyncio.get_running_loop()
+        assert far is not None
+
+        def answer() -> None:
+            data = far.recv(72)[8:9]
+            if data:  # it is not closed
+                loop.call_later(seconds, self.wire.send, ANSWER, data)
+
+        loop.add_reader(far, answer)

@@ -47,6 +47,7 @@ class FakeCan(CanBus):
         self._far = MemoryCan(self._heard)
         super().__init__(name=name, interface="fake", wire=self._far, **options)
         self.sent: collections.deque[Frame] = collections.deque(maxlen=SENT_LIMIT)
+        self._powered = True
         self._newest: dict[int, Frame] = {}
         self._on_send: list[Callable[[Frame], Reply]] = []
         self._until: list[tuple[Callable[[Frame], bool], asyncio.Future[Frame]]] = []
@@ -63,6 +64,8 @@ class FakeCan(CanBus):
         key_of(self.name, id, extended=extended)
         check_data(self.name, data, fd=self.fd)
         kind = FrameKind.REMOTE if remote else FrameKind.DATA
+        if not self._powered:
+            return
         self._far.send(Frame(id, bytes(data), extended, kind=kind))
 
     def on_send(self, listener: Callable[[Frame], Reply]) -> Callable[[], None]:
@@ -180,6 +183,19 @@ class FakeCan(CanBus):
         """Have no room for the next frames: so many times, retries included."""
         self._far.full(times)
 
+    def silence(self) -> None:
+        """Have nodes without power: what they are told reaches none, and none speaks."""
+        self._powered = False
+
+    def speak(self) -> None:
+        """Have nodes with power again."""
+        self._powered = True
+
+    def power_cycle(self, seconds: float = 0.5) -> None:
+        """Take the nodes' power; they have started again after so many seconds."""
+        self.silence()
+        asyncio.get_running_loop().call_later(seconds, self.speak)
+
     def stall(self) -> None:
         """Take and give no frames until `resume`."""
         self._far.stall()
@@ -215,7 +231,7 @@ class FakeCan(CanBus):
         for matches, future in self._until:
             if not future.done() and matches(frame):
                 future.set_result(frame)
-        for listener in tuple(self._on_send):
+        for listener in tuple(self._on_send) if self._powered else ():
             reply = listener(frame)
             if isinstance(reply, Frame):
                 self._far.send(reply)

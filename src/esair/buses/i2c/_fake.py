@@ -43,6 +43,7 @@ class FakeLink(PlayedWire, ChipBus):
         super().__init__(chips)
         self.selected = 0
         self.silent: set[int] = set()
+        self.powered = True
         self.log: collections.deque[Transfer] = collections.deque(maxlen=LOG_LIMIT)
         self._one_at_a_time = threading.Lock()
 
@@ -59,7 +60,7 @@ class FakeLink(PlayedWire, ChipBus):
 
     def _chip(self, address: int) -> Chip:
         chip = super()._chip(address)
-        if address in self.silent:
+        if address in self.silent or not self.powered:
             raise os_error(errno.ENXIO)
         return chip
 
@@ -114,3 +115,17 @@ class FakeI2c(PlayedBus[RegisterLink], I2CBus):
     def silent(self, address: int, *, silent: bool = True) -> None:
         """Let a chip acknowledge nothing, or answer again."""
         (self.link.silent.add if silent else self.link.silent.discard)(address)
+
+    def silence(self) -> None:
+        """Let no chip acknowledge anything: they have no power."""
+        self.link.powered = False
+
+    def speak(self) -> None:
+        """Let the chips answer again."""
+        self.link.powered = True
+
+    def power_cycle(self) -> None:
+        """Call the ``power_cycle`` of each chip that has one."""
+        for chip in self.chips.values():
+            if callable(restart := getattr(chip, "power_cycle", None)):
+                restart()

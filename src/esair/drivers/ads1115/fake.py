@@ -33,6 +33,10 @@ class FakeAds1115:
         self.inputs = [*inputs, 0.0, 0.0, 0.0, 0.0][:4]
         self.busy = 1
         self.conversions: list[str] = []
+        self.power_cycle()
+
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: its registers are as they come."""
         self._busy = 0
         self._under_way = _POWER_UP
         self._registers = [0, _POWER_UP, 0x8000, 0x7FFF]

@@ -25,6 +25,7 @@ class FakeCamera:
         pictures: What it plays now; change it.
         taken: How many pictures it has taken.
         silent: Whether it takes none, as one that hangs.
+        powered: How often it got its power.
     """
 
     def __init__(
@@ -36,6 +37,7 @@ class FakeCamera:
         self.fps = fps
         self.taken = 0
         self.silent = False
+        self.powered = 1
         self._plugged = True
 
     def open(self, request: CameraRequest) -> _FakeLink:
@@ -61,15 +63,22 @@ class FakeCamera:
         """Be there again."""
         self._plugged = True
 
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: it is there again, and nobody has it open."""
+        self.powered += 1
+
 
 class _FakeLink:
     def __init__(self, camera: FakeCamera) -> None:
         self.pace = 1.0 / camera.fps
         self._camera = camera
+        self._powered = camera.powered
         self._picture: Picture | None = None
 
     def grab(self) -> bool:
-        if not self._camera.plugged or self._camera.silent:
+        camera = self._camera
+        is_there = camera.plugged and camera.powered == self._powered
+        if not is_there or camera.silent:
             return False
         pictures = self._camera.pictures
         self._picture = pictures[self._camera.taken % len(pictures)]

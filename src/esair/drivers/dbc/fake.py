@@ -45,11 +45,23 @@ class FakeDbcNode:
         self.heard: collections.deque[Heard] = collections.deque(maxlen=10_000)
         self.bad_frames = 0
         self._can = can
+        self._starts = 0.0
         can.on_send(self.receive)
         self._beats: list[asyncio.TimerHandle] = []
 
+    def power_cycle(self, seconds: float = 0.1) -> None:
+        """Lose the power: it hears nothing and sends nothing until it has started."""
+        self._starts = asyncio.get_running_loop().time() + seconds
+
+    @property
+    def is_starting(self) -> bool:
+        """Whether its power has just come."""
+        return asyncio.get_running_loop().time() < self._starts
+
     def receive(self, frame: Frame) -> None:
         """Take a frame from the bus; ids that are not in the file are left alone."""
+        if self.is_starting:
+            return
         for message in self.database.messages:
             if (message.frame_id, message.is_extended_frame) == (
                 frame.id,
@@ -76,7 +88,8 @@ class FakeDbcNode:
         place = len(self._beats)
 
         def beat() -> None:
-            self.send(message, **signals)
+            if not self.is_starting:
+                self.send(message, **signals)
             self._beats[place] = loop.call_later(seconds, beat)
 
         self._beats.append(loop.call_later(0.0, beat))

@@ -80,6 +80,11 @@ class FakeGamepad:
         """Be there again."""
         self._plugged = True
 
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: it is there again, and nobody has it open."""
+        self.unplug()
+        self.plug()
+
     def axes(self) -> Mapping[int, Axis]:
         """Return the axes as they are."""
         return dict(self._axes)

@@ -39,6 +39,7 @@ class FakeBoard:
     ) -> None:
         self.values = values or {}
         self.commands = commands or {}
+        self._at_start = dict(self.commands)
         self.name = name
         self.ack = ack
         self.silent = False
@@ -46,6 +47,10 @@ class FakeBoard:
         line.on_frame = self.heard
         if period:
             line.repeat(self.report, period)
+
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: what it was told is forgotten."""
+        self.commands.update(self._at_start)
 
     def report(self) -> bytes:
         """Return a line for each value."""
