@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
+from typing import Any
 
 import pytest
 
@@ -64,3 +66,24 @@ async def test_a_call_comes_before_the_end_that_was_asked_for_later(
     await asyncio.sleep(0)
     executor.close()
     assert await last == 0.5
+
+
+@pytest.mark.promise("TURN-6")
+async def test_no_time_passes_before_a_thread_has_begun_to_wait(
+    executor: Executor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long it takes to tell the loop that it waits."""
+    loop = asyncio.get_running_loop()
+    tell = loop.call_soon_threadsafe
+
+    def slowly(*told: Any, **options: Any) -> Any:
+        time.sleep(0.05)
+        return tell(*told, **options)
+
+    other = asyncio.ensure_future(asyncio.sleep(0.3))
+    call = executor.call(wait, 0.1, timeout=1.0)
+    monkeypatch.setattr(loop, "call_soon_threadsafe", slowly)
+    assert await call == 0.1
+    monkeypatch.undo()
+    await other
+    assert await executor.join(1.0)

@@ -90,8 +90,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             door.go_on(thread)
             woken.set()
 
-        door.rest(thread)
-        self.call_soon_threadsafe(self.call_later, seconds, wake)
+        def begin() -> None:  # in one step: else time could pass in between
+            door.rest(thread)
+            self.call_later(seconds, wake)
+
+        self.call_soon_threadsafe(begin)
         woken.wait()
 
     def run_in_executor(  # type: ignore[override]
