@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Generic, Literal, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, Self, TypeVar
 
 import attrs
 
 from esair.exceptions import ConfigError
 from esair.values import check_name, is_positive
+
+if TYPE_CHECKING:
+    from os import PathLike
+    from pathlib import Path
 
 T = TypeVar("T")
 
@@ -467,6 +470,12 @@ class Page:
         return self.host in {"127.0.0.1", "::1", "localhost"}
 
 
+def _path(path: str | PathLike[str]) -> Path:
+    from pathlib import Path  # it loads a lot that only a recording needs
+
+    return Path(path)
+
+
 @attrs.frozen
 class Recording:
     """What a robot records, and within which bounds.
@@ -479,7 +488,7 @@ class Recording:
         segment: How many bytes one segment may have.
     """
 
-    path: Path = attrs.field(converter=Path)
+    path: Path = attrs.field(converter=_path)
     max_bytes: int = attrs.field(default=1 << 30, kw_only=True)
     min_free: int = attrs.field(default=1 << 28, kw_only=True)
     segment: int = attrs.field(default=1 << 26, kw_only=True)

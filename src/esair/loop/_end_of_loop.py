@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import ctypes
 import logging
 import threading
 from collections.abc import Callable, Coroutine, Iterable
@@ -72,6 +71,8 @@ def _keep_for_ever(task: asyncio.Task[Any]) -> None:
     Its coroutine would be closed then, which runs its code once more; without a loop
     each await of it raises, and what swallows that in a loop does not end.
     """
+    import ctypes  # only when a task would not end
+
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(task))
 
 

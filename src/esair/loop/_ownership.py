@@ -6,10 +6,12 @@ import asyncio
 import contextvars
 import threading
 from collections.abc import Callable, Coroutine, Generator, Sequence
-from random import Random
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from esair.loop._of_loop import of_loop
+
+if TYPE_CHECKING:
+    from random import Random
 
 T = TypeVar("T")
 

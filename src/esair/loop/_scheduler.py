@@ -22,7 +22,6 @@ import heapq
 import itertools
 import logging
 import math
-import zlib
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -122,6 +121,8 @@ class Scheduler:
         """Return by how much the moments of a component are shifted, in ns."""
         if self._phases == 1:
             return 0
+        import zlib  # only a crowd needs it
+
         return zlib.crc32(name.encode()) % self._phases * SPREAD
 
     def every(

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
+import os.path
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import ConfigError, RecordingError, describe
@@ -16,6 +15,8 @@ from esair.messages import Recording
 from esair.plan import Plan
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from esair.recording import Recorder
 
 FORMAT = "1"
@@ -80,6 +81,8 @@ class Keeping:
         seed: int,
         source: tuple[Path, bool] | None,
     ) -> None:
+        import json  # it takes long to load: only what records needs it
+
         from esair.recording import Recorder, facts_about
 
         file, simulated = (None, False) if source is None else source
@@ -126,4 +129,4 @@ class Keeping:
 def _program() -> str:
     """Return the file of the program that runs; empty if it has none."""
     file = getattr(sys.modules.get("__main__"), "__file__", None)
-    return "" if file is None else str(Path(file).resolve())
+    return "" if file is None else os.path.realpath(file)

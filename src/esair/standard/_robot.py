@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import secrets
+import os
 import signal
 import time
 from collections.abc import Iterable
@@ -281,7 +281,7 @@ class Robot:
         self._behaviors.wake()
         if self.seed is None:
             virtual = getattr(loop, "virtual", False)
-            self.seed = 0 if virtual else secrets.randbits(64)
+            self.seed = 0 if virtual else int.from_bytes(os.urandom(8))
         self._behaviors.seed = self._resources.seed = self.seed
         self._host = asyncio.current_task()
         try:
