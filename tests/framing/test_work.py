@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import pytest
 
 from esair.drivers.line import LineError, decode_value
-from esair.framing import LengthCrc
+from esair.framing import Cobs, Framing, LengthCrc, Sentences
 
 SIZE = 1 << 18
 GARBAGE = {
@@ -18,15 +19,40 @@ GARBAGE = {
 }
 
 
+WRONG: list[tuple[Framing, bytes]] = [
+    (framing, garbage)
+    for framing in (LengthCrc(), LengthCrc(sync=b"\xaa"))
+    for garbage in GARBAGE.values()
+]
+WRONG += [
+    (Sentences(), b"$GP*00\n"),
+    (Sentences(), b"$*00\r\n"),
+    (Sentences(), b"$" + b"A" * 255 + b"*00\n"),
+    (Sentences(), b"*00\n"),
+    (Cobs(), b"\xff\0"),
+    (Cobs(), b"\x01\x02\0\0"),
+]
+
+
+def fed(framing: Framing, data: bytes, size: int = 1000) -> list[bytes]:
+    got: list[bytes] = []
+    for begin in range(0, len(data), size):
+        got += framing.feed(data[begin : begin + size])
+    return got
+
+
 @pytest.mark.fault("D11", "D12")
-@pytest.mark.parametrize("garbage", GARBAGE.values(), ids=GARBAGE)
-@pytest.mark.parametrize("sync", [b"", b"\xaa"])
-def test_garbage_is_looked_at_in_few_places(garbage: bytes, sync: bytes) -> None:
+@pytest.mark.parametrize(
+    ("framing", "garbage"),
+    WRONG,
+    ids=[f"{type(each).__name__}-{data[:8]!r}" for each, data in WRONG],
+)
+def test_garbage_is_looked_at_in_few_places(framing: Any, garbage: bytes) -> None:
     """A burst byte by byte, then one place in 128; the frames after it are found."""
-    framing = LengthCrc(sync=sync)
-    for begin in range(0, SIZE, 1000):
-        framing.feed(garbage[begin : begin + 1000])
-    assert framing.looks <= 2048 + SIZE / 128 + 8
+    framing = framing.fresh()
+    garbage = (garbage * (SIZE // len(garbage) + 1))[:SIZE]
+    assert fed(framing, garbage) == []
+    assert framing.looks.count <= 2048 + SIZE / 128 + 16
     frame = framing.encode(b"here I am")
     found = framing.feed(frame * 8000)
     assert b"here I am" in found
@@ -35,17 +61,20 @@ def test_garbage_is_looked_at_in_few_places(garbage: bytes, sync: bytes) -> None
 
 
 @pytest.mark.fault("D08")
-def test_what_is_left_out_does_not_depend_on_the_pieces() -> None:
+@pytest.mark.parametrize(
+    ("framing", "garbage"),
+    [(LengthCrc(), GARBAGE["random"][:40_000]), (Sentences(), b"$GP*00\n" * 6000)],
+)
+def test_what_is_left_out_does_not_depend_on_the_pieces(
+    framing: Any, garbage: bytes
+) -> None:
     """Nor is anything lost from the count."""
-    good = LengthCrc().encode(b"good")
-    stream = GARBAGE["random"][:40_000] + good * 3000
+    stream = garbage + framing.encode(b"good") * 3000
     results = []
     for size in (1, 7, 1000, len(stream)):
-        framing = LengthCrc()
-        got: list[bytes] = []
-        for begin in range(0, len(stream), size):
-            got += framing.feed(stream[begin : begin + size])
-        results.append((got, framing.looks, framing.bad_frames))
+        each = framing.fresh()
+        got = fed(each, stream, size)
+        results.append((got, each.looks.count, each.bad_frames))
     assert all(each == results[0] for each in results)
 
 

@@ -7,6 +7,7 @@ from esair.framing._cobs import Cobs
 from esair.framing._framing import Framing
 from esair.framing._length_crc import LengthCrc
 from esair.framing._lines import Lines
+from esair.framing._looks import Looks
 from esair.framing._modbus import ModbusRtu, ModbusTcp
 from esair.framing._nmea import (
     SentenceError,
@@ -23,6 +24,7 @@ __all__ = [
     "Framing",
     "LengthCrc",
     "Lines",
+    "Looks",
     "ModbusRtu",
     "ModbusTcp",
     "Raw",

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from typing import Self
 
 from esair.exceptions import ConfigError
 from esair.framing._delimited import Delimited
+from esair.framing._looks import Looks
+
+_NO_ZERO = re.compile(rb"[^\0]")
 
 
 class Cobs(Delimited):
@@ -14,6 +19,9 @@ class Cobs(Delimited):
     There is no checksum in it: a damaged byte can give a wrong payload, so put a
     checksum into the payload. Nothing between two zeros is no frame. Needs the package
     ``cobs``: ``pip install 'esair[cobs]'``.
+
+    The work for garbage is bounded: after 2048 frames that cannot be decoded, one place in
+    128 bytes is looked at until good ones have come again.
 
     Source: S. Cheshire and M. Baker, Consistent Overhead Byte Stuffing, 1999.
 
@@ -36,24 +44,64 @@ class Cobs(Delimited):
         super().__init__(delimiter=b"\0", max_length=max_length, max_frame=0)
         self._max_frame = cobs.max_encoded_length(max_length)
         self._codec = cobs
+        self._leave = 0
+        self.looks = Looks()
+        """Pays for the frames that cannot be decoded."""
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take the bytes that arrived; return the payloads that are complete now."""
-        payloads: list[bytes] = []
-        cut = self._cut(data)
-        pieces = list(filter(None, cut))
-        self.discarded += len(cut) - len(pieces)
-        for piece in pieces:
-            try:
-                payload: bytes = self._codec.decode(piece)
-            except self._codec.DecodeError:
-                self._drop(piece)
-                continue
-            if len(payload) > self.max_length:
-                self._drop(piece)
-            else:
-                payloads.append(payload)
-        return payloads
+        # Of so many bytes not all frames can be wrong before the reserve is used up.
+        if not self._leave and self.looks.credit > len(data):
+            cut = self._cut(data)
+            found = [self._decoded(piece) for piece in cut if piece]
+            self.discarded += len(cut) - len(found)
+            self.looks.earn(len(data))
+        else:
+            found = list(self._search(data))
+        return [payload for payload in found if payload is not None]
+
+    def reset(self) -> None:
+        """Forget a partial frame: after an opening, or after a silence."""
+        super().reset()
+        self._leave = 0
+        self.looks.fill()
+
+    def _search(self, data: bytes) -> Iterator[bytes | None]:
+        """Go on behind what is left out, from one place to the next."""
+        at = 0
+        while at < len(data):
+            if self._leave:
+                left = min(self._leave, len(data) - at)
+                self._leave -= left
+                self.discarded += left + len(self._buffer)
+                self._buffer.clear()
+                self._skipping = True
+                until = at + left
+            elif data[at]:
+                until = data.find(0, at) + 1 or len(data)
+                for piece in self._cut(data[at:until]):
+                    yield self._decoded(piece)
+            else:  # many of them cost no more than one
+                found = _NO_ZERO.search(data, at)
+                until = found.start() if found else len(data)
+                pieces = self._cut(data[at : at + 1])
+                self.discarded += until - at - 1 + (pieces == [b""])
+                for piece in filter(None, pieces):
+                    yield self._decoded(piece)
+            self.looks.earn(until - at)
+            at = until
+
+    def _decoded(self, piece: bytes) -> bytes | None:
+        try:
+            payload: bytes = self._codec.decode(piece)
+        except self._codec.DecodeError:
+            pass
+        else:
+            if len(payload) <= self.max_length:
+                return payload
+        self._drop(piece)
+        self._leave += self.looks.pay()
+        return None
 
     def encode(self, payload: bytes) -> bytes:
         """Return the stuffed payload and a zero.

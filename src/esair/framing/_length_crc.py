@@ -9,6 +9,7 @@ from typing import Literal, Self
 
 from esair.exceptions import BadValueError, ConfigError
 from esair.framing._framing import Framing
+from esair.framing._looks import Looks
 
 _CRCS: dict[str, tuple[int, Callable[[bytes | bytearray], int]]] = {
     "crc-16/xmodem": (2, lambda data: binascii.crc_hqx(data, 0)),
@@ -16,12 +17,6 @@ _CRCS: dict[str, tuple[int, Callable[[bytes | bytearray], int]]] = {
     "crc-32": (4, zlib.crc32),
 }
 
-
-RESERVE = 2048
-"""How many places are looked at one after the other before the search gets sparse."""
-
-SPARSE = 128
-"""How many bytes pay for the look at one place."""
 
 CRC_SHARE = 512
 """How many bytes of a CRC cost as much as the look at a place."""
@@ -98,11 +93,9 @@ class LengthCrc(Framing):
         self.crc = crc
         self._crc_size, self._crc = _CRCS[crc]
         self._inside = 0  # how many of the next bytes are in a frame counted as bad
-        self._credit = float(RESERVE)
-        self._stride = 1
         self._left_out = 0
-        self.looks = 0
-        """How many places were looked at that began no good frame."""
+        self.looks = Looks()
+        """Pays for the places that began no good frame."""
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take the bytes that arrived; return the payloads that are complete now."""
@@ -138,13 +131,13 @@ class LengthCrc(Framing):
                 if self._crc(covered) == int.from_bytes(told, self.byteorder):
                     payloads.append(bytes(covered[self.length_size :]))
                     self._inside = max(0, self._inside - (end - at))
-                    self._earn(end - at)
+                    self.looks.earn(end - at)
                     at = end
                     continue
             if not self._inside:
                 self.bad_frames += 1
                 self._inside = end - at
-            at = self._pass(at, self._step(cost))
+            at = self._pass(at, self.looks.pay(cost) or 1)
         del buffer[:at]
         return payloads
 
@@ -175,17 +168,7 @@ class LengthCrc(Framing):
         """Forget a partial frame: after an opening, or after a silence."""
         super().reset()
         self._inside = self._left_out = 0
-        self._credit = float(RESERVE)
-
-    def _step(self, cost: float) -> int:
-        """Pay for a look; return how many bytes further the next one is."""
-        self.looks += 1
-        self._credit -= cost
-        if self._credit > 0.0:
-            return 1
-        # Not always the same: frames of one length would be missed for ever.
-        self._stride = self._stride * 5 % 257
-        return round(cost) * (1 + self._stride)
+        self.looks.fill()
 
     def _pass(self, at: int, step: int) -> int:
         """Go further, as far as bytes have come; the rest is left out when it comes."""
@@ -194,11 +177,7 @@ class LengthCrc(Framing):
         self._skip(now)
         return at + now
 
-    def _earn(self, count: int) -> None:
-        # By the place in the stream, so that it is the same however it was cut.
-        self._credit = min(RESERVE, self._credit + count / SPARSE)
-
     def _skip(self, count: int) -> None:
         self.discarded += count
-        self._earn(count)
+        self.looks.earn(count)
         self._inside = max(0, self._inside - count)

@@ -9,13 +9,12 @@ Source: NMEA 0183, chapter 5 (data format protocol).
 
 from __future__ import annotations
 
-import functools
-import operator
 import re
 from typing import Self
 
 from esair.exceptions import BadValueError
 from esair.framing._framing import Framing
+from esair.framing._looks import Looks
 
 _ENDING = re.compile(rb"\*([0-9A-Fa-f]{2})\r*\n")
 
@@ -28,7 +27,13 @@ class SentenceError(ValueError):
 
 def checksum(body: bytes) -> int:
     """Return the exclusive or of all bytes between ``$`` and ``*``."""
-    return functools.reduce(operator.xor, body, 0)
+    number, bits = int.from_bytes(body), 8
+    while bits < 8 * len(body):
+        bits *= 2
+    while bits > 8:  # the upper half onto the lower one, at once
+        bits //= 2
+        number ^= number >> bits
+    return number & 0xFF
 
 
 def encode_sentence(*fields: str | int) -> bytes:
@@ -76,7 +81,9 @@ class Sentences(Framing):
     r"""Sentences of NMEA 0183: the payload is what stands between ``$`` and ``*``.
 
     A ``$`` always begins a new sentence, and a ``\n``, with or without a ``\r``, ends
-    it. The standard allows 76 bytes; many devices say more.
+    it. The standard allows 76 bytes; many devices say more. One without an address is
+    none. The work for garbage is bounded: after 2048 sentences that are wrong, one
+    place in 128 bytes is looked at until good ones have come again.
 
     Args:
         max_length: The longest payload, in bytes.
@@ -88,6 +95,9 @@ class Sentences(Framing):
     def __init__(self, *, max_length: int = 256) -> None:
         super().__init__(max_length=max_length)
         self._max_frame = 1 + max_length + 5  # $, *XX and the end of the line
+        self.looks = Looks()
+        """Pays for the sentences that are wrong."""
+        self._paid = self._next = 0  # places, from the beginning of what is kept
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take the bytes that arrived; return the payloads that are complete now."""
@@ -102,39 +112,59 @@ class Sentences(Framing):
         if len(rest) > self._max_frame:
             self.bad_frames += 1
             rest = b""
-        self.discarded += len(data) - used - len(rest)
+        gone = len(data) - len(rest)
+        self.discarded += gone - used
+        self._paid, self._next = self._paid - gone, self._next - gone
         self._buffer += rest
         return payloads
+
+    def reset(self) -> None:
+        """Forget a partial frame: after an opening, or after a silence."""
+        super().reset()
+        self._paid = self._next = 0
+        self.looks.fill()
 
     def _found(self, lines: bytes) -> tuple[list[bytes], int]:
         """Return the payloads of whole lines, and how many bytes their frames have."""
         payloads: list[bytes] = []
-        used = past = 0
-        for ending in _ENDING.finditer(lines):
+        used = 0
+        past = max(0, self._next)
+        while ending := _ENDING.search(lines, past):
+            end = ending.end()
             begin = lines.rfind(b"$", past, ending.start())
-            size, past = ending.end() - begin, ending.end()
-            if begin < 0 or size > self._max_frame:
-                continue
             body = lines[begin + 1 : ending.start()]
+            past = end
             if (
-                b"\n" not in body
-                and len(body) <= self.max_length
+                begin >= 0
+                and 0 < len(body) <= self.max_length
+                and end - begin <= self._max_frame
+                and b"\n" not in body
                 and body.isascii()
                 and int(ending[1], 16) == checksum(body)
             ):
                 payloads.append(body)
-                used += size
+                used += end - begin
+            else:
+                self.looks.earn(end - self._paid)
+                self._paid = end
+                past += self.looks.pay()
+        self._next = past
         return payloads, used
 
     def encode(self, payload: bytes) -> bytes:
         r"""Return ``$``, the payload, ``*``, the checksum and ``\r\n``.
 
         Raises:
-            BadValueError: It is too long, or has bytes that no sentence can carry.
+            BadValueError: It is empty, too long, or has bytes that no sentence can carry.
         """
         payload = self._checked(payload)
         text = payload.decode("latin-1")
-        if not text.isascii() or not text.isprintable() or {"$", "*"} & set(text):
+        if (
+            not text
+            or not text.isascii()
+            or not text.isprintable()
+            or {"$", "*"} & set(text)
+        ):
             raise BadValueError(
                 "framing", "payload", f"a sentence cannot carry {payload!r:.80}"
             )

@@ -32,7 +32,7 @@ from pynmeagps import NMEAReader, exceptions  # type: ignore[import-untyped]
 from esair.buses import SerialBus
 from esair.drivers._silence import heard
 from esair.exceptions import ConfigError, DeviceFaultError
-from esair.framing import Sentences
+from esair.framing import Looks, Sentences
 from esair.resources import Sensor
 
 __all__ = ["Fix", "FixBuilder", "Gps"]
@@ -42,6 +42,12 @@ KNOT = 1852 / 3600
 
 SENTENCES = ("GGA", "RMC")
 """The kinds of sentence that a fix is made of."""
+
+FRAME = 6
+"""The bytes of a sentence beside its body."""
+
+PARSE_COST = 40.0
+"""What the reading of a sentence costs, in looks at a place of a stream."""
 
 APART = 3
 """After how many moments in a row that stayed incomplete each sentence is a fix."""
@@ -105,6 +111,8 @@ class FixBuilder:
         self._found: dict[str, Any] = {}
         self._moment: datetime.time | None = None
         self._apart = 0
+        self._looks = Looks()
+        self._leave = self._skipped = 0
         self.bad_sentences = 0
         self.without_fix = 0
 
@@ -117,21 +125,39 @@ class FixBuilder:
         kind = body[2:5].decode("ascii", "replace")
         if kind not in self._wanted:
             return None
-        try:
-            message: Any = NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)
-            moment = message.time
-            valid = message.quality > 0 if kind == "GGA" else message.status == "A"
-        except _ERRORS:
+        size = len(body) + FRAME
+        if self._leave > size:
+            self._leave -= size
+            self._skipped += size
             self.bad_sentences += 1
             return None
-        if not isinstance(moment, datetime.time):
+        self._looks.earn(size + self._skipped)
+        self._leave = self._skipped = 0
+        fields = body.split(b",", 7)
+        if len(fields) < 8:
+            self.bad_sentences += 1
+            return None
+        if not fields[1]:  # it does not know the time yet
             self.without_fix += 1
+            return None
+        told, none = (fields[6], b"0") if kind == "GGA" else (fields[2], b"V")
+        message: Any = None
+        try:
+            moment = _time(fields[1])
+            if told and told != none:
+                message = NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)
+                moment = message.time
+                if kind == "GGA" and message.quality <= 0:
+                    message = None
+        except _ERRORS:
+            self.bad_sentences += 1
+            self._leave = self._looks.pay(PARSE_COST)
             return None
         if moment != self._moment:
             self._apart += bool(self._found)
             self._moment = moment
             self._found.clear()
-        self._found[kind] = message if valid else None
+        self._found[kind] = message
         found = self._found
         if self._wanted - found.keys():
             if self._apart < APART:
@@ -165,6 +191,13 @@ class FixBuilder:
             self.bad_sentences += 1
             return None
         return fix
+
+
+def _time(field: bytes) -> datetime.time:
+    seconds = float(field[4:])
+    whole = int(seconds)
+    microsecond = round((seconds - whole) * 1e6)
+    return datetime.time(int(field[:2]), int(field[2:4]), whole, microsecond)
 
 
 def _number(value: Any, low: float, high: float) -> float:

@@ -25,6 +25,7 @@ import asyncio
 import contextlib
 import errno
 import math
+import re
 import struct
 from collections.abc import AsyncIterator
 from typing import Any
@@ -64,6 +65,11 @@ NOISE_LIMIT = 65536
 _INFO = struct.Struct("<BBBB16s")
 _HEALTH = struct.Struct("<BH")
 _NODE = struct.Struct("<BHH")
+
+_FIRST = b"".join(re.escape(bytes([n])) for n in range(256) if n & 3 in {1, 2})
+_ODD = b"".join(re.escape(bytes([n])) for n in range(1, 256, 2))
+_BEGINNING = re.compile(rb"(?s)[%b](?:[%b][\x00-\xb3]|\x01\xb4).." % (_FIRST, _ODD))
+"""What looks like a measurement, for a search that is quick."""
 
 _STATUS = ("good", "warning", "error")
 
@@ -191,8 +197,10 @@ class ScanDecoder:
             first, turned, far = _NODE.unpack_from(data, begin)
             # S and its inverse, the check bit, and no angle beyond a turn.
             if first & 3 not in {1, 2} or not turned & 1 or turned >> 1 > 360 * 64:
-                begin += 1
-                self.discarded += 1
+                found = _BEGINNING.search(data, begin + 1)
+                gap = (found.start() if found else end + 1) - begin
+                begin += gap
+                self.discarded += gap
                 self._lose_turn()
                 continue
             begin += NODE_SIZE
