@@ -14,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
-from esair.buses import CanBus, SerialBus
+from esair.buses import CanBus, Frame, SerialBus
 from esair.drivers.dbc import DbcActuator, DbcSensor, MessageCodec, find_message
+from esair.drivers.dbc._transport import Reassembly
 from esair.drivers.dbc.fake import FakeDbcNode
 from esair.exceptions import (
     BadValueError,
@@ -565,10 +566,14 @@ BO_ 2364540160 Other: 8 Engine
  SG_ x : 0|8@1+ (1,0) [0|250] "" Engine
 BO_ 5 Short: 8 Engine
  SG_ y : 0|8@1+ (1,0) [0|250] "" Engine
+BO_ 2566841854 Hours: 10 Engine
+ SG_ hours : 0|32@1+ (0.05,0) [0|210554060.75] "h" Engine
+ SG_ turns : 32|48@1+ (1000,0) [0|0] "r" Engine
 BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
 BA_DEF_DEF_ "VFrameFormat" "";
 BA_ "VFrameFormat" BO_ 2364540158 3;
 BA_ "VFrameFormat" BO_ 2348810494 3;
+BA_ "VFrameFormat" BO_ 2566841854 3;
 """
 
 
@@ -599,6 +604,121 @@ async def test_a_message_of_j1939_is_heard_from_every_address(
         assert every.sources == {0x00: 1, 0x11: 1, 0xFE: 1}
         assert one.sources == {0x11: 1}
         assert every.bad_frames == one.bad_frames == 0
+
+
+HOURS = 0x00FEE5
+
+
+def packets(source: int, data: bytes, *, to: int = 0xFF, kind: int = 32) -> list[Frame]:
+    """A message in packets, as SAE J1939-21 has them."""
+    count = -(-len(data) // 7)
+    head = bytes([kind, len(data), 0, count, 0xFF]) + HOURS.to_bytes(3, "little")
+    ids = 0x18EC0000 | to << 8 | source, 0x18EB0000 | to << 8 | source
+    padded = data.ljust(7 * count, b"\xff")
+    return [
+        Frame(ids[0], head, True),
+        *(
+            Frame(ids[1], bytes([n + 1]) + padded[7 * n : 7 * n + 7], True)
+            for n in range(count)
+        ),
+    ]
+
+
+def hours(number: float) -> bytes:
+    return round(number * 20).to_bytes(4, "little") + bytes(6)
+
+
+@pytest.mark.promise("BUS-4")
+async def test_a_message_of_j1939_comes_in_packets(
+    fake_can: Any, tmp_path: Path
+) -> None:
+    """Announced to all or sent to another node, of several nodes at the same time."""
+    (database := tmp_path / "engine.dbc").write_text(J1939)
+    wire = fake_can("drive")
+    device = DbcSensor(bus=wire, database=database, message="Hours", signal="hours")
+    stream: Any = device.stream()
+    async with opened(device), aclosing(stream) as values:
+        first = asyncio.ensure_future(anext(values))
+        await asyncio.sleep(0)
+        every = packets(0x11, hours(11.0)), packets(0x22, hours(22.0))
+        other = packets(0x33, hours(33.0), to=0x44, kind=16)
+        other.insert(2, other[1])  # the other node has asked for it once more
+        for group in zip(*every, other, strict=False):
+            for frame in group:
+                wire.feed(frame.id, frame.data, extended=True)
+        wire.feed(other[-1].id, other[-1].data, extended=True)
+        assert {await first, await anext(values), await anext(values)} == {11, 22, 33}
+        assert device.sources == {0x11: 1, 0x22: 1, 0x33: 1}
+        assert device.bad_frames == 0
+
+
+@pytest.mark.fault("D11")
+async def test_a_message_that_is_not_whole_is_none(
+    fake_can: Any, tmp_path: Path
+) -> None:
+    """A packet is missing, or late; it was ended; another one has begun."""
+    (database := tmp_path / "engine.dbc").write_text(J1939)
+    wire = fake_can("drive")
+    device = DbcSensor(
+        bus=wire, database=database, message="Hours", signal="hours", source=0x11
+    )
+    stream: Any = device.stream()
+
+    def feed(*frames: Frame) -> None:
+        for frame in frames:
+            wire.feed(frame.id, frame.data, extended=True)
+
+    async with opened(device), aclosing(stream) as values:
+        value = asyncio.ensure_future(anext(values))
+        await asyncio.sleep(0)
+        head, one, two = packets(0x11, hours(1.0))
+        abort = Frame(head.id, bytes([255, 1, 255, 255, 255, 0xE5, 0xFE, 0]), True)
+        feed(head, two)
+        feed(head, one, abort, two)
+        feed(head, one)
+        await asyncio.sleep(0.8)
+        feed(two)
+        feed(head, head, *packets(0x11, hours(5.0)), *packets(0x22, hours(6.0)))
+        assert await value == 5.0
+        assert device._transport is not None
+        assert device._transport.given_up == 5
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([0xEC, 0xEB, 0xE8]),
+            st.integers(0, 3),
+            st.sampled_from([16, 17, 32, 255, 1, 2, 3, 0]),
+            st.integers(0, 2000),
+        )
+    )
+)
+def test_no_packets_make_more_than_they_announce(frames: list[Any]) -> None:
+    """Whatever comes: nothing is raised, and what is kept is bounded."""
+    together = Reassembly(HOURS << 8)
+    for place, ends, first, size in frames:
+        data = bytes([first]) + size.to_bytes(2, "little") + b"\2\xff"
+        whole = together.feed(
+            Frame(place << 16 | ends * 0x101, data + HOURS.to_bytes(3, "little"), True)
+        )
+        assert whole is None or 8 < len(whole.data) <= 1785
+    assert len(together._begun) <= 4
+    assert sum(len(each.data) for each in together._begun.values()) <= 4 * 1785
+
+
+def test_a_command_of_more_than_a_frame_is_refused(
+    fake_can: Any, tmp_path: Path
+) -> None:
+    """It would have to be sent in packets."""
+    (database := tmp_path / "engine.dbc").write_text(J1939)
+    with pytest.raises(ConfigError, match="Hours has 10 bytes: in packets it is only"):
+        DbcActuator(
+            bus=fake_can("drive"),
+            database=database,
+            message="Hours",
+            safe={"hours": 0.0, "turns": 0.0},
+        )
 
 
 async def test_a_command_of_j1939_has_both_addresses(

@@ -22,7 +22,7 @@ from esair.drivers.dbc._codec import (
     choices_of,
 )
 from esair.drivers.dbc._file import among, find_message, find_signal, modulus_of
-from esair.drivers.dbc._j1939 import id_to
+from esair.drivers.dbc._j1939 import id_to, is_j1939
 from esair.exceptions import (
     BadValueError,
     BusyError,
@@ -88,6 +88,12 @@ class DbcActuator(Actuator[Any]):
         super().__init__(**settings)
         self.codec = codec = MessageCodec(find_message(self.name, database, message))
         self._id = id_to(self.name, codec.message, source, destination)
+        if codec.size > 8 and is_j1939(codec.message):
+            raise ConfigError(
+                self.name,
+                "message",
+                f"{message} has {codec.size} bytes: in packets it is only heard",
+            )
         if not codec.message.is_multiplexed():  # else others may have a share of it
             kind = "extended frame" if codec.message.is_extended_frame else "frame"
             self.claim = f"the {kind} {self._id:#x}"

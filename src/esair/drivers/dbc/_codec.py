@@ -11,6 +11,7 @@ from cantools.database.can import Message, Signal
 from cantools.database.errors import Error as CantoolsError
 
 from esair.buses.can import FD_SIZES
+from esair.drivers.dbc._j1939 import is_j1939
 from esair.exceptions import (
     describe,
 )
@@ -43,6 +44,8 @@ class MessageCodec:
         self.names = names
         fitting = [size for size in FD_SIZES if size >= message.length]
         self.size: int = min(fitting, default=message.length)
+        if is_j1939(message):  # it may come in packets
+            self.size = message.length
         self.signals: dict[str, Signal] = {
             signal.name: signal for signal in message.signals
         }

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Literal
 
 from esair.buses import CanBus, Frame, Inbox
+from esair.buses.can import Mask
 from esair.drivers._on_can import can_bus
-from esair.drivers._silence import hear_first, heard
+from esair.drivers._silence import heard
 from esair.drivers.dbc._codec import FrameError, MessageCodec, Signals
 from esair.drivers.dbc._file import find_message, find_signal, modulus_of
 from esair.drivers.dbc._j1939 import SOURCE, Source, ids_from
-from esair.exceptions import (
-    ConfigError,
-    DeviceFaultError,
-)
+from esair.drivers.dbc._transport import TRANSPORT, Reassembly
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Sensor
 from esair.values import check_seconds
 
@@ -27,6 +27,9 @@ class DbcSensor(Sensor[Any]):
     Each frame is a reading. A frame of the wrong length, or one that cannot be decoded,
     is counted and left out; ten of them in a row are a fault of the device. When no
     frames come the newest reading grows old, and ``max_age`` tells.
+
+    A message of J1939 with more than 8 bytes is put together of its packets (the transport
+    protocol), announced to all or sent to another node; this one asks for none.
 
     Args:
         database: The DBC file.
@@ -91,6 +94,13 @@ class DbcSensor(Sensor[Any]):
             check_seconds(self.name, "silent_after", silent_after)
         self.source = source
         self._ids = ids_from(self.name, self.codec.message, source)
+        self._transport: Reassembly | None = None
+        if isinstance(self._ids, Mask) and self.codec.message.length > 8:
+            self._transport = Reassembly(self.codec.message.frame_id)
+            sender = self._ids.mask & SOURCE
+            self._ids = Mask(
+                TRANSPORT.id | self._ids.id & sender, TRANSPORT.mask | sender
+            )
         self.sources: dict[int, int] = {}
         self.buffer = buffer
         self.bad_frames = 0
@@ -115,8 +125,23 @@ class DbcSensor(Sensor[Any]):
         return float
 
     async def open(self) -> None:
-        """Wait for the first frame, if the node may not be silent."""
-        await hear_first(self, self._frames(), self.silent_after)
+        """Wait for the first message, if the node may not be silent."""
+        if self.silent_after is not None:
+            with contextlib.closing(self._frames()) as inbox:
+                async for _ in self._heard(inbox):
+                    return
+
+    async def _heard(self, inbox: Inbox[Frame]) -> AsyncIterator[Frame]:
+        """Yield each message: a frame, or what several are together."""
+        transport, limit = self._transport, self.silent_after
+        last = asyncio.get_running_loop().time()
+        async for frame in heard(self, inbox, limit):
+            whole = frame if transport is None else transport.feed(frame)
+            if whole is not None:
+                last = frame.time
+                yield whole
+            elif limit is not None and frame.time - last > limit:
+                raise DeviceLostError(self.name, f"nothing came for {limit:g} s")
 
     def _frames(self) -> Inbox[Frame]:
         return can_bus(self).frames(
@@ -133,7 +158,7 @@ class DbcSensor(Sensor[Any]):
         self._numbers.clear()
         self._inbox = self._frames()
         with contextlib.closing(self._inbox):
-            async for frame in heard(self, self._inbox, self.silent_after):
+            async for frame in self._heard(self._inbox):
                 try:
                     values = self._decoded(frame)
                 except FrameError as error:
