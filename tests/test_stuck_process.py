@@ -117,6 +117,43 @@ async def test_the_ladder_of_exits_with_a_stuck_loop(
         assert seconds < (1.0 + 2.0 + 0.5 if count == 1 else 1.0 + 0.5), errors
 
 
+TIDY = """
+        try:
+            while True: time.time()
+        finally:
+            end = time.monotonic() + 0.15
+            while time.monotonic() < end: pass
+            with open(sys.argv[1], "a") as log: log.write("tidy\\n")
+"""
+
+
+@pytest.mark.promise("ROB-6")
+async def test_what_is_interrupted_may_end_in_peace(tmp_path: Path) -> None:
+    """It is interrupted once, not again and again in what it does to end."""
+    returned, told, errors, _ = await live(tmp_path / "log", signal.SIGTERM, stuck=TIDY)
+
+    assert returned == 143, errors
+    assert told.count("tidy") == 1, errors
+    assert told[-1] == "wheels=0.0"
+
+
+@pytest.mark.promise("ROB-6", "ROB-1")
+async def test_a_slow_import_is_nobodys_reason_to_interrupt(tmp_path: Path) -> None:
+    """On a slow computer: what a robot imports is there before it may be stopped."""
+    main = """
+    class Slow:
+        def find_spec(self, name, path=None, target=None):
+            if name.startswith("anyio._backends."):
+                time.sleep(0.5)
+    sys.meta_path.insert(0, Slow())
+    esair.run(robot, duration=0.2, stall_warning=None)
+    """
+    returned, told, errors, _ = await live(tmp_path / "log", main=main)
+
+    assert returned == 0, errors
+    assert told[-1] == "wheels=0.0"
+
+
 @pytest.mark.promise("ROB-6")
 @pytest.mark.parametrize(
     "stuck", ["loop", "sleep", "swallow", "deaf", "tight", "thread"]

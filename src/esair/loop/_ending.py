@@ -11,7 +11,10 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
+
+import anyio
 
 from esair.loop._overseer import overseer
 from esair.loop._ownership import current_owner
@@ -23,9 +26,18 @@ KICK = 0.02
 """How often code that holds a loop which should end is interrupted, in seconds."""
 
 _ALWAYS = 25
-"""From this kick on code is interrupted even inside of the event loop."""
+"""From this kick on code is interrupted even inside of what it calls of the loop."""
 
-_INSIDE = ("esair.", "asyncio.", "selectors", "anyio.", "contextlib", "threading")
+_INSIDE = ("esair.", "asyncio.", "selectors", "anyio.")
+
+_LOOPS = {"asyncio.base_events", "asyncio.runners", "esair.loop._end_of_loop"}
+
+_LIBRARIES = (
+    "<frozen ",
+    os.path.dirname(os.__file__),
+    str(Path(anyio.__file__).parents[1]),
+)
+"""Where code lies that holds a loop only for who has called it."""
 
 _KICK_SIGNAL = getattr(signal, "SIGURG", None)  # ignored unless somebody wants it
 _TIMER_SIGNAL = getattr(signal, "SIGALRM", None)
@@ -63,6 +75,7 @@ class Ending:
         self._code = 1
         self._told = False
         self._kicks = 0
+        self._spared_until = -math.inf
         self.heard = False
         """Whether the loop has heard of it."""
 
@@ -97,6 +110,15 @@ class Ending:
     def held(self) -> bool:
         """Whether some code keeps the loop from hearing that it should end."""
         return self._told and not self.heard
+
+    def is_spared(self, now: float) -> bool:
+        """Tell whether what was interrupted may still be on its way to the end."""
+        return now < self._spared_until
+
+    def interrupted(self, now: float) -> None:
+        """Code was interrupted: what it does to end has its own time to do so."""
+        self._kicks = 0
+        self._spared_until = now + PATIENCE
 
     @property
     def forced(self) -> bool:
@@ -174,12 +196,30 @@ def break_out(frame: FrameType | None, *, forced: bool) -> None:
     """
     if asyncio._get_running_loop() is None:  # noqa: SLF001 - public, but for its name
         return  # nobody holds it: it has ended, or is being ended
-    module = "" if frame is None else str(frame.f_globals.get("__name__", ""))
-    if module.startswith(_INSIDE) and not forced:
+    if not _is_of_a_user(frame, forced=forced):
         return
     if current_owner() is not None:
         raise asyncio.CancelledError("it holds the event loop, and the robot stops")
     raise LoopHeldError("it holds the event loop, and the robot stops")
+
+
+def _is_of_a_user(frame: FrameType | None, *, forced: bool) -> bool:
+    """Whether it is a user's code, or a library that this has called.
+
+    Args:
+        frame: What runs.
+        forced: Look through the code of esair and asyncio too, for who has called it;
+            what the loop itself does, nobody has.
+    """
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__", ""))
+        inside = module.startswith(_INSIDE)
+        if module in _LOOPS or (inside and not forced):
+            return False
+        if not inside and not frame.f_code.co_filename.startswith(_LIBRARIES):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def leave_at_once(code: int, why: str) -> None:

@@ -237,8 +237,15 @@ class SignalDesk:
         held = [ending for ending in endings if ending is not None and ending.held]
         if not held:
             self._kicks.disarm()
-        else:
-            break_out(frame, forced=any(ending.forced for ending in held))
+        now = time.monotonic()
+        due = [ending for ending in held if not ending.is_spared(now)]
+        if due:
+            try:
+                break_out(frame, forced=any(ending.forced for ending in due))
+            except BaseException:
+                for ending in held:
+                    ending.interrupted(time.monotonic())
+                raise
 
 
 desk = SignalDesk()

@@ -273,6 +273,7 @@ class Robot:
         refuse_while_looking(self.name)
         if mistakes := errors_in(examine(self.plan)):
             raise ExceptionGroup(f"robot {self.name!r} cannot start", mistakes)
+        anyio.CancelScope()  # what the stop needs is imported before there can be one
         loop = asyncio.get_running_loop()
         has_seat = self._keeping.has_seat = bool(self._has_socket or self._page)
         seat = self._make_seat(closed=repeats(loop)) if has_seat else None
