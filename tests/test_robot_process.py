@@ -132,8 +132,52 @@ async def test_a_second_signal_keeps_the_safe_command(tmp_path: Path) -> None:
         tmp_path / "log", signal.SIGINT, signal.SIGTERM, main=main
     )
 
-    assert returned in {130, 143, -signal.SIGTERM}, errors  # it may be over by then
+    assert returned == 130, errors
     assert is_safe(lines)
+
+
+LATE = {
+    "while the loop is closed": """
+    class Loop(asyncio.SelectorEventLoop):
+        def close(self):
+            os.kill(os.getpid(), signal.SIGTERM)
+            super().close()
+    esair.run(robot, loop_factory=Loop)
+    """,
+    "while the interpreter ends": """
+    class Last:
+        def __del__(self, kill=os.kill, pid=os.getpid()):
+            kill(pid, signal.SIGTERM)
+    last = Last()
+    esair.run(robot)
+    """,
+}
+
+
+@pytest.mark.promise("ROB-2")
+@pytest.mark.fault("O03")
+@pytest.mark.parametrize("main", LATE.values(), ids=LATE)
+async def test_a_second_signal_that_is_late_changes_nothing(
+    tmp_path: Path, main: str
+) -> None:
+    """All is safe by then: the exit code is still that of the first."""
+    returned, lines, errors, _ = await live(tmp_path / "log", signal.SIGINT, main=main)
+
+    assert returned == 130, errors
+    assert is_safe(lines)
+
+
+@pytest.mark.promise("ROB-2")
+async def test_a_signal_after_a_normal_end_is_not_lost(tmp_path: Path) -> None:
+    """It comes while the loop is closed, and ends the program as any other."""
+    main = LATE["while the loop is closed"].replace("(robot,", "(robot, duration=0.2,")
+    returned, lines, errors, _ = await live(
+        tmp_path / "log", main=main + "print('went on', file=sys.stderr)"
+    )
+
+    assert returned == 143, errors
+    assert is_safe(lines)
+    assert "went on" not in errors
 
 
 @pytest.mark.promise("ROB-2")

@@ -28,7 +28,7 @@ from esair.loop._portal import Portal, portal
 from esair.loop._random import ComponentRandom, Stepping, Stream
 from esair.loop._rate_group import DerivedJob, Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
-from esair.loop._signals import ProcessWatch, SignalWatch
+from esair.loop._signals import LateSignals, ProcessWatch, SignalWatch
 from esair.loop._stall import StallWatch
 from esair.loop._suspend import GLANCE, SuspendWatch
 from esair.loop._tape import SPOILED, First, Player, TapeWriter
@@ -59,6 +59,7 @@ __all__ = [
     "FirstSteps",
     "Gaps",
     "Job",
+    "LateSignals",
     "LightTask",
     "News",
     "OneShot",

@@ -8,6 +8,7 @@ thread gets to run, the handler in the main thread.
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import itertools
 import math
@@ -22,7 +23,7 @@ import time
 from _signal import getsignal  # type: ignore[import-not-found]  # noqa: PLC2701
 from collections.abc import Callable
 from types import FrameType
-from typing import Any
+from typing import Any, Self
 
 from esair.loop._ending import (
     Ending,
@@ -62,7 +63,8 @@ class SignalWatch:
         self.last: Ending | None = None
         """That of the whole process, if there is one."""
         self.host: asyncio.Task[Any] | None = None
-        self._number = 0
+        self.number: int | None = None
+        """The first signal that it was told of."""
 
     def start(self, *, interrupts: bool) -> None:
         """Begin to watch.
@@ -95,8 +97,8 @@ class SignalWatch:
 
     def first(self, number: int) -> None:
         """A signal has come; in any thread."""
+        self.number = number
         if self.ending is not None:
-            self._number = number
             self.ending.because(time.monotonic())
             self.ending.tell()
             if self.last is not None:
@@ -109,7 +111,8 @@ class SignalWatch:
                 self.loop.call_soon_threadsafe(self._on_second)
 
     def _hear(self) -> None:
-        self._on_first(self._number)
+        if self.number is not None:
+            self._on_first(self.number)
 
 
 class SignalDesk:
@@ -250,6 +253,37 @@ class SignalDesk:
 
 desk = SignalDesk()
 """The one of this process."""
+
+
+class LateSignals:
+    """Hears signals for a whole run, from before its loop is made until it is closed.
+
+    One that comes when the robot has stopped finds all safe: it shortens nothing more,
+    must not kill the process with another exit code, and is not lost either.
+    """
+
+    def __init__(self) -> None:
+        self._watch = SignalWatch(lambda _number: None, lambda: None)
+
+    def __enter__(self) -> Self:
+        desk.join(self._watch, interrupts=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        desk.leave(self._watch)
+        if self.number is not None:  # what is left to do is the interpreter's
+            atexit.register(_hear_no_more)
+
+    @property
+    def number(self) -> int | None:
+        """The first signal of the run, if there was one."""
+        return self._watch.number
+
+
+def _hear_no_more() -> None:
+    for number in ENDING:
+        if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _in_a_forked_child() -> None:

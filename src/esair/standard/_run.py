@@ -17,7 +17,13 @@ from typing import Any
 import anyio
 
 from esair.exceptions import ConfigError
-from esair.loop import Ending, TurnLoop, run_and_end, threads_that_keep_the_process
+from esair.loop import (
+    Ending,
+    LateSignals,
+    TurnLoop,
+    run_and_end,
+    threads_that_keep_the_process,
+)
 from esair.standard._care import STALL_WARNING
 from esair.standard._robot import LAST_WAIT, Robot
 from esair.values import check_seconds
@@ -108,11 +114,15 @@ def run(
         robot._interrupts = True  # noqa: SLF001 - as above
         await run_to_its_end(robot, duration, ending)
 
+    signals = LateSignals()
     try:
-        run_and_end(main(), loop_factory or TurnLoop)
+        with signals:
+            run_and_end(main(), loop_factory or TurnLoop)
+            if signals.number is not None:  # when the robot had stopped by itself
+                raise SystemExit(128 + signals.number)
     except SystemExit:
-        if robot._signal is not None:  # noqa: SLF001 - as above
-            _leave_threads(before, 128 + robot._signal)  # noqa: SLF001 - as above
+        if signals.number is not None:
+            _leave_threads(before, 128 + signals.number)
         raise
     finally:
         if ending is not None:
