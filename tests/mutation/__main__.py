@@ -1,0 +1,281 @@
+"""``python -m tests.mutation``: which mistakes in the core would no test notice?
+
+The tests are collected once. One child process runs them all and notes which lines each
+one reaches, and in what time; then each mutant is a child of its own, forked from there:
+the mistake is put into the functions that are loaded, and the tests that reach its line
+run, quickest first, until one fails. What a test in real time finds has to be found three
+times: it could be the computer that is busy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import contextlib
+import gc
+import os
+import pickle
+import random
+import resource
+import select
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import attrs
+import coverage
+import pytest
+from tests.mutation.loaded import loaded_functions, put_in
+from tests.mutation.mutants import Mutant, mutants_of
+
+SOURCE = Path(__file__).parents[2] / "src/esair"
+MUTATED = ["connections", "supervisors"]
+TESTS = [
+    *(f"tests/{room}" for room in ("connections", "supervisors", "protection", "turn")),
+    *(f"tests/{room}" for room in ("actions", "resources", "journal", "recording")),
+    *(f"tests/{room}" for room in ("replay", "seat", "plan", "testing")),
+    *(f"tests/test_{it}.py" for it in ("robot", "halt", "cancellation", "one_owner")),
+]
+IN_REAL_TIME = 3
+"""The exit code of a child in which a test in real time has failed; and how often it must."""
+CPU_LIMIT, WALL_LIMIT = 60, 240
+"""How long the tests of one mutant may take, in seconds: what hangs is noticed."""
+
+
+@attrs.define
+class Baseline:
+    """What the tests reach, and take, without any mistake."""
+
+    lines: dict[str, dict[int, list[str]]]
+    seconds: dict[str, float]
+    bad: list[str]
+    """Tests that fail all the same."""
+
+    def tests_of(self, mutant: Mutant, budget: float) -> list[str]:
+        """Who can notice: the quickest tests that reach it, as many as there is time for."""
+        reached = self.lines.get(str(mutant.file), {})
+        found = set(reached.get(mutant.line, ()))
+        if not found:  # a default, an attribute: its line ran at the import
+            first, last = mutant.scope or (0, sys.maxsize)
+            found = {
+                n
+                for line, names in reached.items()
+                if first <= line <= last
+                for n in names
+            }
+        chosen = []
+        for name in sorted(found, key=lambda each: self.seconds[each]):
+            budget -= self.seconds[name]
+            if budget < 0:
+                break
+            chosen.append(name)
+        return chosen
+
+
+class Runner:
+    """The plugin of pytest that has the collected tests, and runs some in children."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        self.survivors: list[Mutant] = []
+        self.score: collections.Counter[tuple[str, str]] = collections.Counter()
+        self._failed = False
+
+    @property
+    def killed(self) -> float:
+        """How many are noticed, in percent."""
+        dead = sum(n for (_, end), n in self.score.items() if end != "survived")
+        return 100 * dead / max(1, self.score.total())
+
+    def tell(self) -> None:
+        """The table: files, what became of their mutants, and who survived."""
+        ends = ["killed", "hangs or crashes", "survived"]
+        print("\n" + "".join(f"{end:>18}" for end in ends))
+        for name in sorted({name for name, _ in self.score}):
+            print("".join(f"{self.score[name, end]:18}" for end in ends), name)
+        print(f"\n{len(self.survivors)} survived:")
+        for mutant in sorted(self.survivors, key=lambda each: (each.file, each.line)):
+            print(f"  {mutant.file.relative_to(SOURCE)}:{mutant.line}: {mutant}")
+        print(f"\n{self.killed:.1f} % of {self.score.total()} killed")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self._failed |= report.failed
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        self._plugins = session.config.pluginmanager
+        self.items = {item.nodeid: item for item in session.items}
+        gc.collect()
+        self.functions = loaded_functions()
+        gc.freeze()  # children share it; what is new in them is theirs
+        mutants = self._chosen()
+        baseline = self._measure()
+        running: dict[int, tuple[int, Mutant, float]] = {}
+        tries: collections.Counter[Mutant] = collections.Counter()
+        while mutants or running:
+            while mutants and len(running) < self.options.jobs:
+                mutant = mutants.pop()
+                tests = baseline.tests_of(mutant, self.options.budget)
+                if not tests:
+                    self._note(mutant, "survived", "no test comes here")
+                    continue
+                pid = self._fork(self._with, mutant, tests)
+                running[os.pidfd_open(pid)] = (pid, mutant, time.monotonic())
+            for fd in select.select(list(running), [], [], 1.0)[0]:
+                pid, mutant, began = running.pop(fd)
+                os.close(fd)
+                end = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+                tries[mutant] += 1
+                if end == IN_REAL_TIME and tries[mutant] < IN_REAL_TIME:
+                    mutants.append(mutant)
+                    continue
+                took = f"{time.monotonic() - began:.1f} s"
+                how = {0: "survived", 1: "killed", IN_REAL_TIME: "killed"}.get(
+                    end, "hangs or crashes"
+                )
+                self._note(mutant, how, took)
+            for pid, _, began in running.values():
+                if time.monotonic() - began > WALL_LIMIT:
+                    os.kill(pid, signal.SIGKILL)
+        return True
+
+    def _chosen(self) -> list[Mutant]:
+        wanted = [each.partition(":") for each in self.options.where]
+        found = [
+            mutant
+            for room in MUTATED
+            for file in sorted((SOURCE / room).glob("*.py"))
+            for mutant in mutants_of(file)
+            if not wanted
+            or any(
+                str(file).endswith(path) and line in {"", str(mutant.line)}
+                for path, _, line in wanted
+            )
+        ]
+        chance = random.Random(self.options.seed)
+        chosen = chance.sample(found, min(len(found), self.options.sample))
+        print(
+            f"\n{len(chosen)} of {len(found)} mutants, seed {self.options.seed}",
+            flush=True,
+        )
+        return chosen
+
+    def _note(self, mutant: Mutant, how: str, why: str) -> None:
+        self.score[mutant.file.name, how] += 1
+        if how == "survived":
+            self.survivors.append(mutant)
+        place = f"{mutant.file.relative_to(SOURCE)}:{mutant.line}"
+        print(f"{how:17}{why:>19}  {place}: {mutant}", flush=True)
+
+    def _fork(self, work: Callable[..., int], *terms: Any) -> int:
+        pid = os.fork()
+        if pid:
+            return pid
+        code = 70
+        try:
+            os.setpgrp()
+            with contextlib.suppress(OSError):
+                null = os.open(os.devnull, os.O_RDWR)
+                for fd in (0, 1):
+                    os.dup2(null, fd)
+            code = work(*terms)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+
+    def _run(self, names: Iterable[str], before: Callable[[str], object]) -> int:
+        """Run tests until one fails, and say nothing of it."""
+        if self._plugins.has_plugin("terminalreporter"):
+            self._plugins.unregister(name="terminalreporter")
+        items = [self.items[name] for name in names]
+        for item, following in zip(items, [*items[1:], None], strict=True):
+            before(item.nodeid)
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            if self._failed:
+                return (
+                    1 if item.get_closest_marker("real_clock") is None else IN_REAL_TIME
+                )
+        return 0
+
+    def _measure(self) -> Baseline:
+        kept: Path = self.options.baseline
+        if not kept.exists():
+            os.waitpid(self._fork(self._reach, kept), 0)
+        baseline: Baseline = pickle.loads(kept.read_bytes())
+        print(
+            f"{len(baseline.seconds)} tests; without a mutant fail: {baseline.bad}\n",
+            flush=True,
+        )
+        return baseline
+
+    def _reach(self, kept: Path) -> int:
+        reach = coverage.Coverage(
+            None, config_file=False, source=[str(SOURCE / room) for room in MUTATED]
+        )
+        reach.start()
+        seconds: dict[str, float] = {}
+        bad: list[str] = []
+        for name in self.items:
+            began, self._failed = time.process_time(), False
+            if self._run([name], reach.switch_context):
+                bad.append(name)
+            else:
+                seconds[name] = time.process_time() - began
+        reach.stop()
+        data = reach.get_data()
+        lines = {
+            file: {
+                line: [each for each in contexts if each in seconds]
+                for line, contexts in data.contexts_by_lineno(file).items()
+            }
+            for file in data.measured_files()
+        }
+        kept.write_bytes(pickle.dumps(Baseline(lines, seconds, bad)))
+        return 0
+
+    def _with(self, mutant: Mutant, tests: list[str]) -> int:
+        resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT, CPU_LIMIT))
+        try:
+            put_in(mutant, self.functions)
+        except Exception:
+            return 1  # it cannot even be imported
+        return self._run(tests, before=lambda _: None)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.mutation", description=__doc__
+    )
+    parser.add_argument(
+        "where", nargs="*", help="files, such as _calls.py or _calls.py:96"
+    )
+    parser.add_argument("--sample", type=int, default=300, help="how many mutants")
+    parser.add_argument("--seed", type=int, default=1, help="which ones")
+    parser.add_argument("--jobs", type=int, default=2, help="how many at a time")
+    parser.add_argument(
+        "--budget", type=float, default=20.0, help="CPU seconds of tests for each"
+    )
+    parser.add_argument(
+        "--baseline",
+        type=Path,
+        default=Path(tempfile.mkdtemp()) / "baseline",
+        help="a file that keeps what the tests reach, for the next time",
+    )
+    parser.add_argument("--tests", nargs="+", default=TESTS, help="which to try")
+    parser.add_argument("--min", type=float, default=90.0, help="percent to be killed")
+    runner = Runner(parser.parse_args())
+    arguments = ["-q", "-p", "no:cacheprovider"]
+    end = pytest.main([*arguments, *runner.options.tests], plugins=[runner])
+    if end:
+        return int(end)
+    runner.tell()
+    return int(runner.killed < runner.options.min)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
