@@ -198,6 +198,7 @@ async def test_who_holds_the_loop_is_named_while_it_does() -> None:
     assert "time.sleep(0.5)" in text
 
 
+@pytest.mark.fault("O10")
 @pytest.mark.promise("ROB-7")
 async def test_cycles_are_collected_while_a_robot_runs() -> None:
     """Memory stays bounded, and no collection takes long."""

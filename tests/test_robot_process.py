@@ -257,6 +257,30 @@ async def test_sys_exit_in_a_behavior_is_its_own_failure(tmp_path: Path) -> None
     assert lines.count("1.0") == 2
 
 
+@pytest.mark.promise("ROB-2", "ROB-3")
+@pytest.mark.fault("O12")
+async def test_memory_that_is_not_there_is_a_failure_of_who_wants_it(
+    tmp_path: Path,
+) -> None:
+    """The robot is not torn down; the behavior fails, and the end is safe."""
+    main = """
+    import resource
+    pages = int(open("/proc/self/statm").read().split()[0])
+    limit = pages * resource.getpagesize() + (256 << 20)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    Drive.restart = esair.Restart(max=1)
+    esair.run(robot)
+    """
+    returned, lines, errors, _ = await live(
+        tmp_path / "log", step="bytearray(1 << 30)", main=main
+    )
+
+    assert returned == 1
+    assert "MemoryError" in errors
+    assert is_safe(lines)
+    assert lines.count("1.0") == 2
+
+
 @pytest.mark.promise("ROB-1")
 async def test_run_ends_after_its_duration(tmp_path: Path) -> None:
     """A normal end: exit code 0, safe."""

@@ -8,6 +8,7 @@ import logging
 import math
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -137,6 +138,7 @@ async def test_only_the_user_reads_it(fake_sensor, fake_actuator, tmp_path: Path
 
 
 @pytest.mark.promise("REC-4")
+@pytest.mark.fault("P01")
 async def test_a_full_disk_ends_the_recording_and_never_the_robot(
     fake_sensor, fake_actuator, tmp_path: Path, caplog
 ):
@@ -369,6 +371,7 @@ for room in map(int, sys.argv[2:]):
 
 
 @pytest.mark.promise("REC-4")
+@pytest.mark.fault("P01")
 @pytest.mark.real_clock
 def test_a_disk_that_is_full_from_some_byte_on(tmp_path: Path):
     """Whichever: one error, no exception, no hang; what was written before is read."""
@@ -389,3 +392,38 @@ def test_a_disk_that_is_full_from_some_byte_on(tmp_path: Path):
     counts = [int(count) for *_, count in found]
     assert counts == sorted(counts)
     assert counts[-1] == 600
+
+
+@pytest.mark.promise("REC-4")
+@pytest.mark.fault("P02")
+@pytest.mark.real_clock
+async def test_a_slow_disk_costs_events_and_no_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """What waits is bounded, what did not fit is counted, and nobody waits for it."""
+    from esair.recording import _recorder
+
+    go = threading.Event()
+    monkeypatch.setattr(_recorder, "BACKLOG", 50)
+    monkeypatch.setattr(_recorder.Segment, "sync", lambda _self: None)
+    real = _recorder.Segment.write
+    monkeypatch.setattr(
+        _recorder.Segment, "write", lambda *args: go.wait(20.0) and real(*args)
+    )
+    journal = Journal()
+    recorder = Recorder(esair.Recording(tmp_path / "run.mcap"), journal)
+    loop = asyncio.get_running_loop()
+    journal.start(loop)
+    recorder.start(loop.time())
+    for number in range(500):
+        journal.publish(Kind.PUT, "guest", "host", number)
+        await asyncio.sleep(0)
+    assert not go.is_set()
+    dropped = recorder.counts()["dropped"]
+    go.set()
+    assert await asyncio.to_thread(recorder.close, 10.0)
+    journal.close()
+
+    assert 400 <= dropped < 500
+    assert recorder.written + dropped == 500
+    assert [event.value for event in events_of(tmp_path / "run.mcap")][-1] < 499

@@ -39,6 +39,7 @@ def write(path: Path, count: int) -> None:
 
 
 @pytest.mark.promise("REC-3")
+@pytest.mark.fault("P03")
 @pytest.mark.real_clock
 def test_any_cut_at_any_byte_is_readable(tmp_path: Path) -> None:
     """No exception, and more bytes never give fewer messages."""
@@ -56,6 +57,34 @@ def test_any_cut_at_any_byte_is_readable(tmp_path: Path) -> None:
             counts.append(0)
     assert counts == sorted(counts)
     assert counts[-1] == 60
+
+
+@pytest.mark.promise("REC-3")
+@pytest.mark.fault("P04")
+@pytest.mark.real_clock
+def test_a_damaged_byte_costs_its_chunk_and_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whichever: no exception, nothing that was never written, and where it is."""
+    path = tmp_path / "run.mcap"
+    write(path, 60)
+    data, whole = path.read_bytes(), list(events_of(path))
+    assert len(whole) == 60
+    assert caplog.messages == []
+    lost = 0
+    for offset in range(100, len(data), 17):
+        damaged = bytearray(data)
+        damaged[offset] ^= 0x55
+        path.write_bytes(damaged)
+        caplog.clear()
+        found = list(events_of(path))
+        assert all(event in whole for event in found)
+        if len(found) < 60 and caplog.messages:
+            lost += 1
+            (told,) = caplog.messages
+            where = int(told.split("byte ")[1].split(",")[0])
+            assert where <= offset
+    assert lost > 20
 
 
 @pytest.mark.promise("REC-3")

@@ -57,6 +57,7 @@ def test_the_same_code_decides_the_same(recording: Path) -> None:
     assert outcome.took < outcome.seconds
 
 
+@pytest.mark.fault("P08")
 @pytest.mark.promise("REP-2")
 @pytest.mark.usefixtures("no_drivers")
 def test_a_changed_constant_is_named_as_the_first_difference(

@@ -540,6 +540,18 @@ async def test_the_log_is_followed_live(rover, raw):
         assert found["event"]["kind"] == "added"
 
 
+@pytest.mark.promise("OPS-1")
+@pytest.mark.fault("G11")
+@pytest.mark.parametrize("act", ["add", "replace"])
+async def test_a_message_names_no_class(rover, raw, act: str):
+    """What is not in the robot's own file is not imported, whatever its name is."""
+    async with rover(Wander()), raw() as client:
+        for name in ("antigravity", "antigravity:fly", "antigravity.fly"):
+            answer = await client.do(f"{act} {name}", act, name=name)
+            assert not answer["ok"]
+        assert "antigravity" not in sys.modules
+
+
 @pytest.mark.fault("H15")
 def test_no_decoder_for_code_exists():
     """Nothing in the seat can turn a message into code."""

@@ -143,6 +143,25 @@ async def test_get_takes_what_was_offered_in_order() -> None:
 
 
 @pytest.mark.promise("BS-3")
+@pytest.mark.fault("M19")
+async def test_data_of_the_wrong_type_names_who_gave_it() -> None:
+    """To who has said what it expects, of a get and of what was put."""
+    a, b = Idle(name="a"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b]):
+        b.offer("red")
+        with pytest.raises(esair.BadValueError, match="int from b"):
+            await a.get("b", as_type=int)
+        b.offer(3)
+        assert await a.get("b", as_type=int) == 3
+        for take in (a.receive, a.receive_from):
+            await b.put("a", "red")
+            with pytest.raises(esair.BadValueError, match="int from b"):
+                await take(as_type=int)
+            await b.put("a", 4)
+            assert await take(as_type=int) in {4, ("b", 4)}
+
+
+@pytest.mark.promise("BS-3")
 async def test_get_waits_for_an_offer() -> None:
     """An offer that comes within the interval answers the get."""
     a, b = Idle(name="a"), Idle(name="b")

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import itertools
 import json
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from esair.exceptions import RecordingBrokenError
+from esair.exceptions import RecordingBrokenError, describe
 
 TURNS = "esair-turns"
 """The encoding of the messages that hold the turns of a run."""
+
+
+_log = logging.getLogger("esair")
 
 
 class Recorded(NamedTuple):
@@ -37,16 +41,35 @@ class Recorded(NamedTuple):
 
 
 def records_of(path: Path) -> Iterator[Any]:
-    """Yield the records of an MCAP file up to where it is cut or damaged."""
-    from mcap.stream_reader import StreamReader
+    """Yield the records of an MCAP file up to where it is cut.
+
+    A chunk that is not what was written is left out, with a word where it is.
+    """
+    from mcap.exceptions import EndOfFile
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader, breakup_chunk
 
     with path.open("rb") as file:
-        try:
-            yield from StreamReader(file, emit_chunks=False).records
-        except OSError:
-            raise
-        except Exception:  # the reader meets whatever the cut has left there
-            return
+        records = iter(StreamReader(file, emit_chunks=True).records)
+        while True:
+            begin = file.tell()
+            try:
+                record = next(records)
+                parts = [record]
+                if isinstance(record, Chunk):
+                    parts = breakup_chunk(record, validate_crc=True)
+            except (StopIteration, EndOfFile):
+                return
+            except OSError:
+                raise
+            except Exception as error:  # the reader meets whatever is there
+                _log.warning(
+                    "%s: damaged at byte %d, left out: %s", path, begin, describe(error)
+                )
+                if file.tell() == begin:
+                    return
+                continue
+            yield from parts
 
 
 def events_of(path: str | Path) -> Iterator[Recorded]:
