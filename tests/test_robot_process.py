@@ -144,6 +144,10 @@ LATE = {
             super().close()
     esair.run(robot, loop_factory=Loop)
     """,
+    "while the program cleans up": """
+    try: esair.run(robot)
+    finally: os.kill(os.getpid(), signal.SIGTERM)
+    """,
     "while the interpreter ends": """
     class Last:
         def __del__(self, kill=os.kill, pid=os.getpid()):
@@ -165,6 +169,28 @@ async def test_a_second_signal_that_is_late_changes_nothing(
 
     assert returned == 130, errors
     assert is_safe(lines)
+
+
+@pytest.mark.promise("ROB-2")
+async def test_a_program_that_goes_on_after_a_signal_can_be_stopped(
+    tmp_path: Path,
+) -> None:
+    """It has run a robot, which a signal has ended, and runs another one."""
+    main = """
+    try: esair.run(robot)
+    except SystemExit: pass
+    async def stop(self):
+        await self.wheels.write(1.0)
+        os.kill(os.getpid(), signal.SIGTERM)
+        await asyncio.sleep(60.0)
+    Drive.run = stop
+    esair.run(esair.Robot(resources=[Wheels()], behaviors=[Drive()]))
+    """
+    returned, lines, errors, _ = await live(tmp_path / "log", signal.SIGINT, main=main)
+
+    assert returned == 143, errors
+    assert lines.count("open") == 2
+    assert lines[-2:] == ["0.0", "close"]
 
 
 @pytest.mark.promise("ROB-2")

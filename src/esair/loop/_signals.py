@@ -149,6 +149,10 @@ class SignalDesk:
         self._first, self._last_word = 0, math.inf
         overseer.leave(self)
 
+    def leave_to(self, handler: Callable[[int, FrameType | None], None]) -> None:
+        """Put this in the place of the handlers, not what was there before."""
+        self._before = dict.fromkeys(self._before, handler)
+
     def others(self, watch: SignalWatch) -> bool:
         """Tell whether other robots of the same loop, by other tasks, still run."""
         return any(
@@ -178,7 +182,8 @@ class SignalDesk:
             if number in self._before:
                 continue
             handler = signal.getsignal(number)
-            if interrupts if number == signal.SIGINT else handler is signal.SIG_DFL:
+            free = handler is signal.SIG_DFL or isinstance(handler, _Again)
+            if interrupts if number == signal.SIGINT else free:
                 self._before[number] = handler
                 signal.signal(number, self._handle)
         if self._before and overseer.on_bytes != self._count_all:
@@ -270,9 +275,10 @@ class LateSignals:
         return self
 
     def __exit__(self, *_: object) -> None:
-        desk.leave(self._watch)
-        if self.number is not None:  # what is left to do is the interpreter's
+        if self.number is not None:
+            desk.leave_to(_Again(128 + self.number))
             atexit.register(_hear_no_more)
+        desk.leave(self._watch)
 
     @property
     def number(self) -> int | None:
@@ -280,9 +286,24 @@ class LateSignals:
         return self._watch.number
 
 
+class _Again:
+    """The handler after a run that a signal has ended: one more means the same.
+
+    The program ends with the code of the first one; what it does at its end is broken
+    off, as by Ctrl-C.
+    """
+
+    def __init__(self, code: int) -> None:
+        self._code = code
+
+    def __call__(self, _number: int, _frame: FrameType | None) -> None:
+        raise SystemExit(self._code)
+
+
 def _hear_no_more() -> None:
+    """The interpreter ends, and takes its handlers back: a signal would kill it."""
     for number in ENDING:
-        if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
+        if isinstance(signal.getsignal(number), _Again):
             signal.signal(number, signal.SIG_IGN)
 
 
