@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import datetime
 import enum
+import functools
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -62,15 +63,18 @@ def plain(value: Any, depth: int = DEPTH) -> Any:
 
 def fields_of(value: Any) -> dict[str, Any] | None:
     """Return the fields of a structured value by name; None if it has none."""
-    kind = type(value)
+    kind: object = type(value)
+    names = _names_of(kind)
+    return None if names is None else {name: getattr(value, name) for name in names}
+
+
+@functools.lru_cache(maxsize=1024)
+def _names_of(kind: Any) -> tuple[str, ...] | None:
     if attrs.has(kind):
-        return {field.name: getattr(value, field.name) for field in attrs.fields(kind)}
-    names = getattr(kind, "__dataclass_fields__", None) or getattr(
-        kind, "_fields", None
-    )
-    if names is None:
-        return None
-    return {name: getattr(value, name) for name in names}
+        return tuple(field.name for field in attrs.fields(kind))
+    names = getattr(kind, "__dataclass_fields__", None)
+    names = names or getattr(kind, "_fields", None)
+    return None if names is None else tuple(names)
 
 
 def _text(value: Any) -> str:

@@ -39,13 +39,13 @@ SYNC = 1.0
 OLD_FILES = 16
 """How many recordings beside the new one are looked at, whether they were cut."""
 
-SLICE = 16
+SLICE = 4
 """How many events are written at once: a thread that computes holds up the loop."""
 
 VALUE_LIMIT = 1 << 20
 """The greatest size of a message in bytes; a larger value is left out, and told once."""
 
-_PAUSE = 0.001
+_PAUSE = 0.0001
 
 _log = logging.getLogger("esair")
 
@@ -185,7 +185,7 @@ class Recorder:
                 self._write(self._waiting.popleft())
                 wrote += 1
             now = time.monotonic()
-            if now - flushed >= FLUSH or over:
+            if now - flushed >= FLUSH:
                 flushed = now
                 wrote += self._write_turns()
                 self._segment.flush()
@@ -193,11 +193,13 @@ class Recorder:
                 synced = now
                 self._segment.sync()
                 self._make_room()
-            if over and not self._waiting:
+            if not over:
+                time.sleep(_PAUSE if wrote else 0.02)
+            elif not self._waiting:
+                self._write_turns()
                 self._segment.note("end", {k: str(v) for k, v in self.counts().items()})
                 self._segment.close()
                 return
-            time.sleep(_PAUSE if wrote else 0.02)
 
     def _write_turns(self) -> int:
         """Write all turns until now; tell how many chunks there were."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -18,9 +19,12 @@ def known(value: Any, seconds: float) -> tuple[str, dict[str, Any]] | None:
         value: What a sensor has given.
         seconds: When, by the wall clock.
     """
+    kind: object = type(value)
+    form = _form(kind)
+    if form is None:
+        return None
     stamp = {"sec": int(seconds), "nsec": int(seconds % 1 * 1e9)}
-    kind = type(value)
-    if hasattr(kind, "latitude_deg") and hasattr(kind, "longitude_deg"):
+    if form == "place":
         return "foxglove.LocationFix", {
             "timestamp": stamp,
             "frame_id": "earth",
@@ -28,7 +32,7 @@ def known(value: Any, seconds: float) -> tuple[str, dict[str, Any]] | None:
             "longitude": value.longitude_deg,
             "altitude": getattr(value, "altitude", None) or 0.0,
         }
-    if hasattr(kind, "angles") and hasattr(kind, "ranges") and len(value.angles) > 1:
+    if form == "scan" and len(value.angles) > 1:
         order = sorted(range(len(value.angles)), key=value.angles.__getitem__)
         return "foxglove.LaserScan", {
             "timestamp": stamp,
@@ -38,7 +42,7 @@ def known(value: Any, seconds: float) -> tuple[str, dict[str, Any]] | None:
             "ranges": [min(value.ranges[place], 1e6) for place in order],
             "intensities": [],
         }
-    if all(hasattr(kind, name) for name in ("x", "y", "heading")):
+    if form == "pose":
         half = value.heading / 2
         return "foxglove.PoseInFrame", {
             "timestamp": stamp,
@@ -54,6 +58,20 @@ def known(value: Any, seconds: float) -> tuple[str, dict[str, Any]] | None:
             },
         }
     return None
+
+
+_FORMS = {
+    "place": ("latitude_deg", "longitude_deg"),
+    "scan": ("angles", "ranges"),
+    "pose": ("x", "y", "heading"),
+}
+"""What the values of a class have of which viewers know what it is."""
+
+
+@functools.lru_cache(maxsize=1024)
+def _form(kind: Any) -> str | None:
+    has = (f for f, names in _FORMS.items() if all(hasattr(kind, n) for n in names))
+    return next(has, None)
 
 
 def log_line(name: str, level: str, text: str, seconds: float) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from esair.loop import SPOILED, First, TapeWriter
 TOPIC = "/esair/journal"
 """The topic of the turns."""
 
-AT_ONCE = 256
+AT_ONCE = 64
 """How many items are encoded at once: it holds up the loop meanwhile."""
 
 LIMIT = 500_000
