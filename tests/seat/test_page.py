@@ -186,6 +186,11 @@ async def test_another_address_needs_the_token(served, sockets, caplog):
             await browser.do("stop")
         assert robot.halted
     assert not file.exists()
+    async with served(Wander(), page=page) as robot:  # its token is another one
+        async with Browser(robot, token=token) as browser:
+            with pytest.raises(websockets.ConnectionClosed):
+                await browser.do("stop")
+        assert robot.halted is None
     ours = [each for each in caplog.records if each.name != "websockets.client"]
     assert ours
     assert not [each for each in ours if token in each.getMessage()]

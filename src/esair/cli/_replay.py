@@ -112,6 +112,9 @@ def _changes(recorded: Replay, robot: esair.Robot) -> list[str]:
     from esair.recording import facts_about
 
     lines: list[str] = []
+    then = recorded.facts.get("versions", {}).get("esair", esair.__version__)
+    if then != esair.__version__:
+        lines.append(f"it was recorded with esair {then}; this is {esair.__version__}")
     before = recorded.facts["robot"].get("robot.toml")
     file = None if robot.source is None else robot.source[0]
     if file is not None and before and file.read_text(encoding="utf-8") != before:
