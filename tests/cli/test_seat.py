@@ -119,6 +119,7 @@ def test_a_robot_is_watched_and_steered(esair, robot):
     status = json.loads(esair("top", "--json"))
     assert status["robot"] == "rover"
     assert "held by always" in esair("why", "motor")
+    assert "held by always" in esair("why")
     assert "top_speed is 0.2 m/s (at least 0.1 m/s, at most 2 m/s)" in esair(
         "set", "motor.top_speed", "0.2"
     )

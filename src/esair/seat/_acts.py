@@ -94,7 +94,8 @@ class Act:
             if value is REQUIRED:
                 raise BadValueError(self.name, name, f"it is missing: {self.usage}")
             wrong = isinstance(value, bool) and not {bool, object} & set(field.kind)
-            if name in given and (wrong or not isinstance(value, field.kind)):
+            wrong = wrong or not isinstance(value, field.kind)
+            if wrong and value is not field.default:
                 kinds = " or ".join(each.__name__ for each in field.kind)
                 told = f"expected {kinds}, not {value!r:.80}"
                 raise BadValueError(self.name, name, told)
