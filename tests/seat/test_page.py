@@ -9,6 +9,7 @@ import shutil
 import ssl
 import stat
 import subprocess
+import sys
 import time
 import urllib.error
 import urllib.request
@@ -19,6 +20,7 @@ import websockets
 from tests.seat.conftest import STILL, Twist, Wander, eventually
 
 import esair
+from esair.seat import Seat
 
 pytestmark = pytest.mark.real_clock
 
@@ -161,6 +163,13 @@ def test_another_address_needs_tls_or_a_word():
     with pytest.raises(esair.ConfigError, match="22"):
         esair.Page(token="short")
     assert TOKEN not in repr(esair.Page(token=TOKEN))
+
+
+def test_a_missing_package_is_named_before_anything_starts(monkeypatch):
+    """They are imported where nothing waits for the loop yet."""
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(esair.ConfigError, match=r"pip install 'esair\[page\]'"):
+        Seat("rover", socket=False, page=esair.Page())
 
 
 @pytest.mark.promise("SEC-1")

@@ -6,6 +6,7 @@ import asyncio
 import collections
 import contextlib
 import hmac
+import importlib
 import ipaddress
 import logging
 import os
@@ -65,6 +66,31 @@ _STATIC = Path(__file__).parent / "static"
 _log = logging.getLogger("esair")
 
 
+_PACKAGES = (
+    "starlette.applications",
+    "starlette.responses",
+    "starlette.routing",
+    "starlette.websockets",
+    "uvicorn",
+    "uvicorn.protocols.http.auto",
+    "uvicorn.protocols.websockets.websockets_sansio_impl",
+)
+
+
+def import_packages() -> None:
+    """Import what the page needs, which takes its time, before anything moves.
+
+    Raises:
+        ConfigError: A package is missing.
+    """
+    try:
+        for package in _PACKAGES:
+            importlib.import_module(package)
+    except ImportError as error:
+        told = f"it needs {error.name}: pip install 'esair[page]'"
+        raise ConfigError("page", "", told) from None
+
+
 class PageServer:
     """Serves the page of a robot in its own event loop.
 
@@ -73,7 +99,7 @@ class PageServer:
         page: Where, and for whom.
 
     Raises:
-        ConfigError: A package is missing, or the address is in use.
+        ConfigError: The address is in use.
     """
 
     def __init__(self, console: Console, page: Page) -> None:
@@ -102,15 +128,9 @@ class PageServer:
 
     async def start(self) -> None:
         """Serve from now on."""
-        try:
-            import uvicorn
-            import websockets  # noqa: F401 - uvicorn uses it
+        import uvicorn
 
-            app = self._app()
-        except ImportError as error:
-            told = f"it needs {error.name}: pip install 'esair[page]'"
-            raise ConfigError("page", "", told) from None
-        page = self.page
+        app, page = self._app(), self.page
         if not page.is_local and self.token is None:
             self.token = secrets.token_urlsafe(16)
             self._secret = secret_file(self.console.robot.name, self.token)

@@ -28,11 +28,15 @@ class Seat:
         page: Where its page is served; None for nowhere.
 
     Raises:
-        ConfigError: A robot of this name runs already, or the folder for sockets
-            belongs to somebody else.
+        ConfigError: A robot of this name runs already, the folder for sockets
+            belongs to somebody else, or a package of the page is missing.
     """
 
     def __init__(self, name: str, *, socket: bool, page: Page | None = None) -> None:
+        if page is not None:
+            from esair.seat._page import import_packages
+
+            import_packages()
         self._wanted = page
         self._page: PageServer | None = None
         self._place = _place(name) if socket else None
