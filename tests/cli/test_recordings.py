@@ -88,6 +88,32 @@ def test_log_can_be_of_one_component_and_for_machines(recording: Path, capsys) -
 
 
 @pytest.mark.promise("REC-6")
+def test_what_is_long_is_shown_shortly_to_people(tmp_path: Path, capsys) -> None:
+    """An array by its shape, a list by its first items; programs get all of it."""
+    np = pytest.importorskip("numpy")
+    values = {"map": np.zeros((88, 128), np.float32), "ranges": [0.5] * 500}
+
+    async def record() -> None:
+        journal = Journal()
+        recorder = Recorder(esair.Recording(tmp_path / "run.mcap"), journal)
+        loop = asyncio.get_running_loop()
+        recorder.start(loop.time())
+        journal.start(loop)
+        journal.publish(Kind.PUT, "explore", "mapper", values)
+        journal.close()
+        await asyncio.to_thread(recorder.close)
+
+    asyncio.run(record())
+    assert run("log", tmp_path / "run.mcap") == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert "float32 array of 88 x 128" in line
+    assert "... 492 more" in line
+    assert len(line) < 300
+    assert run("log", tmp_path / "run.mcap", "--json") == 0
+    assert len(json.loads(capsys.readouterr().out)["value"]["ranges"]) == 500
+
+
+@pytest.mark.promise("REC-6")
 def test_plot_draws_a_picture(recording: Path, capsys) -> None:
     """A PNG beside the recording, not empty."""
     pytest.importorskip("matplotlib", reason="needs esair[sim]")

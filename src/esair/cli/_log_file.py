@@ -20,6 +20,12 @@ from esair.exceptions import (
 from esair.seat import NoRobotError, connect
 from esair.values import printable
 
+ITEMS = 8
+"""How many items of a list are printed; of a longer one, how many more there are."""
+
+TEXT = 400
+"""How much of a value is printed; all of it with --json."""
+
 
 def log(
     file: Path | None = None,
@@ -96,13 +102,30 @@ def _follow(
 def _print(when: float, event: Mapping[str, Any]) -> None:
     clock = time.strftime("%H:%M:%S", time.localtime(when))
     who = f"{event['peer']} > " if event["peer"] else ""
-    value = "" if event["value"] is None else json.dumps(event["value"])
+    value = "" if event["value"] is None else shown(event["value"])
     line = " ".join(part for part in (value, event["text"]) if part)
     print(  # noqa: T201 - this is the output
         f"{clock}.{int(when % 1 * 1000):03} {event['kind']:<10} "
         f"{printable(who + event['component'])} {printable(line)}".rstrip(),
         flush=True,
     )
+
+
+def shown(value: Any, room: int = TEXT) -> str:
+    """Return a plain value as a text for people; of what is long only what it is."""
+    text = json.dumps(_light(value))
+    return text if len(text) <= room else f"{text[:room]}..."
+
+
+def _light(value: Any) -> Any:
+    if isinstance(value, dict):
+        if value.keys() == {"shape", "dtype", "data"}:  # an array of NumPy
+            return f"{value['dtype']} array of {' x '.join(map(str, value['shape']))}"
+        return {name: _light(part) for name, part in value.items()}
+    if isinstance(value, list) and len(value) > ITEMS:
+        more = f"... {len(value) - ITEMS} more"
+        return [*(_light(part) for part in value[:ITEMS]), more]
+    return [_light(part) for part in value] if isinstance(value, list) else value
 
 
 def recover(

@@ -114,7 +114,9 @@ def _draw(events: list[Recorded], target: Path, wanted: list[str] | None) -> Non
         # A command stands until the next one.
         style = "steps-post" if name.partition(".")[0] in holders else "default"
         axis.plot(times, values, ".-", markersize=2, linewidth=0.8, drawstyle=style)
-        axis.set_ylabel(name, rotation=0, ha="right", fontsize=8)
+        axis.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=8)
+        if set(values) <= {0.0, 1.0}:  # yes or no
+            axis.set_ylim(-0.1, 1.1)
         axis.tick_params(labelsize=7)
     if holders:
         _draw_holders(axes[rows - 1], holders, events[-1].time - begin)
@@ -138,14 +140,15 @@ def _draw_holders(
 ) -> None:
     """Draw a bar for each actuator: who moved it, and when it was safe."""
     colors: dict[str, str] = {"safe": "lightgray"}
-    for row, (name, changes) in enumerate(sorted(holders.items())):
+    for row, name in enumerate(sorted(holders)):
+        changes = holders[name]
         ends = [when for when, _ in changes[1:]] + [end]
         for (when, who), until in zip(changes, ends, strict=True):
             color = colors.setdefault(who, f"C{len(colors) - 1}")
             axis.barh(row, until - when, left=when, color=color, height=0.8)
-        axis.annotate(name, (0, row), fontsize=7, va="center")
     for who, color in colors.items():
         axis.plot([], [], color=color, linewidth=6, label=who)
-    axis.legend(fontsize=6, ncols=8, loc="upper right")
-    axis.set_yticks([])
-    axis.set_ylabel("moved by", rotation=0, ha="right", fontsize=8)
+    legend = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
+    axis.legend(fontsize=7, ncols=8, borderaxespad=0.1, **legend)
+    axis.set_yticks(range(len(holders)), sorted(holders), fontsize=7)
+    axis.set_ylabel("moved by", rotation=0, ha="right", va="center", fontsize=8)

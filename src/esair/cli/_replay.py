@@ -14,6 +14,7 @@ from rich.text import Text
 import esair
 from esair import config
 from esair.cli._errors import CANNOT_USE, missing_extra, tell
+from esair.cli._log_file import shown
 from esair.exceptions import EsairError, describe
 
 if TYPE_CHECKING:
@@ -188,5 +189,4 @@ def _words(event: Recorded | None, found: Divergence) -> str:
 
 
 def _value(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= WIDTH else f"{text[:WIDTH]}..."
+    return shown(value, WIDTH)
