@@ -46,6 +46,16 @@ class Drive(esair.Behavior):
             await self.wheels.write(0.5)
 
 
+class Threaded(esair.ThreadBehavior):
+    """Drives from a thread of its own."""
+
+    wheels = esair.writes(float)
+
+    def run(self) -> None:
+        for _ in esair.every(0.05):
+            self.wheels.write(0.5)
+
+
 class Stop(esair.Reaction):
     sonar = esair.reads(float)
     wheels = esair.writes(float, priority=5)
@@ -82,6 +92,53 @@ def test_a_sound_robot_breaks_no_rule() -> None:
     outcome = told_to(Drive, Stop, steps=tuple(steps), lasts=next(at))
     assert outcome.violations == ()
     assert outcome.done.total() > 0.9 * len(steps)
+
+
+def threaded() -> esair.Robot:
+    return esair.Robot(resources=[Wheels()], behaviors=[Threaded()])
+
+
+@pytest.mark.parametrize("how", ["OSError", "SystemExit", "CancelledError"])
+def test_a_crash_reaches_the_code_of_a_thread(how: str) -> None:
+    """At its next call; it is restarted, and drives again."""
+    target = Target("robot", threaded)
+    world = World(target, Story(0, (Step(1.0, "crash", "threaded", how=how),), 2.0))
+    assert world.run().violations == ()
+    safe = [told.begun for told in world.gates[0].told if told.safe]
+    assert safe == pytest.approx([0.0, 1.0, 2.0, 2.0], abs=0.06)
+
+
+def test_a_thread_that_hangs_hears_no_end_and_is_no_finding() -> None:
+    """Its actuator is safe by the dead man; it is removed while it hangs."""
+    steps = (
+        Step(1.0, "hang", "threaded", lasts=3.0),
+        Step(1.5, "remove", "threaded", lasts=0.1),
+    )
+    target = Target("robot", threaded)
+    world = World(target, Story(0, steps, 3.0))
+    assert world.run().violations == ()
+    assert [each.behavior for each in world.robot.behaviors.zombies] == ["threaded"]
+    (dead, *_) = [t.begun for t in world.gates[0].told if t.safe and t.begun > 0.0]
+    assert dead == pytest.approx(1.0 + Wheels.command_timeout, abs=0.06)
+
+
+class Unknown:
+    """What nobody can make without knowing more of it."""
+
+    def __init__(self, shape: object) -> None: ...
+
+
+class Camera(esair.Sensor[Unknown]):
+    async def read(self) -> Unknown:
+        return Unknown(())
+
+
+def test_a_stand_in_that_has_nothing_to_say_is_told_and_no_finding() -> None:
+    """Nobody says how a value of its type is made."""
+    target = Target("robot", lambda: esair.Robot(resources=[Camera()]), alone=None)
+    outcome = World(target, Story(0, (), 5.0)).run()
+    assert outcome.violations == ()
+    assert list(outcome.speechless) == ["camera"]
 
 
 def test_the_same_story_is_told_twice() -> None:
@@ -216,6 +273,26 @@ def test_a_core_that_breaks_its_promise_is_seen(
                 Step(2.8, "flood", "driver_0"),
             ),
             id="a-stall-makes-a-mute-longer",
+        ),
+        pytest.param(
+            329,
+            3.035,
+            (
+                Step(1.9, "wrong", "pushing_1", lasts=0.3, how="nan"),
+                Step(2.0, "late", "pushing_1", lasts=1.0, how="after", much=0.3),
+            ),
+            id="a-first-value-is-there-when-the-opening-is-over",
+        ),
+        pytest.param(
+            360,
+            2.359,
+            (
+                Step(1.0, "hang", "driver_0", lasts=4.0, how="deaf"),
+                Step(1.04, "held up", much=0.5),
+                Step(1.4, "remove", "driver_0", lasts=0.02),
+                Step(2.059, "hang", "driver_0", lasts=0.1),
+            ),
+            id="who-was-deaf-when-it-was-told-to-end",
         ),
     ],
 )

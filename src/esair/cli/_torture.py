@@ -114,6 +114,7 @@ def to_json(robot: str, report: Any, files: list[Path]) -> dict[str, Any]:
                     slowest_to_safe: number, in seconds | null}
         findings    list of {rule: string, component: string, text: string,
                     at: number, steps: list of string, test: string: the file}
+        speechless  object: the sensors whose stand-ins had nothing to say, and why
     """
     from esair.torture import KINDS
 
@@ -147,6 +148,7 @@ def to_json(robot: str, report: Any, files: list[Path]) -> dict[str, Any]:
             }
             for each, file in zip(report.findings, files, strict=True)
         ],
+        "speechless": report.speechless,
     }
 
 
@@ -174,6 +176,9 @@ def _show(console: Console, robot: str, report: Any, files: list[Path]) -> None:
         for step in each["steps"]:
             console.print(Text(f"    {step}"), soft_wrap=True)
         console.print(Text(f"    pytest {each['test']}", "cyan"), soft_wrap=True)
+    for name, why in report.speechless.items():
+        text = f"{name}: nobody knows how to make a value ({why}), so it said nothing"
+        console.print(Text(f"{text}; --own-devices uses its own", "yellow"))
     per_minute = report.faults / max(report.seconds, 1e-9) * 60
     text = Text(f"{robot}, seed {report.seed}: ", "bold")
     text.append(

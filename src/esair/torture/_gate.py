@@ -13,7 +13,7 @@ import attrs
 
 from esair.resources import HOLD, Actuator, Resource, Sensor
 from esair.testing import VirtualLoop
-from esair.torture._values import make, wrong
+from esair.torture._values import CannotMakeError, make, wrong
 
 CALLS = ("open", "close", "identify", "apply", "is_set_up", "read", "write")
 """The methods of a driver that esair calls, beside ``stream`` and operations."""
@@ -90,6 +90,7 @@ class Gate:
         faulty: When its last fault is over.
         was_here: Whether its driver was ever called.
         in_thread: Whether it is read or told in a thread.
+        speechless: Why a stand-in has nothing to say; empty if it has.
     """
 
     def __init__(
@@ -112,6 +113,7 @@ class Gate:
         self.deaf = self.unpowered = False
         self.was_here = False
         self.in_thread = False
+        self.speechless = ""
         self.before = self.after = 0.0
         self.error = "OSError"
         self.how_bad = "nan"
@@ -141,6 +143,11 @@ class Gate:
     def _install(self, alone: bool) -> None:
         resource, own = self.resource, vars(self.resource)
         stand_in = _StandIn(self, self._dice) if alone else None
+        if stand_in is not None and isinstance(resource, Sensor):
+            try:
+                stand_in.value()
+            except CannotMakeError as error:
+                self.speechless = str(error)
         if stand_in is not None and resource.bus is not None:
             vars(resource.bus).update(open=stand_in.open, close=stand_in.close)
         for name in CALLS:
@@ -168,7 +175,7 @@ class Gate:
                 result = await inner(*args, **options)
                 result = self._ended(name, told, result)
                 await self._wait(self._after())
-                self._returns(result)
+                self._returns(name, result)
                 return result
 
             return call
@@ -182,7 +189,7 @@ class Gate:
             self._check(name)
             result = self._ended(name, told, inner(*args, **options))
             self._sleep(self._after())
-            self._returns(result)
+            self._returns(name, result)
             return result
 
         return blocking
@@ -210,7 +217,7 @@ class Gate:
         """Return what comes out if a device pushes a value."""
         self._check("stream")
         value = self._reading(value)
-        self._returns(value)
+        self._returns("stream", value)
         return [value] * (self.times if self._loop.time() < self.flood else 1)
 
     # Faults.
@@ -232,8 +239,6 @@ class Gate:
             return self._reading(result)
         elif name == "open":
             self.unpowered = False
-            if hasattr(self.resource, "initial"):  # that is its value now
-                self.heard = self._loop.time()
         elif name == "is_set_up" and self.unpowered:
             return False
         return result
@@ -266,9 +271,10 @@ class Gate:
         self._last = self._good = value
         return value
 
-    def _returns(self, value: Any) -> None:
+    def _returns(self, name: str, value: Any) -> None:
         """Take note that the robot gets a value now, if it is a good one."""
-        if value is not None and value is self._good:
+        is_first = name == "open" and hasattr(self.resource, "initial")
+        if is_first or (value is not None and value is self._good):
             self.heard = self._loop.time()
 
     async def _wait(self, seconds: float) -> None:
@@ -311,9 +317,15 @@ class _StandIn:
         return True
 
     async def read(self) -> Any:
+        await self.listen()
         return self.value()
 
+    async def listen(self) -> None:
+        if self._gate.speechless:
+            await asyncio.get_running_loop().create_future()
+
     async def stream(self) -> AsyncIterator[Any]:
+        await self.listen()
         resource: Any = self._gate.resource
         while True:
             yield self.value()

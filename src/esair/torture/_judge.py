@@ -249,6 +249,9 @@ class Judge:
         if story.steps and world.now - world.story.over_at < WELL_AFTER:
             return
         for name in robot.resources.names():
+            gate = world.gate_of(robot.resources.get(name))
+            if gate is not None and gate.speechless:
+                continue
             status = robot.resources.query(name)
             if status.state is not ResourceState.READY and not (
                 story.steps and status.state is ResourceState.FAILED

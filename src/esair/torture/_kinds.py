@@ -225,20 +225,13 @@ def flooding(world: World, step: Step) -> None:
 @_kind("behavior", "actions", hows=tuple(ERRORS), weight=2.0)
 def crash(world: World, step: Step) -> None:
     """Its code raises."""
-    lever = world.lever(step.target)
-    if not lever.can_crash:
-        raise NotNowError
-    lever.crash(step.how)
+    world.lever(step.target).crash(step.how)
 
 
 @_kind("behavior", "behaviors", lasts=LONG, hows=("", "deaf"), weight=2.0)
 def hang(world: World, step: Step) -> None:
     """Its code does not go on; ``deaf``: it swallows every cancellation."""
-    lever = world.lever(step.target)
-    if not lever.can_crash:
-        raise NotNowError
-    lever.hangs = world.now + step.lasts
-    lever.deaf = step.how == "deaf"
+    world.lever(step.target).hang(step.lasts, deaf=step.how == "deaf")
 
 
 @_kind("behavior", "reactions", lasts=SHORT, hows=WRONG)

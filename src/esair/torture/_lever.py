@@ -9,7 +9,8 @@ import types
 from collections.abc import Coroutine, Generator
 from typing import Any
 
-from esair.actions import Behavior, Reaction
+from esair.actions import Reaction
+from esair.loop import portal
 from esair.torture._gate import ERRORS
 from esair.torture._values import has_number, wrong
 
@@ -18,12 +19,14 @@ class Lever:
     """What one action is made to do.
 
     Args:
-        action: Whose ``run`` or ``react`` obeys from now on.
+        action: Whose ``run`` or ``react`` obeys from now on; a plain ``run`` where its
+            thread calls something of esair, or the next time.
         loop: The event loop, on the virtual clock.
 
     Attributes:
         hangs: Until when it does not go on, on the loop's clock.
-        deaf: Whether it does not hear its cancellation meanwhile.
+        deaf: Whether it does not hear its cancellation meanwhile, as no thread does.
+        was_deaf: Whether there was ever a time when it did not hear that.
         mad: Until when its commands are no good.
         slow: Until when each step takes ``seconds``.
         crashed: Whether the last step of a reaction has raised.
@@ -32,22 +35,26 @@ class Lever:
     def __init__(self, action: Any, loop: Any) -> None:
         self.action = action
         self.hangs = self.mad = self.slow = -1.0
-        self.deaf = self.crashed = False
+        self.deaf = self.was_deaf = self.crashed = False
         self.how = "nan"
         self.seconds = 0.0
         self._loop = loop
         self._error: str | None = None
+        self._in_thread = False
         self._tasks: set[asyncio.Task[Any]] = set()
         own = vars(action)
         if isinstance(action, Reaction):
             own["react"] = self._stepping(action.react)
-        elif isinstance(action, Behavior) and inspect.iscoroutinefunction(action.run):
+        elif inspect.iscoroutinefunction(action.run):
             own["run"] = self._running(action.run)
+        else:
+            own["run"] = self._running_in_thread(action.run)
 
-    @property
-    def can_crash(self) -> bool:
-        """Whether its code is reached: that of a thread is not."""
-        return not isinstance(self.action, Behavior) or "run" in vars(self.action)
+    def hang(self, seconds: float, *, deaf: bool) -> None:
+        """Do not go on for a while."""
+        self.hangs = self._loop.time() + seconds
+        self.deaf = deaf or self._in_thread
+        self.was_deaf |= self.deaf
 
     def crash(self, error: str) -> None:
         """Raise an error from its code: at once, or in the next step."""
@@ -92,6 +99,35 @@ class Lever:
                 self._tasks.discard(task)
 
         return running
+
+    def _running_in_thread(self, run: Any) -> Any:
+        self._in_thread = True
+
+        @functools.wraps(run)
+        def running() -> None:
+            mine: Any = portal.get()
+            call = mine.call
+            self._error = None
+
+            def obeying(*args: Any, **options: Any) -> Any:
+                try:
+                    return call(*args, **options)
+                finally:
+                    self._obey()
+
+            mine.call = obeying
+            run()
+
+        return running
+
+    def _obey(self) -> None:
+        """Hang, then crash, if it was told to; in the thread."""
+        hangs = self.hangs - self._loop.time()
+        if hangs > 0.0:
+            self._loop.wait_in_thread(hangs)
+        error, self._error = self._error, None
+        if error is not None:
+            raise ERRORS[error]()
 
     @types.coroutine
     def _driven(self, run: Coroutine[Any, Any, None]) -> Generator[Any, Any, None]:

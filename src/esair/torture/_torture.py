@@ -59,6 +59,8 @@ class Report:
         slowest: For each kind, how long an actuator that moved has taken to its safe
             command at most, in seconds of the virtual clock.
         findings: What was found.
+        speechless: The sensors whose stand-ins had nothing to say, and why: nobody has
+            seen what the robot makes of their readings.
         seconds: How long it took.
     """
 
@@ -68,6 +70,7 @@ class Report:
     survived: Counter[str] = attrs.Factory(Counter)
     slowest: dict[str, float] = attrs.Factory(dict)
     findings: list[Finding] = attrs.Factory(list)
+    speechless: dict[str, str] = attrs.Factory(dict)
     seconds: float = 0.0
 
     @property
@@ -122,6 +125,7 @@ def torture(
                 break
             if not report.stories % COLLECT:
                 gc.collect()
+    gc.collect()
     return report
 
 
@@ -141,6 +145,7 @@ def _stories(target: Target, seed: int, checks: tuple[Check, ...]) -> Iterator[S
 
 def _count(report: Report, outcome: Outcome) -> None:
     report.stories += 1
+    report.speechless.update(outcome.speechless)
     report.done.update(outcome.done)
     if not outcome.violations:
         report.survived.update(outcome.done)

@@ -49,7 +49,7 @@ def make(kind: Any, dice: random.Random, limits: Limits = None, depth: int = 0) 
         return dice.choice(arguments)
     if origin in {typing.Union, types.UnionType}:
         return make(dice.choice(arguments), dice, limits, depth + 1)
-    cls = origin or kind
+    cls = float if kind is Any else origin or kind  # a number is the likeliest
     if not inspect.isclass(cls):
         raise CannotMakeError(f"its type is {kind!r:.80}")
     if issubclass(cls, enum.Enum):

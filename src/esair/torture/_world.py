@@ -45,11 +45,13 @@ class Outcome:
         violations: What must not be, and was.
         done: How many times each kind of step was taken; not those that had no place.
         slowest: For each kind, how long an actuator took to be safe at most, in s.
+        speechless: The sensors whose stand-ins had nothing to say, and why.
     """
 
     violations: tuple[Violation, ...]
     done: Counter[str]
     slowest: dict[str, float]
+    speechless: dict[str, str]
 
     @property
     def keys(self) -> frozenset[tuple[str, str]]:
@@ -208,7 +210,9 @@ class World:
             self.judge.say("left", self.robot.name, f"{len(new)} descriptors are open")
         for check in self._checks:
             check(self)
-        return Outcome(tuple(self.judge.found), self.done, self.judge.slowest)
+        silent = {gate.name: gate.speechless for gate in self.gates if gate.speechless}
+        found = tuple(self.judge.found)
+        return Outcome(found, self.done, self.judge.slowest, silent)
 
     def _tell(self) -> bool:
         try:
@@ -328,7 +332,7 @@ class World:
             for task in left:
                 task.cancel()
             self.loop.run_until_complete(asyncio.wait(left, timeout=1.0))
-        deaf = {each.action.name for each in self.levers.values() if each.deaf}
+        deaf = {each.action.name for each in self.levers.values() if each.was_deaf}
         for zombie in self.robot.behaviors.zombies:
             told = zombie.at - self.grace - SLACK
             in_time = not any(told < when <= zombie.at for when, _ in self._jumps)
