@@ -76,7 +76,7 @@ class DriveState(OnDrive, Sensor[DriveReading]):
     """
 
     bus: CanBus
-    deadline = 3.0
+    deadline = 2.0
 
     def __init__(
         self,
@@ -149,7 +149,7 @@ class Drive(DriveActuator, Actuator[float]):
     """
 
     bus: CanBus
-    deadline = 3.0
+    deadline = 2.0
     safe = 0.0
     mode = profile.PROFILE_VELOCITY
     target = profile.TARGET_VELOCITY

@@ -47,7 +47,7 @@ class PositionDrive(DriveActuator, Actuator[Move]):
     """
 
     bus: CanBus
-    deadline = 3.0
+    deadline = 2.0
     safe = Move(stop=True)
     mode = profile.PROFILE_POSITION
     target = profile.TARGET_POSITION
