@@ -17,7 +17,7 @@ from tests.torture.generated import maker
 import esair
 from esair.connections import ActuatorChannel
 from esair.testing import VirtualLoop
-from esair.torture import Outcome, Step, Story, Target, World
+from esair.torture import Outcome, Step, Story, Target, World, torture
 from esair.torture._kinds import KINDS, Cast
 from esair.torture._patience import HeldError, Patience
 from esair.torture._teller import random_story
@@ -120,6 +120,31 @@ def test_a_thread_that_hangs_hears_no_end_and_is_no_finding() -> None:
     assert [each.behavior for each in world.robot.behaviors.zombies] == ["threaded"]
     (dead, *_) = [t.begun for t in world.gates[0].told if t.safe and t.begun > 0.0]
     assert dead == pytest.approx(1.0 + Wheels.command_timeout, abs=0.06)
+
+
+class Odometry(esair.Derived[float]):
+    sonar = esair.reads(float)
+
+    def compute(self, sonar: float) -> float:
+        return sonar
+
+
+def test_what_is_computed_has_no_stand_in() -> None:
+    """It has no driver; what it is computed of has one."""
+
+    def make() -> esair.Robot:
+        return esair.Robot(resources=[Sonar(), Odometry()])
+
+    target = Target("robot", make, alone=None)
+    assert World(target, Story(0, (), 5.0)).run().violations == ()
+
+
+def test_a_robot_that_does_not_start_is_tried_once() -> None:
+    """There is nothing that could be done to it."""
+    target = Target.of(f"{HERE / 'planted.py'}:no_safe", own=True)
+    report = torture(target, seed=0, faults=100)
+    assert report.stories == 1
+    assert [each.violation.rule for each in report.findings] == ["start"]
 
 
 class Unknown:

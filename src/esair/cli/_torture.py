@@ -177,8 +177,8 @@ def _show(console: Console, robot: str, report: Any, files: list[Path]) -> None:
             console.print(Text(f"    {step}"), soft_wrap=True)
         console.print(Text(f"    pytest {each['test']}", "cyan"), soft_wrap=True)
     for name, why in report.speechless.items():
-        text = f"{name}: nobody knows how to make a value ({why}), so it said nothing"
-        console.print(Text(f"{text}; --own-devices uses its own", "yellow"))
+        told = f"{name}: nobody knows how to make a value ({why}), so it said nothing"
+        console.print(Text(f"{told}; --own-devices uses its own", "yellow"))
     per_minute = report.faults / max(report.seconds, 1e-9) * 60
     text = Text(f"{robot}, seed {report.seed}: ", "bold")
     text.append(

@@ -142,6 +142,8 @@ class Gate:
 
     def _install(self, alone: bool) -> None:
         resource, own = self.resource, vars(self.resource)
+        if isinstance(resource, Sensor) and resource.is_computed:
+            return  # it has no driver
         stand_in = _StandIn(self, self._dice) if alone else None
         if stand_in is not None and isinstance(resource, Sensor):
             try:

@@ -175,6 +175,8 @@ class Judge:
                 self._blind(gate, action, f"{what}{more} while {action.name} had no "
                             f"{need.resource}: it was removed")  # fmt: skip
                 return
+            if channel.sensor.is_computed:
+                continue  # its age is that of what it is computed of
             limit = channel.max_age if need.max_age is None else need.max_age
             slack = SLACK + (1.0 / action.rate if action.rate else 0.0)
             age = world.now - sensor.heard - world.jumped(sensor.heard, sensor)
