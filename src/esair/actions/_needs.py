@@ -23,8 +23,8 @@ from esair.messages import Access
 from esair.resources import APPLIED
 
 if TYPE_CHECKING:
-    from esair.actions._blocking import ThreadBehavior
     from esair.actions._blocking_ports import BlockingActuatorPort, BlockingSensorPort
+    from esair.actions._supervisor import HasThread
 
 T = TypeVar("T")
 
@@ -60,9 +60,7 @@ class Reads(Generic[T]):
     @overload
     def __get__(self, instance: None, owner: type) -> Reads[T]: ...
     @overload
-    def __get__(
-        self, instance: ThreadBehavior, owner: type
-    ) -> BlockingSensorPort[T]: ...
+    def __get__(self, instance: HasThread, owner: type) -> BlockingSensorPort[T]: ...
     @overload
     def __get__(self, instance: object, owner: type) -> SensorPort[T]: ...
     def __get__(self, instance: object | None, owner: type) -> Any:
@@ -116,9 +114,7 @@ class Writes(Generic[T]):
     @overload
     def __get__(self, instance: None, owner: type) -> Writes[T]: ...
     @overload
-    def __get__(
-        self, instance: ThreadBehavior, owner: type
-    ) -> BlockingActuatorPort[T]: ...
+    def __get__(self, instance: HasThread, owner: type) -> BlockingActuatorPort[T]: ...
     @overload
     def __get__(self, instance: object, owner: type) -> ActuatorPort[T]: ...
     def __get__(self, instance: object | None, owner: type) -> Any:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+from esair.abc import Action
 from esair.loop import Portal
 from esair.messages import BehaviorStatus
-
-if TYPE_CHECKING:
-    from esair.actions._behavior import Behavior
-    from esair.actions._reaction import Reaction
 
 
 class Managed(Protocol):
@@ -38,7 +35,7 @@ class Behaviors:
         """
         return self._host.query(name)
 
-    async def add(self, behavior: Behavior | Reaction) -> None:
+    async def add(self, behavior: Action) -> None:
         """Deploy a behavior or reaction; see `BehaviorSupervisor.add`."""
         await self._host.manage("add", behavior)
 
@@ -46,7 +43,7 @@ class Behaviors:
         """Take a behavior away; see `BehaviorSupervisor.remove`."""
         return await self._host.manage("remove", name)  # type: ignore[no-any-return]
 
-    async def replace(self, name: str, behavior: Behavior | Reaction) -> list[Any]:
+    async def replace(self, name: str, behavior: Action) -> list[Any]:
         """Put another in the place of one; see `BehaviorSupervisor.replace`."""
         return await self._host.manage("replace", name, behavior)  # type: ignore[no-any-return]
 
@@ -70,7 +67,7 @@ class BlockingBehaviors:
 
         return self._portal.call(query)
 
-    def add(self, behavior: Behavior | Reaction) -> None:
+    def add(self, behavior: Action) -> None:
         """Deploy a behavior or reaction; see `BehaviorSupervisor.add`."""
         self._portal.call(self._behaviors.add, behavior)
 
@@ -78,10 +75,17 @@ class BlockingBehaviors:
         """Take a behavior away; see `BehaviorSupervisor.remove`."""
         return self._portal.call(self._behaviors.remove, name)
 
-    def replace(self, name: str, behavior: Behavior | Reaction) -> list[Any]:
+    def replace(self, name: str, behavior: Action) -> list[Any]:
         """Put another in the place of one; see `BehaviorSupervisor.replace`."""
         return self._portal.call(self._behaviors.replace, name, behavior)
 
     def restart(self, name: str) -> None:
         """End the run of a behavior and begin another; see `BehaviorSupervisor.restart`."""
         self._portal.call(self._behaviors.restart, name)
+
+
+class HasThread(Protocol):
+    """A behavior whose calls wait, in a thread of its own: a `ThreadBehavior`."""
+
+    @property
+    def supervisor(self) -> BlockingBehaviors: ...

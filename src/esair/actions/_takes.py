@@ -22,7 +22,7 @@ from esair.loop import Portal
 from esair.values import same_type, type_name
 
 if TYPE_CHECKING:
-    from esair.actions._blocking import ThreadBehavior
+    from esair.actions._supervisor import HasThread
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -127,9 +127,7 @@ class Takes(Generic[R]):
     @overload
     def __get__(self, instance: None, owner: Any) -> Takes[R]: ...
     @overload
-    def __get__(
-        self, instance: ThreadBehavior, owner: Any
-    ) -> BlockingRequestPort[R]: ...
+    def __get__(self, instance: HasThread, owner: Any) -> BlockingRequestPort[R]: ...
     @overload
     def __get__(self, instance: object, owner: Any) -> RequestPort[R]: ...
     def __get__(self, instance: object | None, owner: Any) -> Any:

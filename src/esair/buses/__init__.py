@@ -12,10 +12,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from esair.buses._bus import Bus, wanted
+from esair.buses._bus import Bus, LateWire, Wire, wanted
 from esair.buses._media import MEDIA, Medium
 from esair.buses._stats import BusStats
-from esair.buses._wire import LateWire, Wire
 from esair.loading import late
 
 if TYPE_CHECKING:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import abc
 import asyncio
 import contextlib
-from collections.abc import Callable, Hashable
+from collections.abc import Awaitable, Callable, Hashable
 from typing import Any, TypeVar
 
 from esair.buses._stats import BusStats
-from esair.buses._wire import Wire
 from esair.exceptions import DeviceLostError, describe
 from esair.loop import Executor, spawn
 from esair.values import check_name
@@ -264,3 +263,55 @@ def _listen(listeners: list[T], listener: T) -> Callable[[], None]:
             listeners.remove(listener)
 
     return forget
+
+
+class Wire:
+    """The far end of a wire: memory, a pseudo-terminal, a simulation.
+
+    A bus with ``wire=`` opens that and nothing else. A subclass has the method
+    ``open`` that its medium asks for: `SerialWire`, `CanWire`, or for I²C and SPI a
+    plain one that returns the link. As the kernel does, it tells of an arrival.
+    """
+
+    def __init__(self) -> None:
+        self._on_plug: dict[Callable[[], None], None] = {}
+
+    async def join(self, bus: Bus) -> Any:
+        """Return the wire that a bus opens now; a simulation starts one first."""
+        return self
+
+    async def leave(self, bus: Bus) -> None:
+        """Be told that a bus was closed."""
+
+    def on_plug(self, listener: Callable[[], None]) -> None:
+        """Call a function whenever the plug is in again."""
+        self._on_plug[listener] = None
+
+    def _tell_plugged(self) -> None:
+        for listener in tuple(self._on_plug):
+            listener()
+
+
+class LateWire(Wire):
+    """A wire that is made, or found, when a bus opens it.
+
+    Args:
+        find: Returns the wire for a bus.
+        left: Is told that a bus was closed.
+    """
+
+    def __init__(
+        self,
+        find: Callable[[Bus], Awaitable[Wire]],
+        left: Callable[[Bus], Awaitable[None]] | None = None,
+    ) -> None:
+        super().__init__()
+        self._find = find
+        self._left = left
+
+    async def join(self, bus: Bus) -> Wire:
+        return await self._find(bus)
+
+    async def leave(self, bus: Bus) -> None:
+        if self._left is not None:
+            await self._left(bus)

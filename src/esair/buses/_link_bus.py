@@ -8,9 +8,8 @@ import contextlib
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from esair.buses._bus import Bus, wanted
+from esair.buses._bus import Bus, Wire, wanted
 from esair.buses._opening import open_on, shut_on
-from esair.buses._wire import Wire
 from esair.exceptions import (
     BusyError,
     ConfigError,

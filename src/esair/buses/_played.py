@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 import attrs
 
+from esair.buses._bus import Wire
 from esair.buses._link_bus import L, LinkBus
-from esair.buses._wire import Wire
 from esair.exceptions import DeviceLostError
 
 T = TypeVar("T")

@@ -2,8 +2,6 @@
 
 from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
-from esair.connections._actuator_device import LastCommand
-from esair.connections._answers import BeingReplacedError
 from esair.connections._applied_channel import Applied, AppliedChannel
 from esair.connections._call import Call, End
 from esair.connections._calls import Calls
@@ -11,7 +9,8 @@ from esair.connections._command_check import CommandCheck, limits_by_field, part
 from esair.connections._derived_channel import DerivedChannel, Source
 from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._follower import Follower
-from esair.connections._halt import HALT, Halt, Halting, Stopped
+from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
+from esair.connections._held_device import BeingReplacedError
 from esair.connections._ports import ActuatorPort, SensorPort
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._registrations import Registration, Registrations

@@ -7,12 +7,12 @@ import copy
 from collections.abc import Callable, Generator
 from typing import Any
 
-from esair.connections._answers import BeingReplacedError, why, withdrawn
+from esair.connections._answers import why, withdrawn
 from esair.connections._call import Call, End
 from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
 from esair.connections._driver import Guard
-from esair.connections._held_device import HeldDevice
+from esair.connections._held_device import BeingReplacedError, HeldDevice
 from esair.connections._registrations import Registration, Registrations
 from esair.connections._waiting_writes import Sent, WaitingWrites
 from esair.exceptions import (

@@ -7,12 +7,13 @@ import copy
 import logging
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 from esair.connections._applied_channel import AppliedChannel
 from esair.connections._call import Call, End, given_up
 from esair.connections._calls import Calls
 from esair.connections._driver import Driver, Method, translate_call
+from esair.connections._halt import LastCommand
 from esair.connections._registrations import Registrations
 from esair.exceptions import (
     DeviceLostError,
@@ -43,31 +44,6 @@ class Watched(Protocol):
 
     def is_safe(self) -> None:
         """Hear that it has taken its safe command."""
-
-
-class LastCommand(NamedTuple):
-    """What an actuator was told last.
-
-    Attributes:
-        resource: The name of the actuator.
-        command: The last command that was handed to its driver.
-        safe: Whether that was its safe command.
-        answered: Whether the driver took it without an error, and no call from before
-            is alive that could undo it.
-        error: Why not, in words; empty if it did.
-    """
-
-    resource: str
-    command: object
-    safe: bool
-    answered: bool
-    error: str = ""
-
-    def __str__(self) -> str:
-        answer = "answered" if self.answered else f"NOT ANSWERED ({self.error})"
-        return (
-            f"{self.resource}: {'safe ' if self.safe else ''}{self.command!r}: {answer}"
-        )
 
 
 class ActuatorDevice:

@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from esair.connections._halt import HALT, HALT_PRIORITY
+from esair.connections._held_device import USER, BeingReplacedError, HeldDevice, rule_of
 from esair.connections._registrations import Registration
-from esair.exceptions import DeviceLostError
 from esair.messages import Refused, Why
 
-if TYPE_CHECKING:
-    from esair.connections._actuator_channel import ActuatorChannel
 
-
-USER = "user"
-"""Who holds an actuator that is being replaced."""
-
-
-class BeingReplacedError(DeviceLostError):
-    """The user is about to put another device in its place; no device was lost."""
-
-
-def why(channel: ActuatorChannel, now: float) -> Why:
+def why(channel: HeldDevice, now: float) -> Why:
     """Tell who holds an actuator, by which rule, and what would free it."""
     holder = channel.holder
     halt = channel.registrations.halt
@@ -82,14 +70,6 @@ def why(channel: ActuatorChannel, now: float) -> Why:
         f"a write with a priority above {holder.priority}, a release by "
         f"{holder.behavior}, or {channel.until - now:.3g} s without its writes",
         channel.told().command,
-    )
-
-
-def rule_of(holder: Registration) -> str:
-    """Say by which rule somebody holds an actuator."""
-    return (
-        f"priority {holder.priority} of {holder.behavior!r} holds until it has not "
-        "written for its hold; only a higher priority gets through"
     )
 
 

@@ -9,15 +9,17 @@ from typing import Any
 
 from esair.connections._call import Call, End
 from esair.connections._driver import Driver, Guard, Method
-from esair.connections._taped import begin_taped
 from esair.connections._threaded_call import ThreadedCall, awaited
 from esair.exceptions import DeviceFaultError, DriverStuckError, describe
 from esair.loop import (
     ENDED,
     Deadlines,
     Door,
+    First,
     FirstSteps,
     LightTask,
+    Player,
+    TapeWriter,
     clock_of,
     current_tasks,
 )
@@ -132,11 +134,11 @@ class Calls:
             self._check_abandoned(kind)
         tape = self._door.tape
         if tape is not None:
-            return begin_taped(self, tape, kind, method, args, limit, guard)
+            return self._begin_taped(tape, kind, method, args, limit, guard)
         steps = self._steps
         light = steps.spare
         if light is None or not method.is_usual:
-            return self.begin_untaped(kind, method, args, limit, guard)
+            return self._begin_untaped(kind, method, args, limit, guard)
         # Most calls are these, and end here: it is `FirstSteps.begin` in its place.
         steps.spare = None
         light.caller = self
@@ -164,7 +166,7 @@ class Calls:
         light.goes_on(coroutine, waits_for)
         return self._waits(light, kind, args, limit)
 
-    def begin_untaped(
+    def _begin_untaped(
         self,
         kind: str,
         method: Method,
@@ -174,7 +176,7 @@ class Calls:
     ) -> Any:
         """Call a method of the driver, whether or not the run is kept."""
         if method.executor is not None:
-            call = self.track(kind, args, limit)
+            call = self._track(kind, args, limit)
             threaded = ThreadedCall(self, call, method, guard)
             call.engine = threaded
             try:
@@ -198,13 +200,47 @@ class Calls:
             return value
         return self._waits(value, kind, args, limit)
 
+    def _begin_taped(
+        self,
+        tape: TapeWriter | Player,
+        kind: str,
+        method: Method,
+        args: tuple[Any, ...],
+        limit: float | None,
+        guard: Guard | None,
+    ) -> Any:
+        """Call a method and keep what comes of it; in a replay take that from the tape."""
+        if getattr(self.driver.resource, "is_computed", False):  # it is no device
+            return self._begin_untaped(kind, method, args, limit, guard)
+        tag = ("call", self.resource, kind)
+        if isinstance(tape, Player):
+            number, first = tape.first(tag)
+            if first.error is not None:
+                raise first.error
+            if not first.waits:
+                return first.value
+            call = self._track(kind, args, limit)
+            tape.expect(tag, number, lambda end: self.ended(call, End(*end)))
+            return call
+        try:
+            value = self._begin_untaped(kind, method, args, limit, guard)
+        except Exception as error:
+            tape.first(tag, First(waits=False, value=None, error=error))
+            raise
+        if type(value) is not Call:
+            tape.first(tag, First(waits=False, value=value, error=None))
+            return value
+        number = tape.first(tag, First(waits=True, value=None, error=None))
+        value.taped = lambda end: tape.arrived(tag, tuple(end), number=number)
+        return value
+
     def _waits(
         self, light: LightTask, kind: str, args: tuple[Any, ...], limit: float | None
     ) -> Any:
         """Make the call of a driver that goes on in a light task."""
         if light.get_coro() is None:
             return light  # it has not: this is what the driver has returned
-        call = self.track(kind, args, limit)
+        call = self._track(kind, args, limit)
         call.engine = light
         light.then(lambda value, error: self.over(call, End(value, error)))
         return call
@@ -308,7 +344,7 @@ class Calls:
 
     # Inside.
 
-    def track(self, kind: str, args: tuple[Any, ...], limit: float | None) -> Call:
+    def _track(self, kind: str, args: tuple[Any, ...], limit: float | None) -> Call:
         number = self.number
         call = Call(self.resource, kind, self.opening, number, args, self._time())
         self.alive[number] = call

@@ -10,7 +10,7 @@ from esair.connections._registrations import Registration
 from esair.loop import Scheduler
 
 if TYPE_CHECKING:
-    from esair.connections._actuator_channel import ActuatorChannel
+    from esair.connections._held_device import HeldDevice
 
 
 class Wish(Protocol):
@@ -49,9 +49,7 @@ class Decision:
 
     __slots__ = ("_channel", "_others", "_scheduler", "_wish")
 
-    def __init__(
-        self, channel: ActuatorChannel, loop: asyncio.AbstractEventLoop
-    ) -> None:
+    def __init__(self, channel: HeldDevice, loop: asyncio.AbstractEventLoop) -> None:
         self._channel = channel
         self._scheduler = Scheduler.of(loop)
         self._wish: Wish | None = None

@@ -6,10 +6,7 @@ import asyncio
 import concurrent.futures
 import sys
 from collections.abc import Generator, Iterable
-from typing import TYPE_CHECKING, NamedTuple, Self
-
-if TYPE_CHECKING:
-    from esair.connections._actuator_device import LastCommand
+from typing import NamedTuple, Self
 
 HALT = "halt"
 """Who holds every actuator of a robot that is halted."""
@@ -28,6 +25,31 @@ class Halt(NamedTuple):
 
     reason: str
     since: float
+
+
+class LastCommand(NamedTuple):
+    """What an actuator was told last.
+
+    Attributes:
+        resource: The name of the actuator.
+        command: The last command that was handed to its driver.
+        safe: Whether that was its safe command.
+        answered: Whether the driver took it without an error, and no call from before
+            is alive that could undo it.
+        error: Why not, in words; empty if it did.
+    """
+
+    resource: str
+    command: object
+    safe: bool
+    answered: bool
+    error: str = ""
+
+    def __str__(self) -> str:
+        answer = "answered" if self.answered else f"NOT ANSWERED ({self.error})"
+        return (
+            f"{self.resource}: {'safe ' if self.safe else ''}{self.command!r}: {answer}"
+        )
 
 
 class Halting:
@@ -64,7 +86,7 @@ class Halting:
             self._outcome.set_result(tuple(told))
 
 
-class Stopped(tuple["LastCommand", ...]):
+class Stopped(tuple[LastCommand, ...]):
     """After the stop: what each actuator was told last, and why the robot stopped.
 
     Attributes:

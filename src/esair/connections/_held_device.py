@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from esair.connections._answers import USER, BeingReplacedError, rule_of
 from esair.connections._call import Call
 from esair.connections._halt import HALT, HALT_PRIORITY, Halt
 from esair.connections._operations import Operating, Operations
@@ -26,6 +25,13 @@ from esair.messages import Refused, ResourceState
 from esair.resources import Actuator
 
 _EARLY = 1e-6  # timers may fire a hair early
+
+USER = "user"
+"""Who holds an actuator that is being replaced."""
+
+
+class BeingReplacedError(DeviceLostError):
+    """The user is about to put another device in its place; no device was lost."""
 
 
 class HeldDevice(ProtectedDevice):
@@ -280,3 +286,11 @@ class HeldDevice(ProtectedDevice):
             "operate",
             "it was made safe meanwhile" if stops is None else stops.rule,
         )
+
+
+def rule_of(holder: Registration) -> str:
+    """Say by which rule somebody holds an actuator."""
+    return (
+        f"priority {holder.priority} of {holder.behavior!r} holds until it has not "
+        "written for its hold; only a higher priority gets through"
+    )

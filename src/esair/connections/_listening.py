@@ -13,7 +13,7 @@ from esair.loop import Door, TapeWriter
 
 if TYPE_CHECKING:
     from esair.connections._calls import Calls
-    from esair.connections._sensor_channel import SensorChannel
+    from esair.connections._sensor_device import SensorDevice
 
 LISTEN_AGAIN = 0.1
 """The pause before a stream that raised is asked for again, in seconds."""
@@ -32,7 +32,7 @@ class Listening:
 
     def __init__(
         self,
-        channel: SensorChannel,
+        channel: SensorDevice,
         loop: asyncio.AbstractEventLoop,
         hear: Callable[[Any, BaseException | None], None],
     ) -> None:

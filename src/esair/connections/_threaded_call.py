@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from esair.connections._call import Call, End
+from esair.connections._call import Call, End, Ends
 from esair.connections._driver import Guard, Method
 from esair.loop import WAITS, LightTask
-
-if TYPE_CHECKING:
-    from esair.connections._calls import Calls
 
 
 class ThreadedCall:
@@ -18,7 +15,7 @@ class ThreadedCall:
 
     __slots__ = (
         "_call",
-        "_calls",
+        "_ends",
         "_function",
         "_guard",
         "_rest",
@@ -27,11 +24,11 @@ class ThreadedCall:
     )
 
     def __init__(
-        self, calls: Calls, call: Call, method: Method, guard: Guard | None
+        self, ends: Ends, call: Call, method: Method, guard: Guard | None
     ) -> None:
         assert method.executor is not None
         self.executor = method.executor()
-        self._calls = calls
+        self._ends = ends
         self._call = call
         self._function = method.function
         self._guard = guard
@@ -61,7 +58,7 @@ class ThreadedCall:
 
     def set_result(self, result: Any, /) -> None:
         if not hasattr(result, "__await__"):
-            self._calls.ended(self._call, End(result, None))
+            self._ends.ended(self._call, End(result, None))
             return
         rest = self._rest = LightTask(asyncio.get_running_loop(), str(self._call))
         try:
@@ -71,13 +68,13 @@ class ThreadedCall:
             return
         if value is WAITS:
             rest.then(
-                lambda value, error: self._calls.over(self._call, End(value, error))
+                lambda value, error: self._ends.over(self._call, End(value, error))
             )
         else:
-            self._calls.ended(self._call, End(value, None))
+            self._ends.ended(self._call, End(value, None))
 
     def set_exception(self, error: BaseException, /) -> None:
-        self._calls.ended(self._call, End(None, error))
+        self._ends.ended(self._call, End(None, error))
 
 
 async def awaited(awaitable: Any) -> Any:

@@ -19,8 +19,8 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 
 from esair.demo._map import FloorMap
 from esair.demo._samples import Sample
-from esair.demo._show import Run
 from esair.demo._story import Event
+from esair.demo._summary import Run
 from esair.sim import Arena
 
 INK = "#22262e"

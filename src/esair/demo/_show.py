@@ -18,17 +18,17 @@ from esair.buses import Frame
 from esair.config import Description, build, load
 from esair.demo._drawing import Drawing
 from esair.demo._journeys import Explore
-from esair.demo._mapper import Belief, Mapper
+from esair.demo._mapper import Mapper
 from esair.demo._reactions import Bump
-from esair.demo._samples import Sample, Witness
+from esair.demo._samples import Witness
 from esair.demo._screen import Screen
 from esair.demo._story import Event, Story
-from esair.demo._summary import Summary
+from esair.demo._summary import Run, Summary
 from esair.exceptions import EsairError, describe
 from esair.loop import TurnLoop, every
 from esair.messages import Recording
 from esair.seat import Status, robots
-from esair.sim import Arena, Simulation
+from esair.sim import Simulation
 from esair.standard import Robot, recorded_as
 
 if TYPE_CHECKING:
@@ -44,25 +44,6 @@ BROKEN = 1
 """The exit code if something that should have happened did not."""
 
 OnFrame = Callable[[float, Frame], None]
-
-
-@attrs.frozen
-class Run:
-    """What the picture shows.
-
-    Attributes:
-        arena: What there really was.
-        belief: What the rover believes at the end.
-        samples: Where it was, and who drove it, in order.
-        events: What happened, in order.
-        headline: The run in one line.
-    """
-
-    arena: Arena
-    belief: Belief
-    samples: tuple[Sample, ...]
-    events: tuple[Event, ...]
-    headline: str
 
 
 @attrs.define

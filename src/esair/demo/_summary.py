@@ -1,4 +1,4 @@
-"""The end of the show in numbers: what was driven, and what went wrong."""
+"""The end of the show: what the picture shows, and the run in numbers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,30 @@ from rich.console import Console
 from rich.text import Text
 
 from esair.connections import LastCommand
-from esair.demo._story import Fault
+from esair.demo._mapper import Belief
+from esair.demo._samples import Sample
+from esair.demo._story import Event, Fault
 from esair.seat.screen import picture
+from esair.sim import Arena
+
+
+@attrs.frozen
+class Run:
+    """What the picture shows.
+
+    Attributes:
+        arena: What there really was.
+        belief: What the rover believes at the end.
+        samples: Where it was, and who drove it, in order.
+        events: What happened, in order.
+        headline: The run in one line.
+    """
+
+    arena: Arena
+    belief: Belief
+    samples: tuple[Sample, ...]
+    events: tuple[Event, ...]
+    headline: str
 
 
 @attrs.frozen

@@ -3,13 +3,14 @@
 from esair.loop._budget import PUT_COST, SPENDABLE, WRITE_COST, Budget
 from esair.loop._dead_man import DeadMan
 from esair.loop._deadlines import Deadline, Deadlines
-from esair.loop._door import Door, Entry
+from esair.loop._door import Door
 from esair.loop._end_of_loop import (
     leave_behind,
     run_and_end,
     threads_that_keep_the_process,
 )
 from esair.loop._ending import Ending
+from esair.loop._entry import Entry
 from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._garbage import Gaps, collector

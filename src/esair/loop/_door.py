@@ -14,36 +14,14 @@ import itertools
 import logging
 import threading
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
+from esair.loop._entry import Entry, Tag
 from esair.loop._of_loop import of_loop
 from esair.loop._tape import Player, TapeWriter
 from esair.loop._timer import clock_of
 
 _log = logging.getLogger("esair")
-
-Tag = tuple[str, ...]
-"""Which call it is the end of, or who tells something: such as ``("sonar", "read")``."""
-
-
-class Entry(NamedTuple):
-    """What has come in.
-
-    Attributes:
-        number: Grows by one with each entry.
-        time: When it came in, in seconds of the loop's clock.
-        work: The number of the work that it is the end of; 0 if it is none.
-        tag: Whose it is.
-        function: What lets it take effect, in the loop.
-        arguments: What the function gets.
-    """
-
-    number: int
-    time: float
-    work: int
-    tag: Tag
-    function: Callable[..., object]
-    arguments: tuple[Any, ...]
 
 
 class Door:

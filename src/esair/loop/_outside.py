@@ -7,7 +7,8 @@ import contextvars
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
-from esair.loop._door import Door, Tag
+from esair.loop._door import Door
+from esair.loop._entry import Tag
 from esair.loop._tape import WAITS, First, Player, TapeWriter
 
 T = TypeVar("T")

@@ -11,20 +11,16 @@ import collections
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from esair.exceptions import DeviceLostError
-
-if TYPE_CHECKING:
-    from esair.loop._door import Door, Entry
+from esair.loop._entry import Entry, Tag, WayIn
 
 PATIENCE = 10.0
 """How long a replay waits for a thread of the robot's own, in seconds."""
 
 IMPATIENT = 0.2
 """How long it waits for one when it has waited in vain before."""
-
-Tag = tuple[str, ...]
 
 SPOILED: Tag = ("spoiled",)
 """The tag of what makes a run one that cannot be repeated from there on."""
@@ -126,7 +122,7 @@ class Player:
             self.moments.append(0.0)
         self.on_over = over
         self.is_over = False
-        self._door: Door | None = None
+        self._door: WayIn | None = None
         self._counts: collections.Counter[Tag] = collections.Counter()
         self._ends: dict[tuple[Tag, int], Callable[[Any], object]] = {}
         self._listeners: dict[Tag, Callable[[Any], object]] = {}
@@ -136,7 +132,7 @@ class Player:
         self.missed: list[Arrived] = []
         """What came in when the run was recorded, and nobody waited for now."""
 
-    def begin(self, door: Door) -> None:
+    def begin(self, door: WayIn) -> None:
         """The recorded part of the run begins."""
         self._door = door
         door.divert = self._come

@@ -6,15 +6,13 @@ import inspect
 import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import Any, TypeVar, overload
 
 import attrs
 
+from esair import abc
 from esair.exceptions import BadValueError, UnknownNameError, did_you_mean
 from esair.values import checked_class, is_positive, passes_as, type_name
-
-if TYPE_CHECKING:
-    from esair.resources._resource import Resource
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -154,14 +152,14 @@ def operation(function: Any = None, /, *, deadline: float | None = None) -> Any:
     return mark if function is None else mark(function)
 
 
-def operations_of(component: type[Resource]) -> dict[str, Operation]:
+def operations_of(component: type[abc.Resource]) -> dict[str, Operation]:
     """Return the operations that a class of resources declares, by name."""
     return {
         name: _described(component, name, marked) for name, marked in _marked(component)
     }
 
 
-def operation_of(resource: Resource, name: str) -> Operation:
+def operation_of(resource: abc.Resource, name: str) -> Operation:
     """Return one operation of a resource.
 
     Raises:
@@ -174,7 +172,7 @@ def operation_of(resource: Resource, name: str) -> Operation:
     raise UnknownNameError("operation", name, known, user=resource.name)
 
 
-def wrong_operations(component: type[Resource]) -> Iterator[tuple[str, str]]:
+def wrong_operations(component: type[abc.Resource]) -> Iterator[tuple[str, str]]:
     """Yield what is wrong with the operations of a class: the method, and what."""
     for name, marked in _marked(component):
         function = getattr(component, name)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import attrs
 
+from esair import abc
 from esair.exceptions import BadValueError, did_you_mean
 from esair.values import passes_as
-
-if TYPE_CHECKING:
-    from esair.resources._resource import Resource
 
 T = TypeVar("T")
 
@@ -146,7 +144,7 @@ def setting(
     return cast("T", Setting(default, unit, min, max, choices, doc, secret=secret))
 
 
-def settings_of(component: type[Resource]) -> dict[str, Setting]:
+def settings_of(component: type[abc.Resource]) -> dict[str, Setting]:
     """Return the settings that a class of resources declares, by name.
 
     What is computed is never asked, and has no rate.
@@ -163,7 +161,7 @@ def settings_of(component: type[Resource]) -> dict[str, Setting]:
     return found
 
 
-def shown(resource: Resource, values: Mapping[str, object]) -> dict[str, object]:
+def shown(resource: abc.Resource, values: Mapping[str, object]) -> dict[str, object]:
     """Return values of settings as they may be recorded and shown."""
     known = settings_of(type(resource))
     return {
@@ -173,7 +171,7 @@ def shown(resource: Resource, values: Mapping[str, object]) -> dict[str, object]
 
 
 def check_settings(
-    resource: Resource, changes: Mapping[str, object]
+    resource: abc.Resource, changes: Mapping[str, object]
 ) -> dict[str, object]:
     """Return the changes in the right types, or name every mistake at once.
 

@@ -6,17 +6,15 @@ import asyncio
 import collections
 import json
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from esair.exceptions import BadValueError
 from esair.journal import Event, Kind, Listener
 from esair.loop import clock_of
 from esair.recording import Seen, plain, seen_as, size_of
+from esair.seat._operator import Console
 from esair.seat._short import short
 from esair.seat._wire import VERSION, Message
-
-if TYPE_CHECKING:
-    from esair.seat._visitor import Visitor
 
 BACKLOG = 1000
 """How many lines of the journal wait for a slow client; the newest stay."""
@@ -31,12 +29,26 @@ VIEWED = 256 * 1024
 """The greatest value that is shown live, in bytes; of a larger one only that it came."""
 
 
+class Fed(Protocol):
+    """What a feed needs of its client."""
+
+    console: Console
+    dropped: int
+
+    @property
+    def gone(self) -> bool: ...
+    @property
+    def unread(self) -> int: ...
+    def send(self, found: dict[str, Any]) -> None: ...
+    def push(self, found: dict[str, Any]) -> bool: ...
+
+
 class Feed:
     """What is pushed to a client until it goes or wants another one."""
 
     fields: frozenset[str] = frozenset()
 
-    def __init__(self, client: Visitor, message: Message) -> None:
+    def __init__(self, client: Fed, message: Message) -> None:
         self.client = client
         self.name = message.id
         unknown = message.fields.keys() - self.fields
@@ -58,7 +70,7 @@ class _Watch(Feed):
 
     fields = frozenset({"every"})
 
-    def __init__(self, client: Visitor, message: Message) -> None:
+    def __init__(self, client: Fed, message: Message) -> None:
         super().__init__(client, message)
         every = message.fields.get("every", 0.25)
         if type(every) not in {int, float} or not 0.1 <= every <= 60.0:
@@ -82,7 +94,7 @@ class _Log(Feed):
 
     fields = frozenset({"components", "kinds"})
 
-    def __init__(self, client: Visitor, message: Message) -> None:
+    def __init__(self, client: Fed, message: Message) -> None:
         super().__init__(client, message)
         self._components = _names(message, "components")
         kinds = _names(message, "kinds")
@@ -138,7 +150,7 @@ class _Log(Feed):
 class _View(Feed):
     """Every event as a message for viewers; of a slow client's topics the newest."""
 
-    def __init__(self, client: Visitor, message: Message) -> None:
+    def __init__(self, client: Fed, message: Message) -> None:
         super().__init__(client, message)
         self._listener: Listener | None = None
         self._offset = 0.0

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 from esair.actions import Derivation, Derived
-from esair.connections import DerivedChannel, Registration, Source
+from esair.connections import DerivedChannel, Registration, SensorConnection, Source
 from esair.exceptions import DeviceLostError, EsairError
 from esair.loop import Owner, Stream
 from esair.messages import Restart
-from esair.plan import unmet
+from esair.plan import Plan, unmet
+from esair.supervisors._control_path import ControlPath
 from esair.supervisors._resource_life import ResourceLife
 
-if TYPE_CHECKING:
-    from esair.supervisors._resource_deployment import ResourceDeployment
+
+class Deployment(Protocol):
+    """What a derived sensor needs of the resources of its robot."""
+
+    seed: int
+    began: float
+    control: ControlPath
+    sensors: SensorConnection
+    lives: dict[str, ResourceLife]
+
+    def plan(self, behaviors: Sequence[Any]) -> Plan: ...
 
 
 class DerivedLife(ResourceLife):
@@ -25,7 +36,7 @@ class DerivedLife(ResourceLife):
         derived: Derived[Any],
         channel: DerivedChannel,
         restart: Restart,
-        deployment: ResourceDeployment,
+        deployment: Deployment,
     ) -> None:
         super().__init__(derived, channel, restart)
         self._derived = derived

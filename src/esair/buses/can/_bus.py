@@ -8,19 +8,16 @@ import functools
 from collections.abc import Callable, Hashable
 from typing import Any, Final, Literal
 
-from esair.buses._bus import Bus
+from esair.buses._bus import Bus, Wire
 from esair.buses._inbox import Inbox
-from esair.buses._wire import Wire
 from esair.buses.can._errors import CanState, ErrorFrame, decode_error
 from esair.buses.can._frame import (
-    EXTENDED,
     Frame,
     FrameKind,
     FrameLink,
     check_data,
-    key_of,
 )
-from esair.buses.can._ids import Ids, filters_of
+from esair.buses.can._ids import EXTENDED, Ids, filters_of, key_of
 from esair.buses.can._inbox import FrameInbox, NewestInbox
 from esair.buses.can._outbox import Outbox
 from esair.buses.can._routes import Routes

@@ -5,17 +5,12 @@ from __future__ import annotations
 import abc
 import enum
 from collections.abc import Awaitable, Callable, Collection
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
-from esair.buses._wire import Wire
+from esair.buses._bus import Wire
 from esair.buses.can._errors import CanState
+from esair.buses.can._ids import Filter
 from esair.exceptions import BadValueError
-
-if TYPE_CHECKING:
-    from esair.buses.can._ids import Filter
-
-EXTENDED: Final = 0x8000_0000
-"""The bit that tells an extended id from a standard one with the same number."""
 
 FD_SIZES: Final = frozenset({*range(9), 12, 16, 20, 24, 32, 48, 64})
 """How many bytes a CAN FD frame can have."""
@@ -112,20 +107,6 @@ class CanWire(Wire, abc.ABC):
         Raises:
             ConnectionError: It is not there.
         """
-
-
-def key_of(owner: str, number: int, *, extended: bool) -> int:
-    """Return the id as listeners are kept by.
-
-    Raises:
-        BadValueError: It is no id.
-    """
-    if isinstance(number, int) and 0 <= number < (0x2000_0000 if extended else 0x800):
-        return number | EXTENDED if extended else number
-    kind = "an extended CAN id below 2**29" if extended else "a CAN id below 2**11"
-    raise BadValueError(
-        owner, "id", f"expected {kind}, not {number!r:.80} (or extended={not extended})"
-    )
 
 
 def check_data(owner: str, data: bytes, *, fd: bool) -> None:

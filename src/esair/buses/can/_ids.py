@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final, NamedTuple, TypeAlias
 
-from esair.buses.can._frame import EXTENDED, key_of
 from esair.exceptions import BadValueError
+
+EXTENDED: Final = 0x8000_0000
+"""The bit that tells an extended id from a standard one with the same number."""
 
 _NUMBER: Final = 0x1FFF_FFFF
 _STANDARD: Final = 0x7FF
@@ -46,6 +48,20 @@ class Filter(NamedTuple):
     def is_exact(self) -> bool:
         """Whether it is one id."""
         return self.mask == _exact(self.key)
+
+
+def key_of(owner: str, number: int, *, extended: bool) -> int:
+    """Return the id as listeners are kept by.
+
+    Raises:
+        BadValueError: It is no id.
+    """
+    if isinstance(number, int) and 0 <= number < (0x2000_0000 if extended else 0x800):
+        return number | EXTENDED if extended else number
+    kind = "an extended CAN id below 2**29" if extended else "a CAN id below 2**11"
+    raise BadValueError(
+        owner, "id", f"expected {kind}, not {number!r:.80} (or extended={not extended})"
+    )
 
 
 def filters_of(

@@ -8,7 +8,8 @@ from collections.abc import Callable, Hashable
 
 from esair.buses._inbox import within
 from esair.buses._stats import BusStats
-from esair.buses.can._frame import EXTENDED, Frame, FrameLink
+from esair.buses.can._frame import Frame, FrameLink
+from esair.buses.can._ids import EXTENDED
 from esair.exceptions import BusyError, DeviceLostError
 
 RETRY_PERIOD = 0.001

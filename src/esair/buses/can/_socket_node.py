@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from esair.buses._stats import BusStats
 from esair.buses.can._errors import CanState
-from esair.buses.can._frame import EXTENDED, Frame, FrameKind
-from esair.buses.can._ids import Filter
+from esair.buses.can._frame import Frame, FrameKind
+from esair.buses.can._ids import EXTENDED, Filter
 from esair.exceptions import (
     BusyError,
     DeviceFaultError,

@@ -10,8 +10,8 @@ from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import NamedTuple, TypeVar, cast
 
+from esair.buses._bus import Wire
 from esair.buses._link_bus import LinkBus
-from esair.buses._wire import Wire
 from esair.buses.i2c import _kernel as kernel
 from esair.buses.i2c import _link as wire
 from esair.buses.i2c._errors import (

@@ -9,10 +9,9 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from esair.buses._bus import Bus
+from esair.buses._bus import Bus, Wire
 from esair.buses._exchanges import LATE_LIMIT, Exchanges
 from esair.buses._inbox import Inbox, within
-from esair.buses._wire import Wire
 from esair.buses.serial._framing import make_framing, resync_bytes
 from esair.buses.serial._line import Line, SerialLink
 from esair.buses.serial._place import SerialPlace

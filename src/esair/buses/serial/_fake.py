@@ -8,9 +8,8 @@ import random
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from esair.buses._bus import Bus
+from esair.buses._bus import Bus, LateWire
 from esair.buses._inbox import within
-from esair.buses._wire import LateWire
 from esair.buses.serial._bus import SerialBus
 from esair.buses.serial._far_end import MemoryLine, PtyLine
 from esair.exceptions import DeviceLostError

@@ -7,7 +7,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Protocol
 
-from esair.buses._wire import Wire
+from esair.buses._bus import Wire
 
 
 class SerialLink(Protocol):

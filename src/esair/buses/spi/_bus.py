@@ -6,8 +6,8 @@ import errno
 from collections.abc import Callable, Hashable
 from typing import TypeVar
 
+from esair.buses._bus import Wire
 from esair.buses._link_bus import LinkBus
-from esair.buses._wire import Wire
 from esair.buses.spi import _kernel as kernel
 from esair.buses.spi._kernel import LIMIT, SpiLink
 from esair.exceptions import (
