@@ -39,7 +39,7 @@ def served(rover):
 
 
 def port_of(robot):
-    return robot._seat.port
+    return robot._seat.seat.port
 
 
 async def get(robot, path="/", **headers):

@@ -259,7 +259,7 @@ async def test_a_slow_client_gets_the_newest_only(rover, raw):
         lazy.connect(str(raw().path))
         lazy.send(b'{"v":1,"id":"w","act":"watch","every":0.1}\n')
         await asyncio.sleep(0.05)
-        client_limit = robot._seat._socket
+        client_limit = robot._seat.seat._socket
         for client in client_limit.clients:
             link = client.transport.get_extra_info("socket")
             link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)

@@ -24,7 +24,7 @@ from esair.connections import (
 )
 from esair.exceptions import ConfigError, StoppingError, describe
 from esair.journal import Journal, LogLines
-from esair.loop import News, SignalWatch, leave_behind, outside, spawn
+from esair.loop import News, SignalWatch, leave_behind, spawn
 from esair.messages import (
     BehaviorsPolicy,
     Operator,
@@ -38,6 +38,7 @@ from esair.resources import Resource, adapt_resource
 from esair.standard._buses import close_buses, open_buses
 from esair.standard._care import STALL_WARNING, LoopCare
 from esair.standard._recording import Keeping, repeats
+from esair.standard._seating import Seating
 from esair.supervisors import (
     BehaviorDeployment,
     BehaviorSupervisor,
@@ -53,7 +54,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from esair.buses import Bus
-    from esair.seat import Seat
 
 LAST_WAIT = 2.0
 """How long `run` may take to end beside the grace period, in seconds."""
@@ -127,15 +127,14 @@ class Robot:
         page: Page | None = None,
     ) -> None:
         self.name = check_name("robot", name)
+        self._title = f"robot {name!r}"
         self.operator = Operator() if operator is None else operator
         """What an operator may do from outside."""
         self.source: tuple[Path, bool] | None = None
         """The file it was made from, and whether simulated; None if from none."""
-        self._has_socket = socket
-        self._page = page
-        self._seat: Seat | None = None
+        self._seat = Seating(name, socket=socket, page=page)
         self._keeping = Keeping(record)
-        self._grace = check_seconds(f"robot {name!r}", "grace", grace)
+        self._grace = check_seconds(self._title, "grace", grace)
         # What was written for a microcontroller runs here as well, in an adapter.
         self._list_of_resources: list[Any] = [adapt_resource(r) for r in resources]
         self._list_of_behaviors: list[Any] = [adapt_action(b) for b in behaviors]
@@ -171,9 +170,7 @@ class Robot:
         self._behaviors = BehaviorDeployment(
             self._resources,
             grace=self._grace,
-            start_patience=check_seconds(
-                f"robot {name!r}", "start_patience", start_patience
-            ),
+            start_patience=check_seconds(self._title, "start_patience", start_patience),
             halt=self._halts.halt,
             stop=self.stop,
             policies=given,
@@ -190,9 +187,8 @@ class Robot:
                 halt=self._halts.halt,
             )
         if seed is not None and type(seed) is not int:
-            raise ConfigError(
-                f"robot {name!r}", "seed", f"expected a whole number, not {seed!r:.80}"
-            )
+            told = f"expected a whole number, not {seed!r:.80}"
+            raise ConfigError(self._title, "seed", told)
         self.seed = seed
         """What `esair.random` begins with; known when the robot has started."""
         self.stopped = Stopped()
@@ -201,16 +197,14 @@ class Robot:
         self._buses: list[Bus] = []
         self._entered = False
         self._signal: int | None = None
-        self._signals: News
         self._host: asyncio.Task[Any] | None = None
         self._interrupts = False
         if stall_warning is not None:
-            check_seconds(f"robot {name!r}", "stall_warning", stall_warning)
+            check_seconds(self._title, "stall_warning", stall_warning)
         self._care = LoopCare(stall_warning, self._resources.resumed)
         self._watch = SignalWatch(
             lambda number: self._signals.tell(number), self._hurry, self._is_safe
         )
-        self._log_lines: LogLines | None = None
         self._stopping: asyncio.Task[None] | None = None
         self._reason = ""  # why it stops
         self._is_up = False
@@ -263,20 +257,19 @@ class Robot:
 
     async def __aenter__(self) -> Self:
         if self._entered:
-            raise StoppingError(
-                f"robot {self.name!r}", "used already: make another one"
-            )
+            raise StoppingError(self._title, "used already: make another one")
         if self._reason:
             raise StoppingError(
-                f"robot {self.name!r}", f"stopped before its start: {self._reason}"
+                self._title, f"stopped before its start: {self._reason}"
             )
         refuse_while_looking(self.name)
         if mistakes := errors_in(examine(self.plan)):
-            raise ExceptionGroup(f"robot {self.name!r} cannot start", mistakes)
+            raise ExceptionGroup(f"{self._title} cannot start", mistakes)
         anyio.CancelScope()  # what the stop needs is imported before there can be one
         loop = asyncio.get_running_loop()
-        has_seat = self._keeping.has_seat = bool(self._has_socket or self._page)
-        seat = self._make_seat(closed=repeats(loop)) if has_seat else None
+        self._keeping.has_seat = self._seat.is_wanted
+        if self._seat.is_wanted:
+            self._seat.take(closed=repeats(loop))
         self._entered = True
         self._resources.wake()
         self._behaviors.wake()
@@ -288,8 +281,7 @@ class Robot:
         try:
             self._keeping.begin(self.plan, self.journal, self.seed, self.source)
         except BaseException:
-            if seat is not None:  # its name is free again
-                await seat.close()
+            await self._seat.close()  # its name is free again
             raise
         self.journal.start(loop)
         self._halts.start(loop)
@@ -298,17 +290,13 @@ class Robot:
         if not repeats(loop):
             self._watch.start(interrupts=self._interrupts)
         self._signals = News(loop, ("robot", "signal"), self._end_by_signal)
-        for components in (self._list_of_resources, self._list_of_behaviors):
+        lists = self._list_of_resources, self._list_of_behaviors
+        for components in lists:
             # Nothing depends on the order in which they were given.
             components.sort(key=lambda component: component.name)
-        self._care.start(
-            loop, len(self._list_of_resources), len(self._list_of_behaviors)
-        )
+        self._care.start(loop, *map(len, lists))
         try:
-            self._seat = seat
-            if seat is not None:
-                seat.begin(self)
-                await outside(("seat", "start"), seat.start)
+            await self._seat.start(self)
             self._behaviors.accept(self._list_of_behaviors)
             if self._keeper is not None:
                 await self._keeper.start()
@@ -325,9 +313,7 @@ class Robot:
             if asked and isinstance(error, asyncio.CancelledError):
                 assert self._host is not None
                 self._host.uncancel()
-                raise StoppingError(
-                    f"robot {self.name!r}", f"stopped: {asked}"
-                ) from None
+                raise StoppingError(self._title, f"stopped: {asked}") from None
             raise
         self._is_up = True
         self._care.is_up(loop)
@@ -424,20 +410,10 @@ class Robot:
 
     # Inside.
 
-    def _make_seat(self, *, closed: bool) -> Seat:
-        from esair.seat import Seat
-
-        if closed:
-            return Seat(self.name, socket=False)
-        return Seat(self.name, socket=self._has_socket, page=self._page)
-
     async def _typed(self, text: str) -> str:
-        if self._seat is None:
-            if not self._is_up:
-                raise StoppingError(f"robot {self.name!r}", "it does not run")
-            self._seat = self._make_seat(closed=True)
-            self._seat.begin(self)
-        return await self._seat.typed(text)
+        if self._seat.seat is None and not self._is_up:
+            raise StoppingError(self._title, "it does not run")
+        return await self._seat.typed(self, text)
 
     def _stop_once(self) -> asyncio.Task[None]:
         """Begin to stop, once; again only if a stranger has cancelled it."""
@@ -478,8 +454,7 @@ class Robot:
         self._latched = True
         if self._watch.last is not None:
             self._watch.last.because(time.monotonic())
-        if self._seat is not None:
-            self._seat.leave()
+        self._seat.leave()
         try:
             await self._behaviors.stop()
             self.stopped = Stopped(await self._resources.make_safe(), reason)
@@ -494,12 +469,10 @@ class Robot:
                 await self._keeper.close()
             self._care.stop()
             self._watch.stop()
-            if self._log_lines is not None:
-                self._log_lines.stop()
+            self._log_lines.stop()
             self.journal.close()
             leave_behind(self._behaviors.undead)
-            if self._seat is not None:
-                await self._seat.close()
+            await self._seat.close()
             await self._keeping.end()
 
     def _end_by_signal(self, number: int) -> None:
@@ -523,6 +496,5 @@ class Robot:
 def _reason_of(error: BaseException | None) -> str:
     if error is None:
         return "its program has left it"
-    if isinstance(error, asyncio.CancelledError):
-        return "it was cancelled"
-    return describe(error)
+    cancelled = isinstance(error, asyncio.CancelledError)
+    return "it was cancelled" if cancelled else describe(error)

@@ -164,7 +164,7 @@ def prepare_replay(robot: Robot, seed: int, *, has_seat: bool) -> None:
         has_seat: Whether that one had a control socket or a page.
     """
     robot.seed = seed
-    robot._has_socket, robot._page = has_seat, None  # noqa: SLF001 - the robot's own entry
+    robot._seat.socket, robot._seat.page = has_seat, None  # noqa: SLF001 - the robot's own entry
     robot._care.stall_warning = None  # noqa: SLF001 - as above
     robot._keeping.recording = None  # noqa: SLF001 - as above
 
