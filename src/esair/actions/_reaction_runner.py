@@ -37,7 +37,6 @@ from esair.loop import (
 
 _log = logging.getLogger("esair")
 
-
 _COLLECTS = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
 _EARLY = 1e-6  # timers may fire a hair early
@@ -476,13 +475,8 @@ class ReactionRunner:
         commands = {} if result is None else result
         if type(commands) is not dict or not commands.keys() <= self._outputs.keys():
             expected = ", ".join(self._outputs) or "nothing"
-            self._crash(
-                BadValueError(
-                    self.reaction.name,
-                    "react",
-                    f"expected a dictionary with commands for {expected}, not {result!r:.80}",
-                )
-            )
+            told = f"expected a dictionary with commands for {expected}, not {result!r:.80}"
+            self._crash(BadValueError(self.reaction.name, "react", told))
             return
         for name, output in self._outputs.items():
             command = commands.get(name)
