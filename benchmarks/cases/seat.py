@@ -166,8 +166,8 @@ async def _shares() -> list[Row]:
             nobody.append(await cpu_share(SECONDS) - bare)
         robot = _robot(socket=True, page=esair.Page(port=0))
         async with robot:
-            assert robot._seat is not None
-            host = f"127.0.0.1:{robot._seat.port}"
+            assert robot._seat.seat is not None
+            host = f"127.0.0.1:{robot._seat.seat.port}"
             async with _program(BROWSER, host) as browser:
                 assert browser.stdout is not None
                 await browser.stdout.readline()
