@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import collections
-import inspect
 import logging
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, ClassVar
 
+from esair.actions._by_name import by_name, order_of
 from esair.actions._from_minimal import MinimalReaction
 from esair.actions._reaction import EVERY_LIMIT, Reaction
 from esair.actions._reaction_ports import FOR_EVER, Input, Output
 from esair.actions._sampling import Sampling
 from esair.actions._step_clock import StepClock
-from esair.actions._until import by_name
 from esair.connections import ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import (
     BadValueError,
@@ -37,9 +36,8 @@ from esair.loop import (
 
 _log = logging.getLogger("esair")
 
-_COLLECTS = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
-
 _EARLY = 1e-6  # timers may fire a hair early
+
 _QUICK = 100.0
 """From this rate on, in Hz, the next step finds soon enough that a reading is too old."""
 
@@ -141,7 +139,7 @@ class ReactionRunner:
         self._on_sight = on_sight
         self.on_reading = reaction.rate is None
         self._watches = reaction.rate is None or reaction.rate < _QUICK
-        self._names, self._by_place = _order(reaction)
+        self._names, self._by_place = order_of(reaction)
         self.values: list[Any] = [None] * len(self._names)
         """The newest readings, in the order of the names."""
         self.missing = 0
@@ -487,18 +485,3 @@ class ReactionRunner:
         """Drop the commands that have not left yet: the robot is halted."""
         for output in self._outputs.values():
             output.forget()
-
-
-def _order(reaction: Reaction) -> tuple[tuple[str, ...], bool]:
-    """Return the names of the readings, and whether ``react`` gets them by place.
-
-    By place is three times as quick as by name, where its parameters are known.
-    """
-    inputs = tuple(reaction.inputs)
-    code = getattr(getattr(reaction.react, "__func__", None), "__code__", None)
-    if code is None or code.co_kwonlyargcount or code.co_flags & _COLLECTS:
-        return inputs, False
-    parameters = code.co_varnames[1 : code.co_argcount]
-    if sorted(parameters) != sorted(inputs):
-        return inputs, False
-    return parameters, bool(parameters)
