@@ -365,3 +365,21 @@ async def test_a_real_loop_can_tell_whether_the_computer_slept(
     silent.listen(heard.append)
     silent.look()
     assert len(heard) == 1
+
+
+@pytest.mark.promise("ROB-2")
+async def test_the_stop_imports_nothing(tmp_path: Path) -> None:
+    """A module from a slow card would come before the safe command."""
+    main = """
+    async def main():
+        async with robot:
+            await asyncio.sleep(0.05)
+            there = set(sys.modules)
+        print("late:", *sorted(set(sys.modules) - there), file=sys.stderr)
+    asyncio.run(main())
+    """
+    returned, told, errors, _ = await live(tmp_path / "log", main=main)
+
+    assert returned == 0, errors
+    assert told[-2:] == ["0.0", "close"]
+    assert errors.splitlines()[-1].split() == ["late:"]
