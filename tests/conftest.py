@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import collections
+import compileall
 import os
+import shutil
 import signal
+import sys
 import tempfile
+from pathlib import Path
 from typing import Any
 
 import hypothesis
 import pytest
 
+import esair
 from esair.testing import ActuatorContract, SensorContract
 
 pytest_plugins = ["pytester"]
@@ -29,15 +34,23 @@ def pytest_configure(config: pytest.Config) -> None:
         hypothesis.settings.load_profile("same")
     _let_children_hear_signals()
     # The control sockets of the robots in the tests, of children too.
-    os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="esair-sockets-")
+    sockets = os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="esair-sockets-")
+    config.add_cleanup(lambda: shutil.rmtree(sockets, ignore_errors=True))
+    if sys.dont_write_bytecode and not hasattr(config, "workerinput"):
+        # Each of hundreds of children would compile the package anew.
+        compileall.compile_dir(Path(esair.__file__).parent, quiet=2)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep what runs in real time on one worker: at most one such test at a time."""
+    """Keep what a file does in real time on one worker, one test after the other.
+
+    Most of them wait: for a process to start, for a time-out. Those of other files run
+    meanwhile.
+    """
     for item in items:
         if item.get_closest_marker("real_clock") is not None:
-            item.add_marker(pytest.mark.xdist_group("real_clock"))
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
 
 
 @pytest.hookimpl(wrapper=True)

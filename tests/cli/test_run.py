@@ -3,6 +3,7 @@
 import json
 import re
 import signal
+import sys
 
 import pytest
 
@@ -194,18 +195,15 @@ def test_it_runs_on_uvloop(folder, start, behavior) -> None:
     assert [word for word in sent(where) if word != "uvloop"][-1] == 0.0
 
 
-def test_a_loop_that_is_not_installed_is_exit_code_2(folder, start) -> None:
+def test_a_loop_that_is_not_installed_is_exit_code_2(
+    folder, esair_command, capsys, monkeypatch
+) -> None:
     """The message says what to install."""
-    code = (
-        "import sys; sys.modules['uvloop'] = None; import esair.cli; esair.cli.main()"
-    )
-    process = start(
-        "run", "robot.toml", "--loop", "uvloop", cwd=folder("Once"), code=code
-    )
-    _, log = process.communicate(timeout=20)
+    monkeypatch.chdir(folder("Once"))
+    monkeypatch.setitem(sys.modules, "uvloop", None)
 
-    assert process.returncode == 2
-    assert "pip install 'esair[uvloop]'" in log
+    assert esair_command("run", "robot.toml", "--loop", "uvloop") == 2
+    assert "pip install 'esair[uvloop]'" in capsys.readouterr().err
 
 
 @pytest.mark.promise("ROB-2")
@@ -268,12 +266,13 @@ def test_a_broken_configuration_is_exit_code_2(folder, start) -> None:
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])
-def test_a_time_that_makes_no_sense_is_exit_code_2(folder, start, seconds) -> None:
+def test_a_time_that_makes_no_sense_is_exit_code_2(
+    folder, esair_command, capsys, monkeypatch, seconds
+) -> None:
     """Before anything is opened."""
     where = folder("Once")
-    process = start("run", "robot.toml", f"--for={seconds}", cwd=where)
-    _, told = process.communicate(timeout=20)
+    monkeypatch.chdir(where)
 
-    assert process.returncode == 2
-    assert "--for: expected seconds > 0" in told
+    assert esair_command("run", "robot.toml", f"--for={seconds}") == 2
+    assert "--for: expected seconds > 0" in capsys.readouterr().err
     assert not (where / "log.jsonl").exists()
