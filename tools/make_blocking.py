@@ -25,7 +25,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
 from esair.actions._waiting import in_loop, next_of
-from esair.connections import ActuatorPort, SensorPort
+from esair.connections import ActuatorPort, Port, SensorPort
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
 from esair.messages import Reading, Refused, ResourceState, Why, Written
@@ -64,16 +64,26 @@ A = TypeVar("A")
 T = TypeVar("T")
 '''
 
-PORT = '''
+BASE = '''
 
-class Blocking{cls}(Generic[T]):
-    """A `{cls}` for a behavior with a plain ``run``: the thread waits."""
+class BlockingPort(Generic[T]):
+    """A `Port` for a behavior with a plain ``run``: the thread waits."""
 
     __slots__ = ("_port", "_portal")
 
-    def __init__(self, port: {cls}[T], portal: Portal) -> None:
+    def __init__(self, port: Port[T], portal: Portal) -> None:
         self._port = port
         self._portal = portal
+'''
+
+PORT = '''
+
+class Blocking{cls}(BlockingPort[T]):
+    """A `{cls}` for a behavior with a plain ``run``: the thread waits."""
+
+    __slots__ = ()
+
+    _port: {cls}[T]
 '''
 
 ITERATION = '''
@@ -171,10 +181,10 @@ def method(node: ast.FunctionDef | ast.AsyncFunctionDef, *, of_port: bool) -> st
 
 def made() -> dict[str, str]:
     """Return the text of each module, by its name."""
-    ports = [PORTS, PORT.format(cls="SensorPort")]
-    ports += port_methods("SensorPort")
+    ports = [PORTS, BASE, *port_methods("_port.py", "Port")]
+    ports += [PORT.format(cls="SensorPort"), *port_methods("_ports.py", "SensorPort")]
     ports += [ITERATION, PORT.format(cls="ActuatorPort")]
-    ports += port_methods("ActuatorPort")
+    ports += port_methods("_ports.py", "ActuatorPort")
     behavior = [HEADER, BEHAVIOR]
     behavior += [
         method(each, of_port=False)
@@ -186,11 +196,10 @@ def made() -> dict[str, str]:
     }
 
 
-def port_methods(cls: str) -> list[str]:
+def port_methods(module: str, cls: str) -> list[str]:
     """Return the methods of a port that waits."""
-    return [
-        method(each, of_port=True) for each in methods("connections/_ports.py", cls)
-    ]
+    found = methods(f"connections/{module}", cls)
+    return [method(each, of_port=True) for each in found]
 
 
 def formatted(text: str) -> str:

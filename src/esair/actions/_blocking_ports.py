@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
 from esair.actions._waiting import in_loop, next_of
-from esair.connections import ActuatorPort, SensorPort
+from esair.connections import ActuatorPort, Port, SensorPort
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
 from esair.messages import Reading, Refused, ResourceState, Why, Written
@@ -25,24 +25,78 @@ def blocking(port: Any, portal: Portal) -> Any:
     return kind(port, portal)
 
 
-class BlockingSensorPort(Generic[T]):
-    """A `SensorPort` for a behavior with a plain ``run``: the thread waits."""
+class BlockingPort(Generic[T]):
+    """A `Port` for a behavior with a plain ``run``: the thread waits."""
 
     __slots__ = ("_port", "_portal")
 
-    def __init__(self, port: SensorPort[T], portal: Portal) -> None:
+    def __init__(self, port: Port[T], portal: Portal) -> None:
         self._port = port
         self._portal = portal
+
+    @property
+    def resource(self) -> str:
+        """The name of the device."""
+        return self._port.resource
+
+    def configure(self, **settings: Any) -> None:
+        """Change settings of the device: all of them, or none.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``.
+            BadValueError: A setting is unknown, or a value is not allowed.
+        """
+        self._portal.call(self._port.configure, **settings)
+
+    def operate(self, name: str, /, **parameters: Any) -> Any:
+        """Call an operation of the device, such as ``home``, and wait for its outcome.
+
+        Args:
+            name: The name of the operation.
+            **parameters: What it takes, by name; checked before anything is done.
+
+        Returns:
+            What the operation returns.
+
+        Raises:
+            AccessDeniedError: The port was not declared with ``configure=True``, or
+                somebody else holds the actuator.
+            UnknownNameError: There is no such operation.
+            BadValueError: A parameter is unknown, missing, or not allowed.
+            HaltedError: The robot is halted.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+            DriverStuckError: It did not end within its deadline.
+        """
+        return self._portal.call(self._port.operate, name, **parameters)
+
+    @property
+    def operations(self) -> Mapping[str, Operation]:
+        """What can be called by `operate`, by name, with its parameters."""
+        return self._port.operations
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The current settings of the device."""
+        return self._port.settings
+
+    @property
+    def state(self) -> ResourceState:
+        """What the device is doing."""
+        return self._port.state
+
+
+class BlockingSensorPort(BlockingPort[T]):
+    """A `SensorPort` for a behavior with a plain ``run``: the thread waits."""
+
+    __slots__ = ()
+
+    _port: SensorPort[T]
 
     @property
     def max_age(self) -> float:
         """The greatest age of a reading unless a call says otherwise, in seconds."""
         return self._port.max_age
-
-    @property
-    def resource(self) -> str:
-        """The name of the sensor."""
-        return self._port.resource
 
     def read(
         self,
@@ -99,51 +153,6 @@ class BlockingSensorPort(Generic[T]):
         """Return the last readings, the oldest first; at most `history_size` of them."""
         return self._portal.call(in_loop, self._port.history, count)
 
-    def configure(self, **settings: Any) -> None:
-        """Change settings of the sensor: all of them, or none.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``.
-            BadValueError: A setting is unknown, or a value is not allowed.
-        """
-        self._portal.call(self._port.configure, **settings)
-
-    def operate(self, name: str, /, **parameters: Any) -> Any:
-        """Call an operation of the sensor, such as ``home``, and wait for its outcome.
-
-        Args:
-            name: The name of the operation.
-            **parameters: What it takes, by name; checked before anything is done.
-
-        Returns:
-            What the operation returns.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``.
-            UnknownNameError: There is no such operation.
-            BadValueError: A parameter is unknown, missing, or not allowed.
-            HaltedError: The robot is halted.
-            DeviceLostError: The device is not there.
-            DeviceFaultError: The device answered wrongly.
-            DriverStuckError: It did not end within its deadline.
-        """
-        return self._portal.call(self._port.operate, name, **parameters)
-
-    @property
-    def operations(self) -> Mapping[str, Operation]:
-        """What can be called by `operate`, by name, with its parameters."""
-        return self._port.operations
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """The current settings of the sensor."""
-        return self._port.settings
-
-    @property
-    def state(self) -> ResourceState:
-        """What the sensor is doing."""
-        return self._port.state
-
     def __iter__(self) -> Iterator[T]:
         """Yield each new value; a slow reader misses some and gets the newest."""
         values = self._port._values()  # noqa: SLF001 - the same port, for a thread
@@ -155,19 +164,12 @@ class BlockingSensorPort(Generic[T]):
                 self._portal.call(values.aclose)
 
 
-class BlockingActuatorPort(Generic[T]):
+class BlockingActuatorPort(BlockingPort[T]):
     """A `ActuatorPort` for a behavior with a plain ``run``: the thread waits."""
 
-    __slots__ = ("_port", "_portal")
+    __slots__ = ()
 
-    def __init__(self, port: ActuatorPort[T], portal: Portal) -> None:
-        self._port = port
-        self._portal = portal
-
-    @property
-    def resource(self) -> str:
-        """The name of the actuator."""
-        return self._port.resource
+    _port: ActuatorPort[T]
 
     def write(self, command: T, *, hold: float | None = None) -> Written[T] | Refused:
         """Send a command, and hold the actuator for a while.
@@ -202,49 +204,3 @@ class BlockingActuatorPort(Generic[T]):
     def why(self) -> Why:
         """Tell who holds the actuator, by which rule, and what would free it."""
         return self._portal.call(in_loop, self._port.why)
-
-    def configure(self, **settings: Any) -> None:
-        """Change settings of the actuator: all of them, or none.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``.
-            BadValueError: A setting is unknown, or a value is not allowed.
-        """
-        self._portal.call(self._port.configure, **settings)
-
-    def operate(self, name: str, /, **parameters: Any) -> Any:
-        """Call an operation of the actuator, such as ``home``, and wait for its outcome.
-
-        Args:
-            name: The name of the operation.
-            **parameters: What it takes, by name; checked before anything is done.
-
-        Returns:
-            What the operation returns.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``, or
-                somebody else holds the actuator.
-            UnknownNameError: There is no such operation.
-            BadValueError: A parameter is unknown, missing, or not allowed.
-            HaltedError: The robot is halted.
-            DeviceLostError: The device is not there.
-            DeviceFaultError: The device answered wrongly.
-            DriverStuckError: It did not end within its deadline.
-        """
-        return self._portal.call(self._port.operate, name, **parameters)
-
-    @property
-    def operations(self) -> Mapping[str, Operation]:
-        """What can be called by `operate`, by name, with its parameters."""
-        return self._port.operations
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """The current settings of the actuator."""
-        return self._port.settings
-
-    @property
-    def state(self) -> ResourceState:
-        """What the actuator is doing."""
-        return self._port.state

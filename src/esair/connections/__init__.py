@@ -11,6 +11,7 @@ from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._follower import Follower
 from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
 from esair.connections._held_device import BeingReplacedError
+from esair.connections._port import Port
 from esair.connections._ports import ActuatorPort, SensorPort
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._registrations import Registration, Registrations
@@ -39,6 +40,7 @@ __all__ = [
     "Halting",
     "LastCommand",
     "Method",
+    "Port",
     "Protection",
     "Protections",
     "Registration",

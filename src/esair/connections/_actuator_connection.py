@@ -6,7 +6,8 @@ from typing import Any
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
-from esair.connections._ports import ActuatorPort, Control, way_of
+from esair.connections._port import Control
+from esair.connections._ports import ActuatorPort, way_of
 from esair.connections._protection import Protections
 from esair.connections._registrations import Registration
 from esair.exceptions import UnknownNameError

@@ -10,34 +10,22 @@ from collections.abc import (
     Generator,
     Mapping,
 )
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from esair.connections._actuator_channel import ActuatorChannel
+from esair.connections._port import Control, Port, run_ended
 from esair.connections._registrations import Registration
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.exceptions import EsairError, NotRegisteredError, UnknownNameError
-from esair.loop import WRITE_COST, Budget, current_owner, speaks_for_nobody
-from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
-from esair.resources import Operation
+from esair.loop import WRITE_COST, Budget, current_owner
+from esair.messages import Answer, Reading, Refused, Why, Written
 from esair.values import check_duration
 
 T = TypeVar("T")
 C = TypeVar("C", SensorChannel, ActuatorChannel)
 
 
-class Control(Protocol):
-    """The resource supervisor: the control path of a port."""
-
-    async def configure(self, registration: Registration, /, **settings: Any) -> None:
-        """Change settings of a resource."""
-
-    async def operate(
-        self, registration: Registration, name: str, /, **parameters: Any
-    ) -> Any:
-        """Call an operation of a resource."""
-
-
-class SensorPort(Generic[T]):
+class SensorPort(Port[T]):
     """The way of one action to one sensor.
 
     Attributes:
@@ -47,7 +35,9 @@ class SensorPort(Generic[T]):
             seconds; the sensor's own limit unless given, infinite if it has none.
     """
 
-    __slots__ = ("_budget", "_channel", "_control", "_max_age", "registration")
+    __slots__ = ("_max_age",)
+
+    _channel: SensorChannel
 
     def __init__(
         self,
@@ -56,26 +46,13 @@ class SensorPort(Generic[T]):
         max_age: float | None,
         control: Control,
     ) -> None:
-        self._channel = channel
-        self.registration = registration
+        super().__init__(channel, registration, control)
         self._max_age = max_age
-        self._control = control
-        self._budget = Budget.of(asyncio.get_running_loop())
 
     @property
     def max_age(self) -> float:
         """The greatest age of a reading unless a call says otherwise, in seconds."""
         return self._channel.max_age if self._max_age is None else self._max_age
-
-    def revive(self, channel: Any, registration: Registration) -> None:
-        """Live again, with a sensor that has come back under the same name."""
-        self._channel = channel
-        self.registration = registration
-
-    @property
-    def resource(self) -> str:
-        """The name of the sensor."""
-        return self.registration.resource
 
     async def read(
         self,
@@ -189,58 +166,6 @@ class SensorPort(Generic[T]):
         """Return the last readings, the oldest first; at most `history_size` of them."""
         return self._channel.history(self.registration, count)
 
-    async def configure(self, **settings: Any) -> None:
-        """Change settings of the sensor: all of them, or none.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``.
-            BadValueError: A setting is unknown, or a value is not allowed.
-        """
-        if speaks_for_nobody():
-            raise _run_ended(self.registration)
-        await self._control.configure(self.registration, **settings)
-
-    async def operate(self, name: str, /, **parameters: Any) -> Any:
-        """Call an operation of the sensor, such as ``home``, and wait for its outcome.
-
-        Args:
-            name: The name of the operation.
-            **parameters: What it takes, by name; checked before anything is done.
-
-        Returns:
-            What the operation returns.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``.
-            UnknownNameError: There is no such operation.
-            BadValueError: A parameter is unknown, missing, or not allowed.
-            HaltedError: The robot is halted.
-            DeviceLostError: The device is not there.
-            DeviceFaultError: The device answered wrongly.
-            DriverStuckError: It did not end within its deadline.
-        """
-        if speaks_for_nobody():
-            raise _run_ended(self.registration)
-        return await self._control.operate(self.registration, name, **parameters)
-
-    @property
-    def operations(self) -> Mapping[str, Operation]:
-        """What can be called by `operate`, by name, with its parameters."""
-        return self._channel.sensor.operations
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """The current settings of the sensor."""
-        return self._channel.sensor.settings
-
-    @property
-    def state(self) -> ResourceState:
-        """What the sensor is doing."""
-        return self._channel.state
-
-    def __repr__(self) -> str:
-        return f"<port of {self.registration!r}>"
-
 
 class _Stream:
     """Keeps the newest reading for one loop over a port."""
@@ -280,32 +205,16 @@ class _Stream:
             self._waiting.set_result(None)
 
 
-class ActuatorPort(Generic[T]):
+class ActuatorPort(Port[T]):
     """The way of one action to one actuator.
 
     Attributes:
         registration: The right to write it.
     """
 
-    __slots__ = ("_budget", "_channel", "_control", "registration")
+    __slots__ = ()
 
-    def __init__(
-        self, channel: ActuatorChannel, registration: Registration, control: Control
-    ) -> None:
-        self._channel = channel
-        self.registration = registration
-        self._control = control
-        self._budget = Budget.of(asyncio.get_running_loop())
-
-    def revive(self, channel: Any, registration: Registration) -> None:
-        """Live again, with an actuator that has come back under the same name."""
-        self._channel = channel
-        self.registration = registration
-
-    @property
-    def resource(self) -> str:
-        """The name of the actuator."""
-        return self.registration.resource
+    _channel: ActuatorChannel
 
     async def write(
         self, command: T, *, hold: float | None = None
@@ -338,7 +247,7 @@ class ActuatorPort(Generic[T]):
             check_duration(self.resource, "hold", hold)
         owner = current_owner()
         if owner is not None and owner.over:
-            raise _run_ended(self.registration)
+            raise run_ended(self.registration)
         outcome = self._channel.begin(self.registration, command, hold)
         if type(outcome) is Written or isinstance(outcome, Answer):
             return outcome
@@ -356,59 +265,6 @@ class ActuatorPort(Generic[T]):
         """Tell who holds the actuator, by which rule, and what would free it."""
         return self._channel.why()
 
-    async def configure(self, **settings: Any) -> None:
-        """Change settings of the actuator: all of them, or none.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``.
-            BadValueError: A setting is unknown, or a value is not allowed.
-        """
-        if speaks_for_nobody():
-            raise _run_ended(self.registration)
-        await self._control.configure(self.registration, **settings)
-
-    async def operate(self, name: str, /, **parameters: Any) -> Any:
-        """Call an operation of the actuator, such as ``home``, and wait for its outcome.
-
-        Args:
-            name: The name of the operation.
-            **parameters: What it takes, by name; checked before anything is done.
-
-        Returns:
-            What the operation returns.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``, or
-                somebody else holds the actuator.
-            UnknownNameError: There is no such operation.
-            BadValueError: A parameter is unknown, missing, or not allowed.
-            HaltedError: The robot is halted.
-            DeviceLostError: The device is not there.
-            DeviceFaultError: The device answered wrongly.
-            DriverStuckError: It did not end within its deadline.
-        """
-        if speaks_for_nobody():
-            raise _run_ended(self.registration)
-        return await self._control.operate(self.registration, name, **parameters)
-
-    @property
-    def operations(self) -> Mapping[str, Operation]:
-        """What can be called by `operate`, by name, with its parameters."""
-        return self._channel.actuator.operations
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """The current settings of the actuator."""
-        return self._channel.actuator.settings
-
-    @property
-    def state(self) -> ResourceState:
-        """What the actuator is doing."""
-        return self._channel.state
-
-    def __repr__(self) -> str:
-        return f"<port of {self.registration!r}>"
-
 
 class _Done:
     """What is over: awaiting it only counts."""
@@ -418,13 +274,6 @@ class _Done:
 
 
 _DONE = _Done()
-
-
-def _run_ended(registration: Registration) -> NotRegisteredError:
-    """Make the error for a task that outlived its run and finds the port of the next."""
-    return NotRegisteredError(
-        registration.behavior, registration.resource, "this run of it has ended"
-    )
 
 
 def way_of(registration: object, channels: Mapping[str, C], kind: str) -> C:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from esair.abc import Connection
-from esair.connections._ports import Control, SensorPort, way_of
+from esair.connections._port import Control
+from esair.connections._ports import SensorPort, way_of
 from esair.connections._registrations import Registration
 from esair.connections._sensor_channel import SensorChannel
 from esair.exceptions import UnknownNameError
