@@ -29,6 +29,8 @@ That stands for these tables::
 
 Both sides send beats. When this computer's stay away, whatever it moved is safe on the
 board at once; when the board's do, its sensors and actuators are lost here.
+
+Source: `esair.boards.link`, which the board runs.
 """
 
 from __future__ import annotations

@@ -1,0 +1,39 @@
+"""The table that says how well each driver is tried is complete, and true."""
+
+import ast
+import importlib.metadata
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs/reference/drivers.md").read_text(encoding="utf-8")
+ROWS = re.findall(
+    r"^\| `(\w+)`[^|]*\| (yes|no) \| (yes|no) \| (yes|no) \| (yes|no) \|$", PAGE, re.M
+)
+MODULES = {
+    point.name: point.value
+    for point in importlib.metadata.entry_points(group="esair.drivers")
+    if point.value.startswith("esair.")
+} | {"feetech": "esair.drivers.servo.feetech"}
+
+
+def test_every_driver_has_a_row() -> None:
+    """Those that can be named in robot.toml."""
+    assert sorted(row[0] for row in ROWS) == sorted(MODULES)
+
+
+@pytest.mark.parametrize(("name", "source", "suite"), [row[:3] for row in ROWS])
+def test_a_row_says_what_is_there(name: str, source: str, suite: str) -> None:
+    """A docstring that names its source, and a contract suite of `esair.testing`."""
+    spec = importlib.util.find_spec(MODULES[name])
+    assert spec is not None
+    assert spec.origin is not None
+    doc = ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8")))
+    tests = ROOT / "tests/drivers" / f"test_{name}.py"
+    suites = tests.exists() and re.search(r"^class .*Contract", tests.read_text(), re.M)
+
+    assert ("yes" if "\nSource: " in (doc or "") else "no") == source
+    assert ("yes" if suites else "no") == suite
