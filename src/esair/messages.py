@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, Self, TypeVar
 import attrs
 
 from esair.exceptions import ConfigError
-from esair.values import check_name, is_positive
+from esair.values import as_path, check_name, is_positive
 
 if TYPE_CHECKING:
-    from os import PathLike
     from pathlib import Path
 
 T = TypeVar("T")
@@ -470,12 +469,6 @@ class Page:
         return self.host in {"127.0.0.1", "::1", "localhost"}
 
 
-def _path(path: str | PathLike[str]) -> Path:
-    from pathlib import Path  # it loads a lot that only a recording needs
-
-    return Path(path)
-
-
 @attrs.frozen
 class Recording:
     """What a robot records, and within which bounds.
@@ -488,7 +481,7 @@ class Recording:
         segment: How many bytes one segment may have.
     """
 
-    path: Path = attrs.field(converter=_path)
+    path: Path = attrs.field(converter=as_path)
     max_bytes: int = attrs.field(default=1 << 30, kw_only=True)
     min_free: int = attrs.field(default=1 << 28, kw_only=True)
     segment: int = attrs.field(default=1 << 26, kw_only=True)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import inspect
 import numbers
+import os
 import re
 import sys
 import types
 import typing
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import BadValueError, ConfigError
 from esair.exceptions import printable as printable
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,62}\Z")
 
@@ -31,6 +35,13 @@ def check_name(kind: str, name: object) -> str:
         "name",
         "expected a lower-case letter, then letters, digits or '_', 63 at most",
     )
+
+
+def as_path(path: str | os.PathLike[str]) -> Path:
+    """Return a path; what it is made of is loaded by those who need one."""
+    from pathlib import Path
+
+    return Path(path)
 
 
 def is_positive(value: object) -> bool:

@@ -209,3 +209,13 @@ def test_modules_are_searched_beside_the_file_only_while_loading(project) -> Non
     config.load(project.write())
 
     assert sys.path == before
+
+
+def test_paths_of_the_robot_begin_in_the_folder_of_the_file(project) -> None:
+    """Also where the class imports `Path` for type checkers only."""
+    path = project.write('[record]\npath = "runs/one.mcap"\n')
+
+    assert config.load(path).robot["record"].path == path.parent / "runs/one.mcap"
+
+    project.write("[page]\ncertificate = 3\n")
+    assert "expected a path, not 3" in project.mistakes()["page.certificate"]

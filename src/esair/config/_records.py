@@ -6,9 +6,13 @@ import dataclasses
 import inspect
 import typing
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import attrs
+
+_KNOWN: Final = {"Path": Path}
+"""What many import for type checkers only, and is a path here all the same."""
 
 
 @attrs.frozen
@@ -80,6 +84,6 @@ def _resolved(hint: object, holder: object) -> Any:
     if not isinstance(hint, str):
         return hint
     try:
-        return eval(hint, dict(vars(inspect.getmodule(holder))))
+        return eval(hint, {**_KNOWN, **vars(inspect.getmodule(holder))})
     except Exception:  # as above, but for this name only
         return Any
