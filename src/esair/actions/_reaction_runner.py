@@ -411,13 +411,14 @@ class ReactionRunner:
             clock.tell()
         stepping = self._stepping
         stepping.owner = self._owner
+        react = self._react  # by itself: see the scheduler
         try:
             if not self._by_place:
-                result = self._react(**self.readings())
+                result = react(**self.readings())
             elif self._is_alone:
-                result = self._react(self.values[0])
+                result = react(self.values[0])
             else:
-                result = self._react(*self.values)
+                result = react(*self.values)
         except BaseException as error:  # contained: one component's failure
             self._crash(error)
             return

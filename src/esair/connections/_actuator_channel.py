@@ -216,7 +216,8 @@ class ActuatorChannel(HeldDevice):
         """
         if not (registration.usable and self._accepts):
             return self._turned_away(registration, command)
-        now = self._time()
+        time = self._time  # by itself: called in place it is sought as a method
+        now = time()
         journal = self._journal
         if journal.heard:
             journal.publish(Kind.COMMAND, self.name, registration.behavior, command)
@@ -236,8 +237,8 @@ class ActuatorChannel(HeldDevice):
             and holder.behavior != registration.behavior
         ):
             return self._refused(registration, holder)
-        asked = command
-        command = self._checked(command)
+        asked, checked = command, self._checked
+        command = checked(command)
         if self._busy:
             return self._when_idle(registration, command, hold)
         if self.watch is not None and not self.watch.may_move():

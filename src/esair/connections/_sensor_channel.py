@@ -325,7 +325,8 @@ class SensorChannel(SensorDevice):
 
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""
-        now = time = self.time()
+        clock, check = self.time, self._check_value  # by themselves: see the ports
+        now = time = clock()
         wrong: str | None = None
         if type(value) is Stamped:
             measured = measured_at(value, now)
@@ -334,7 +335,7 @@ class SensorChannel(SensorDevice):
             else:
                 time = measured
             value = value.value
-        wrong = wrong or self._check_value(value)
+        wrong = wrong or check(value)
         if wrong is not None:
             self.bad += 1
         elif self._frozen is not None:
