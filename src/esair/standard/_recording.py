@@ -6,6 +6,7 @@ import asyncio
 import logging
 import os.path
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import ConfigError, RecordingError, describe
@@ -123,7 +124,9 @@ class Keeping:
         loop = asyncio.get_running_loop()
         if isinstance(loop, TurnLoop):
             loop.keep(None)
-        await asyncio.to_thread(self.recorder.close)
+        # No thread is left behind, as one of the loop's own would be.
+        with ThreadPoolExecutor(1, "esair-recorder-end") as last:
+            await loop.run_in_executor(last, self.recorder.close)
 
 
 def _program() -> str:
