@@ -89,7 +89,21 @@ class Wheels(FakeActuator[float]):
 
     @property
     def can_be_told(self) -> bool:
-        return self._faults.plugged and self._faults._go.is_set()
+        faults = self._faults
+        return faults.plugged and faults._go.is_set() and not self.is_odd
+
+    @property
+    def answers(self) -> bool:
+        """Whether each call ends well, and before its deadline."""
+        faults = self._faults
+        in_time = faults.delay + faults.ack < self.deadline
+        return faults.plugged and faults._go.is_set() and in_time
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether it takes its time, or swallows cancellations."""
+        faults = self._faults
+        return bool(faults.delay or faults.ack or faults.deaf)
 
 
 class Worker(esair.Behavior):
@@ -135,6 +149,9 @@ class SupervisorMachine(RuleBasedStateMachine):
 
     configured = 0
     """How many changes of settings have succeeded, in all examples."""
+
+    late = 0
+    """How many driver calls have outlived their deadline, or their caller."""
 
     @initialize(seed=st.integers(0, 2**16))
     def start(self, seed: int) -> None:
@@ -384,6 +401,20 @@ class SupervisorMachine(RuleBasedStateMachine):
             self.loop.call_soon(getattr(self.resources[name], what))
             self.settle()
 
+    @rule(
+        name=st.sampled_from(["wheels", "sonar"]),
+        seconds=st.sampled_from([0.0, 0.03, 0.4, 1.7]),
+        acknowledge=st.sampled_from([0.0, 0.4, 1.7]),
+        swallows=st.sampled_from([0, 0, 1, 3]),
+    )
+    def slow(
+        self, name: str, seconds: float, acknowledge: float, swallows: int
+    ) -> None:
+        """A device that answers late, after its command has landed, or past a deadline."""
+        if name in self.resources:
+            self.resources[name].slow(seconds, acknowledge=acknowledge)
+            self.resources[name].swallow(swallows)
+
     @rule(seconds=st.sampled_from([0.01, 0.1, 0.3, 1.0, 6.0]))
     def wait(self, seconds: float) -> None:
         self.run(asyncio.sleep(seconds))
@@ -393,7 +424,7 @@ class SupervisorMachine(RuleBasedStateMachine):
 
     def works(self, device: Wheels) -> bool:
         """Whether the wheels can be told anything, and esair knows it."""
-        return bool(device.can_be_told and self.robot._resources.is_ready("wheels"))
+        return bool(device.answers and self.robot._resources.is_ready("wheels"))
 
     def state(self, name: str) -> esair.BehaviorState:
         return self.robot.behaviors.query(name).state
@@ -538,7 +569,13 @@ class SupervisorMachine(RuleBasedStateMachine):
                 await asyncio.sleep(5.0)
                 return asyncio.all_tasks() - {asyncio.current_task()}
 
+            for channel in self.robot.actuators.channels.values():
+                type(self).late += channel.calls.late
+            last = list(wheels.commands) if wheels is not None else []
+            answered = all(told.answered for told in self.robot.stopped)
             assert self.run(left()) == set()
+            if wheels is not None and answered:
+                assert wheels.commands == last, "something landed after the stop"
             assert self.problems == []
         finally:
             self.loop.close()
@@ -560,3 +597,4 @@ def test_the_supervisors_follow_their_model(request: pytest.FixtureRequest) -> N
         ),
     )
     assert SupervisorMachine.configured > 0  # the rule is more than its refusals
+    assert SupervisorMachine.late > 0
