@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import math
 import re
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -40,6 +41,7 @@ from esair.exceptions import (
     DriverStuckError,
     describe,
 )
+from esair.loop import now
 from esair.resources import Actuator, Resource, Sensor
 
 __all__ = ["AdafruitActuator", "AdafruitBus", "AdafruitSensor"]
@@ -66,6 +68,11 @@ class AdafruitBus:
         self._bus = bus
         self.transfers = 0
         """How many have been made."""
+        self.until = math.inf
+        """When no more are made, in the robot's time: the call has no time left.
+
+        So a driver that waits for its part without end comes to one.
+        """
 
     def __enter__(self) -> AdafruitBus:
         return self
@@ -133,6 +140,10 @@ class AdafruitBus:
 
     def _transfer(self, address: int, write: bytes, read: int) -> bytes:
         self.transfers += 1
+        if now() > self.until:
+            raise TimeoutError(
+                f"{self._bus.name}: the call of the driver took too long"
+            )
         return self._bus.direct(
             lambda link: transfer(link, address, write, read), address=address
         )
@@ -162,6 +173,7 @@ class _Part:
         if address is not None:
             self._arguments["address"] = address
         self._made: Any = None
+        self._wire: AdafruitBus | None = None
         self.set_up = {
             path: (_attribute(owner, f"set_up.{path}", path), value)
             for path, value in (set_up or {}).items()
@@ -171,9 +183,9 @@ class _Part:
     def open(self) -> None:
         bus = i2c_bus(self._owner)
         self._made = None
+        wire = self._wire = AdafruitBus(bus)
         with self.alone():
             try:
-                wire = AdafruitBus(bus)
                 self._made = self._make(wire, **self._arguments)
                 for pieces, value in self.set_up.values():
                     self.assign(pieces, value)
@@ -227,6 +239,8 @@ class _Part:
                 self._owner.name, "an Adafruit driver on another bus", patience
             )
         try:
+            if self._wire is not None:
+                self._wire.until = now() + self._owner.deadline
             yield
         finally:
             _one_at_a_time.release()
