@@ -67,3 +67,18 @@ def test_the_stop_closes_what_an_addition_in_vain_undoes() -> None:
             Step(1.788, "end", how="error"),
         ],
     )
+
+
+@pytest.mark.promise("ROB-6")
+def test_deadlines_of_a_stop_do_not_add_up() -> None:
+    """A deaf behavior, then a silent device twice: longer than `esair.run` waits."""
+    survive(
+        f"{EXAMPLES / 'wander_and_avoid.py'}:robot",
+        lasts=3.087,
+        steps=[
+            Step(1.5, "held up", much=2),
+            Step(1.8, "silent", "wheels", lasts=4),
+            Step(2.8, "hang", "wander", lasts=4, how="deaf"),
+            Step(2.8, "replace", "avoid"),
+        ],
+    )

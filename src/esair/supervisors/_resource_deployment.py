@@ -42,6 +42,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+STOP_WITHIN = 1.8
+"""How long a stop may take beside the grace period until all is closed, in seconds:
+less than `run` has, for what cannot be hurried."""
+
 
 class ResourceDeployment:
     """The resources of one robot: it starts and stops them, RS adds and removes some.
@@ -82,6 +86,7 @@ class ResourceDeployment:
         )
         sensors.control = actuators.control = self.control
         self._grace = grace
+        self._stops_since = math.inf
         self._departures: dict[str, asyncio.Future[None]] = {}
         self._works: set[asyncio.Task[Any]] = set()
         self.left: set[Call] = set()
@@ -383,7 +388,8 @@ class ResourceDeployment:
         self.commands.initialized()
 
     def latch(self) -> None:
-        """Let nothing but safe commands leave from now on, and revoke all rights."""
+        """The robot stops: let nothing but safe commands leave, and revoke all rights."""
+        self._stops_since = asyncio.get_running_loop().time()
         for registration in self.registrations:
             self.registrations.revoke(
                 registration, lambda: StoppingError("robot", "stopping")
@@ -424,11 +430,13 @@ class ResourceDeployment:
         """Close every device, all at the same time; each has a deadline."""
         self.control.closed = True
         await self.commands.close()
-        until = self.deadline()
+        # Deadlines do not add up: what comes last has what is left.
+        until = min(self.deadline(), self._stops_since + self._grace + STOP_WITHIN)
         for task in tuple(self._works):
             task.cancel()
         if self._works:
-            await asyncio.wait(tuple(self._works), timeout=self._grace)
+            left = max(0.0, until - asyncio.get_running_loop().time())
+            await asyncio.wait(tuple(self._works), timeout=left)
         closed = ResourceState.CLOSED
         await asyncio.gather(
             *(self._undeploy(name, closed, until) for name in tuple(self.lives))
