@@ -135,9 +135,13 @@ def _writes(action: Any) -> bool:
 # Devices.
 
 
-def _until(world: World, step: Step, gate: Any) -> float:
+def _until(world: World, step: Step, gate: Any, more: float = 0.0) -> float:
+    """Note until when a device is at fault; those behind it in the thread of its bus too."""
     until = world.now + step.lasts
-    gate.faulty = max(gate.faulty, until)
+    for each in world.gates:
+        shares = gate.in_thread and each.in_thread and gate.resource.bus is not None
+        if each is gate or (shares and each.resource.bus is gate.resource.bus):
+            each.faulty = max(each.faulty, until + more)
     return until
 
 
@@ -171,8 +175,7 @@ def silent(world: World, step: Step) -> None:
 def late(world: World, step: Step) -> None:
     """Each call takes so long, before the device has it, or after."""
     gate = world.gate(step.target)
-    gate.late = _until(world, step, gate)
-    gate.faulty += 2 * step.much
+    gate.late = _until(world, step, gate, 2 * step.much)
     gate.before = step.much if step.how.startswith("before") else 0.0
     gate.after = step.much - gate.before
     gate.deaf = step.how.endswith("deaf")
