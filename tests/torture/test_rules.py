@@ -122,6 +122,19 @@ def test_a_thread_that_hangs_hears_no_end_and_is_no_finding() -> None:
     assert dead == pytest.approx(1.0 + Wheels.command_timeout, abs=0.06)
 
 
+@pytest.mark.parametrize(
+    ("lasts", "step"),
+    [
+        (6.607, Step(5.6, "late", "battery", lasts=1.0, how="before", much=0.3)),
+        (1.3, Step(1.0, "silent", "air", lasts=4.0)),
+    ],
+)
+def test_a_device_may_hold_up_the_thread_of_its_bus(lasts: float, step: Step) -> None:
+    """What shares it waits behind, as on a real bus that hangs."""
+    target = Target.of(str(HERE.parents[1] / "docs" / "code" / "ventilation.toml"))
+    assert World(target, Story(0, (step,), lasts)).run().violations == ()
+
+
 class Odometry(esair.Derived[float]):
     sonar = esair.reads(float)
 
@@ -145,6 +158,14 @@ def test_a_robot_that_does_not_start_is_tried_once() -> None:
     report = torture(target, seed=0, faults=100)
     assert report.stories == 1
     assert [each.violation.rule for each in report.findings] == ["start"]
+
+
+def test_an_interrupt_ends_the_search_after_its_story() -> None:
+    """What was found until then is told; the next interrupt is Python's again."""
+    target = Target("robot", threaded)
+    report = torture(target, seed=0, told=lambda _: signal.raise_signal(signal.SIGINT))
+    assert (report.stories, report.interrupted) == (1, True)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 class Unknown:

@@ -7,6 +7,8 @@ import gc
 import io
 import itertools
 import logging
+import signal
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -62,6 +64,7 @@ class Report:
         speechless: The sensors whose stand-ins had nothing to say, and why: nobody has
             seen what the robot makes of their readings.
         seconds: How long it took.
+        interrupted: Whether Ctrl-C has ended it.
     """
 
     seed: int
@@ -72,6 +75,7 @@ class Report:
     findings: list[Finding] = attrs.Factory(list)
     speechless: dict[str, str] = attrs.Factory(dict)
     seconds: float = 0.0
+    interrupted: bool = False
 
     @property
     def faults(self) -> int:
@@ -92,7 +96,8 @@ def torture(
     """Do everything to a robot that can go wrong, and judge it.
 
     First nothing is done to it; then stories that do one thing for long, each of them
-    once, and random ones are told in turn. What is found is shrunk at once.
+    once, and random ones are told in turn. What is found is shrunk at once. Ctrl-C ends
+    it after the story that is being told; a second one at once.
 
     Args:
         target: Whose robot.
@@ -106,14 +111,14 @@ def torture(
     report = Report(seed)
     began = time.monotonic()
     known: set[tuple[str, str]] = set()
-    with _quietly():
+    with _quietly(), _interruptible(report):
         for story in _stories(target, seed, checks):
             outcome = World(target, story, checks).run()
             _count(report, outcome)
             for violation in outcome.violations:
                 if violation.key not in known and len(report.findings) < findings:
                     known.add(violation.key)
-                    finding = _shrunk(target, story, violation, checks)
+                    finding = _shrunk(target, story, violation, checks, report)
                     if finding is not None:
                         report.findings.append(finding)
                         known |= outcome.keys
@@ -123,7 +128,7 @@ def torture(
                 break  # nothing can be done to a robot that does not start
             over = seconds is not None and report.seconds >= seconds
             enough = faults is not None and report.faults >= faults
-            if over or enough or len(report.findings) >= findings:
+            if report.interrupted or over or enough or len(report.findings) >= findings:
                 break
             if not report.stories % COLLECT:
                 gc.collect()
@@ -156,7 +161,11 @@ def _count(report: Report, outcome: Outcome) -> None:
 
 
 def _shrunk(
-    target: Target, story: Story, violation: Violation, checks: tuple[Check, ...]
+    target: Target,
+    story: Story,
+    violation: Violation,
+    checks: tuple[Check, ...],
+    report: Report,
 ) -> Finding | None:
     """Return the finding with its shortest story; None if it was none."""
     if violation.rule == "queue":
@@ -165,6 +174,8 @@ def _shrunk(
             return None  # it has a bound, which is further away
 
     def shows(other: Story) -> bool:
+        if report.interrupted:
+            return False  # it stays as long as it is
         return violation.key in World(target, other, checks).run().keys
 
     if violation.rule != "holds":  # that takes real time
@@ -193,6 +204,25 @@ def _quietly() -> Iterator[None]:
             yield
     finally:
         log.setLevel(level)
+
+
+@contextlib.contextmanager
+def _interruptible(report: Report) -> Iterator[None]:
+    """Let the first Ctrl-C end the search in order."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def interrupted(*_: object) -> None:
+        report.interrupted = True
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, interrupted)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _Nowhere(io.TextIOBase):
