@@ -15,7 +15,6 @@ from esair.drivers.camera import Camera
 from esair.drivers.servo import ServoBus
 from esair.drivers.servo.turning import ServoVelocity
 
-WIDTH, HEIGHT = 320, 240
 GAIN = 2.0  # rad/s for what is at the edge
 ENOUGH = 0.002  # of all pixels
 
@@ -53,7 +52,7 @@ def make_robot(camera: Camera, bus: ServoBus) -> esair.Robot:
 device, port = (
     sys.argv[1:3] if __name__ == "__main__" else ("/dev/video0", "/dev/ttyS0")
 )
-camera = Camera(name="eye", device=device, width=WIDTH, height=HEIGHT)
+camera = Camera(name="eye", device=device, width=320, height=240)
 robot = make_robot(camera, ServoBus(name="line", port=port))
 
 if __name__ == "__main__":
