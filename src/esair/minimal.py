@@ -40,26 +40,18 @@ _EMPTY: "dict[str, Any]" = {}
 # Moments are whole milliseconds that wrap, on boards at this or a multiple of it.
 _MASK = const(0x3FFFFFFF)
 _HALF = const(0x20000000)
+_NEVER = const(-0x20000001)
 
-if hasattr(time, "ticks_ms"):
-    _ticks = time.ticks_ms
-    _sleep = time.sleep_ms  # type: ignore[attr-defined]
-else:
-
-    def _ticks() -> int:
-        return time.monotonic_ns() // 1000000
-
-    def _sleep(ticks: int) -> None:
-        time.sleep(ticks / 1000)
+_ticks = getattr(time, "ticks_ms", None) or (lambda: time.monotonic_ns() // 1000000)
+_sleep = getattr(time, "sleep_ms", None) or (lambda ticks: time.sleep(ticks / 1000))
 
 
 class Need:
     """What a reaction declares to use, as a class attribute."""
 
-    def __init__(self, type: "Any", name: "str | None", configure: bool) -> None:
-        self.type = type
-        self.name = name
-        self.configure = configure
+    type: "Any"
+    name: "str | None"
+    configure = False
 
 
 class Reads(Need):
@@ -74,10 +66,8 @@ class Reads(Need):
         optional: bool = False,
         configure: bool = False,
     ) -> None:
-        Need.__init__(self, type, name, configure)
-        self.max_age = max_age
-        self.every = every
-        self.optional = optional
+        self.type, self.name, self.configure = type, name, configure
+        self.max_age, self.every, self.optional = max_age, every, optional
 
 
 class Writes(Need):
@@ -92,10 +82,8 @@ class Writes(Need):
         blind: "Literal['safe', 'release']" = "safe",
         configure: bool = False,
     ) -> None:
-        Need.__init__(self, type, name, configure)
-        self.priority = priority
-        self.hold = hold
-        self.blind = blind
+        self.type, self.name, self.configure = type, name, configure
+        self.priority, self.hold, self.blind = priority, hold, blind
 
 
 class Guards(Need):
@@ -108,9 +96,7 @@ class Guards(Need):
         priority: int = 0,
         latch: bool = False,
     ) -> None:
-        Need.__init__(self, type, name, False)
-        self.priority = priority
-        self.latch = latch
+        self.type, self.name, self.priority, self.latch = type, name, priority, latch
 
 
 reads = Reads
@@ -212,15 +198,13 @@ class _Input:
     Attributes:
         due: Whether it is read in this step.
         value: What it has given last.
-        time: When that was; None before.
+        time: When that was; negative before the first.
     """
 
     def __init__(self, loop: "Any", part: "Any") -> None:
-        self.due = True
+        self.time, self.due = _NEVER, True
         self.value: "Any" = None
-        self.time: "int | None" = None
-        self.name = part.name
-        self.read = part.read
+        self.name, self.read = part.name, part.read
         loop.pace(self, part.rate)
 
 
@@ -236,10 +220,7 @@ class _Port:
     def __init__(self, task: "Any", key: str, need: "Any", output: "Any") -> None:
         self.time = -1
         self.command: "Any" = None
-        self.task = task
-        self.key = key
-        self.output = output
-        self.name = task.name
+        self.task, self.key, self.output, self.name = task, key, output, task.name
         self.priority = need.priority
         self.hold = _ms(need.hold) if need.hold else output.timeout
         self.bars = need.blind != "release"
@@ -250,40 +231,44 @@ class _Task:
 
     Attributes:
         due: Whether it is its turn in this step; None to run whenever there is news.
-        guards: Of a guard: its declaration, the key of it, and the output.
+        ports: What it writes, by attribute.
+        values: What it reads, by attribute.
+        need: Of a guard: what it declares; `key` is its attribute, `output` what it
+            guards, `command` what it lets pass.
     """
 
     def __init__(self, loop: "Any", reaction: "Any") -> None:
         self.due: "bool | None" = None if reaction.rate is None else True
         self.blind = self.first = True
-        self.loop = loop
-        self.name = reaction.name
-        self.reaction = reaction
+        self.loop, self.reaction, self.name = loop, reaction, reaction.name
+        self.latched, self.saw = False, -1
         self.ports: "Any" = {}
         self.values: "Any" = {}
-        self.guards: "Any" = None
-        self.latched = False
+        self.need: "Any" = None
+        self.output: "Any" = None
+        self.now_ms = self.priority = 0
+        self.key = ""
         loop.pace(self, reaction.rate)
 
     def lose_sight(self) -> None:
-        """Be blind: whatever it moves is safe until it sees again."""
+        """Be blind: whatever it moves, or bars, is safe until it sees again."""
         self.blind = True
-        self.wake()
         for port in self.ports.values():
             port.time = -1
-            port.output.steady = None
+            port.output.lose(port)
+        if self.output:
+            self.output.review()
 
     def wake(self, **readings: "Any") -> None:
-        """Hear that there is news: a guard decides when there is a command."""
-        if self.guards:
-            self.guards[2].news = True
+        """Hear, as a guard, that there is news: it decides on what stands."""
+        self.output.news = True
 
     def share(self, command: "Any", now: int) -> None:
         """Ask for what a reaction has decided for each of its ports."""
         if command is None:
             command = _EMPTY
         for key in command:
-            port = self.ports[key]  # it raises for what is none of its ports
+            self.ports[key]  # it raises for what is none of its ports
         for key in self.ports:
             port = self.ports[key]
             port.command = command.get(key)
@@ -292,29 +277,30 @@ class _Task:
             elif port.output.holder is port:  # it gives it back at once
                 port.output.holder = port.output.steady = None
 
-    def passes(self, command: "Any", now: int) -> "Any":
+    def passes(self, command: "Any", moving: "Any") -> "Any":
         """Return what a guard lets pass of a command: None, or never more than it."""
-        need, key, output = self.guards
-        reaction, passed = self.reaction, None
-        if not self.latched:
-            try:
-                if self.blind:
-                    passed = reaction.blind(command)
-                else:
-                    if self.first:
-                        self.first = False
-                        reaction.now_ms = now
-                    reaction.elapsed_ms = now - reaction.now_ms
-                    reaction.now_ms = now
-                    self.values[key] = command
-                    passed = reaction.react(**self.values)
-                if passed is not None and not _within(passed, command, output.safe):
-                    raise ValueError("more than asked", passed)
-            except Exception as error:
-                passed = None
-                self.loop.note(self.name, error)
-            self.latched = need.latch and (passed is None or self.blind)
-        return passed
+        reaction, now = self.reaction, self.loop.now_ms
+        if self.latched:
+            return None
+        try:
+            if self.blind:
+                self.latched = self.need.latch and moving is not None
+                self.command = None if self.need.latch else reaction.blind(command)
+            else:
+                reaction.elapsed_ms = 0 if self.first else now - reaction.now_ms
+                reaction.now_ms, self.first = now, False
+                self.values[self.key] = command
+                self.command = reaction.react(**self.values)
+                self.latched = self.need.latch and self.command is None
+            if self.command is None or self.command is command:
+                return self.command
+            passed = self.output.checked(self)
+            if passed is None or _less(passed, command, self.output.safe) == passed:
+                return passed
+            raise ValueError("more than asked", passed)
+        except Exception as error:
+            self.loop.note(self.name, error)
+            return None
 
 
 class _Output:
@@ -333,80 +319,103 @@ class _Output:
     """
 
     def __init__(self, loop: "Any", part: "Any") -> None:
-        self.steady = self.last = None
+        self.steady = self.last = self.writer = self.asked = None
+        self.holder: "Any" = None
         self.written = 0
-        self.loop = loop
-        self.name = part.name
-        self.send = part.write
-        self.safe = part.safe
-        self.type = type(self.safe)
+        self.loop, self.name, self.send = loop, part.name, part.write
+        self.safe, self.type = part.safe, type(part.safe)
         self.timeout = _ms(part.command_timeout)
-        self.clamp = part.clamp
-        limits = part.limits or {}
+        self.clamp, limits = part.clamp, part.limits or {}
         self.limits = limits if isinstance(limits, dict) else {"": limits}
         self.ports: "Any" = []
         self.guards: "Any" = []
-        self.holder = self.writer = self.asked = None
+        self.single: "Any" = [0]
         self.news = self.bad = False
 
     def settle(self, now: int) -> None:
         """Do the will of the best who asks, if nobody holds it against them."""
-        loop, holder, writer = self.loop, self.holder, self.writer
-        best = self.steady = None
-        bar = _ENDLESS[not loop.armed]
-        for port in self.ports:
-            if best is None and port.time == now:
-                best = port
-            if port.bars and port.task.blind and port.priority > bar:
-                bar = port.priority
-        if holder and (holder.task.blind or now - self.written >= holder.hold):
-            holder = None
-        gone = writer and (
-            writer.task.blind
-            or writer.priority <= bar
-            or (not holder and bar > _ENDLESS[0])
-        )
-        if best:
-            if holder and best.priority <= holder.priority:
-                if holder.time == now:
-                    best = holder
-                else:
-                    bar = best.priority
-            if best.priority <= bar:
-                loop.refused += 1
-                best = None
-        late = writer and now - self.written >= self.timeout
-        if self.bad or (not best and (gone or late)):
-            self.make_safe(None if gone else holder)
+        if self.bad:
+            self.make_safe(self.holder)
             if self.bad:
                 return
+        loop, bar = self.loop, _ENDLESS[not self.loop.armed]
+        best: "Any" = None
+        still = False
+        holder, since = self.holder, now - self.written
+        if holder and since >= holder.hold:
+            holder = None
+        for port in self.ports:
+            if port.time == now and (
+                not best or (port is holder and port.priority == best.priority)
+            ):
+                best = port
+            if port.bars and (port.task.blind or port.task.saw == now):
+                still = True
+                if port.task.blind and port.priority > bar:
+                    bar = port.priority
+        if best and (
+            best.priority <= bar
+            or (holder and best is not holder and best.priority <= holder.priority)
+        ):
+            loop.refused += 1
+            best = None
         if best:
             command = self.checked(best)
             if command is None:
                 self.settle(now)
                 return
-            self.holder = self.writer = best
-            self.written = now
-            self.asked = command
-            if not self.guards:
+            self.holder, self.written, self.asked = best, now, command
+            self.review(best)
+            if self.writer and not self.guards:
                 self.steady = best
-        elif not (self.writer and self.news):
-            return
+        elif self.writer and (
+            since >= self.timeout
+            or (self.holder.priority <= bar if self.holder else bar > _ENDLESS[0])
+            or (still and not holder and self.holder)
+        ):
+            self.make_safe(holder)
+        elif self.news and self.writer:
+            self.review()
+
+    def review(self, best: "Any" = None) -> None:
+        """Send what the guards let pass: of a new command, or less of what stands."""
         self.news = False
+        writer = self.writer
+        if not (best or writer):
+            return
         command = self.asked
         for guard in self.guards:
             if command is not None:
-                command = guard.passes(command, now)
+                command = guard.passes(command, writer)
         if command is None:
-            loop.refused += best is not None
-            self.writer = None
-            if self.last is not self.safe:
+            self.loop.refused += best is not None
+            if writer:
                 self.make_safe(self.holder)
-        elif best or (
-            command != self.last and _within(command, self.last, self.safe)
-        ):  # what stands only gets less
-            self.last = command
+            return
+        if best:
+            self.writer = best
+        else:
+            command = _less(command, self.last, self.safe)
+            if command == self.last:
+                return
+        self.last = command
+        try:
             self.send(command)
+        except Exception as error:
+            self.loop.note(self.name, error)
+            self.make_safe()
+
+    def lose(self, port: "Any") -> None:
+        """Be safe if a port that is blind now has moved it, or bars who has."""
+        writer, self.steady = self.writer, None
+        if writer is port or (
+            port.bars
+            and writer
+            and (writer.priority <= port.priority or not self.holder)
+        ):
+            self.make_safe()
+        elif self.holder is port:
+            self.holder = None
 
     def make_safe(self, holder: "Any" = None) -> None:
         """Send the safe command."""
@@ -431,18 +440,20 @@ class _Output:
         try:
             if type(command) is not kind:
                 if type(command) is dict:
-                    port.command = command[port.key]
-                    return self.checked(port)
+                    port.time = -1
+                    port.task.share(command, self.loop.now_ms)
+                    return None if port.time < 0 else self.checked(port)
                 if kind is float and type(command) is int:
                     command = float(command)
                 elif not isinstance(command, kind) or type(command) is bool:
                     raise ValueError("wrong type", command)
-            if kind is tuple or isinstance(command, tuple):
-                for each in command:
-                    if each != each or each in _ENDLESS:
-                        raise ValueError("not finite", command)
-            elif command != command or command in _ENDLESS:
-                raise ValueError("not finite", command)
+            parts, endless = command, _ENDLESS
+            if not isinstance(command, tuple):
+                parts = self.single
+                parts[0] = command
+            for each in parts:
+                if each != each or each in endless:
+                    raise ValueError("not finite", command)
             for field in self.limits:
                 low, high = self.limits[field]
                 value = getattr(command, field) if field else command
@@ -451,7 +462,7 @@ class _Output:
                         raise ValueError("over limits", command)
                     command = kind(low if value < low else high)
         except Exception as error:
-            self.loop.note(self.name, error)
+            self.loop.note(port.name, error)
             port.time = -1
             return None
         return command
@@ -498,31 +509,23 @@ class Loop:
         self.armed = armed
         self.inputs: "Any" = {}
         self.outputs: "Any" = {}
-        self._debt = 0
-        self._said = -1000
+        self._debt, self._said = 0, -1000
         self._every = _ms(rate)  # steps in 1000 s
         self._turns: "Any" = None
         self._paced: "Any" = []
+        parts = list(sensors), list(actuators)
+        self._parts = [one for one in parts[0] + parts[1] if isinstance(one, _Part)]
+        for part in parts[0]:
+            self.inputs[give_name(part)] = _Input(self, part)
+        for part in parts[1]:
+            self.outputs[give_name(part)] = _Output(self, part)
         self._tasks: "Any" = []
-        self._parts: "Any" = []
-        for parts, node, nodes in (
-            (sensors, _Input, self.inputs),
-            (actuators, _Output, self.outputs),
-        ):
-            for part in parts:
-                give_name(part)
-                nodes[part.name] = node(self, part)
-                if isinstance(part, _Part):
-                    self._parts.append(part)
         for reaction in reactions:
             self._wire(reaction)
-        for output in self.outputs.values():
-            for each in output.ports, output.guards:
-                each.sort(key=lambda one: (-one.priority, one.name))
 
     def _wire(self, reaction: "Any") -> None:
         give_name(reaction)
-        task: Any = _Task(self, reaction)
+        task = _Task(self, reaction)
         timed, react, terms, port = reaction, reaction.react, [], None
         for key, need in declared(reaction):
             is_read = hasattr(need, "max_age")
@@ -532,16 +535,19 @@ class Loop:
                 terms.append((key, node, _ms(age), need.optional))
                 task.values[key] = None
             elif hasattr(need, "latch"):
-                task.guards = (need, key, node)
-                task.priority, task.now_ms = need.priority, 0
+                task.key, task.need, task.output = key, need, node
+                task.priority = need.priority
                 node.guards.append(task)
+                node.guards.sort(key=_rank)
                 timed, react = task, task.wake
             else:
                 port = task.ports[key] = _Port(task, key, need, node)
                 node.ports.append(port)
+                node.ports.sort(key=_rank)
         if len(task.ports) != 1:
             port = None
-        self._tasks.append((task, timed, terms, react, port, task.values))
+        wired = task, timed, terms, react, port, task.values
+        self._tasks.insert(len(self._tasks) if task.output else 0, wired)  # guards last
 
     def pace(self, part: "Any", rate: "float | None") -> None:
         """Give a sensor or a reaction its turns, if it is slower than the loop."""
@@ -564,10 +570,14 @@ class Loop:
         """Make a step each time: a generator has at hand what it works with."""
         gap, odd = divmod(1000000, self._every)
         inputs, outputs = list(self.inputs.values()), list(self.outputs.values())
-        tasks, paced = self._tasks, self._paced
-        odd += len(paced)
+        odd += len(self._paced)
+        doomed: "Any" = []
         while True:
             now = self.now_ms
+            while doomed:  # a reading got too old since the last step
+                for node in doomed:
+                    node.blind = True
+                doomed.pop(0).lose_sight()
             for node in inputs:
                 if node.due:
                     try:
@@ -575,14 +585,14 @@ class Loop:
                         node.time = now
                     except Exception as error:
                         self.note(node.name, error)
-            for node, timed, terms, react, port, values in tasks:
+            for node, timed, terms, react, port, values in self._tasks:
                 news = node.due
                 for key, source, age, optional in terms:
                     value = source.value
                     if source.time == now:
                         if news is None:
                             news = True
-                    elif source.time is None or now - source.time >= age:
+                    elif now - source.time > age:
                         if not optional:
                             if not node.blind:
                                 node.lose_sight()
@@ -590,6 +600,8 @@ class Loop:
                         value = None
                         if values[key] is not None:
                             news = True
+                    elif now - source.time > age - gap and not optional:
+                        doomed.append(node)
                     values[key] = value
                 else:
                     if timed is node and node.blind:
@@ -597,14 +609,14 @@ class Loop:
                     if news:
                         try:
                             if node.blind:
-                                node.blind = False
+                                node.blind, node.saw = False, now
                                 if node.first:
                                     node.first = False
                                     timed.now_ms = now
                             timed.elapsed_ms = now - timed.now_ms
                             timed.now_ms = now
                             command = react(**values)
-                            if command is None or port is None:
+                            if port is None or command is None:
                                 node.share(command, now)
                             else:
                                 port.command = command
@@ -620,22 +632,22 @@ class Loop:
                             best = port
                         else:
                             self.refused += 1
-                try:
-                    if best is node.steady:
-                        command = best.command
-                        if command is not node.last:
-                            command = node.last = node.checked(best)
-                        if command is not None:
-                            node.written = now
+                if best is node.steady:
+                    command = best.command
+                    if command is not node.last:
+                        command = node.last = node.checked(best)
+                    if command is not None:
+                        node.written = now
+                        try:
                             node.send(command)
-                            continue
-                    node.settle(now)
-                except Exception as error:
-                    self.note(node.name, error)
-                    node.make_safe()
+                        except Exception as error:
+                            self.note(node.name, error)
+                            node.make_safe()
+                        continue
+                node.settle(now)
             self.steps += 1
             if odd:
-                for node in paced:
+                for node in self._paced:
                     node.phase %= self._every
                 self.skip(1)
                 self.late -= 1  # it was not left out
@@ -685,7 +697,7 @@ class Loop:
         """
         self.now_ms = self._debt = 0
         for node in self.inputs.values():
-            node.time = None
+            node.time = _NEVER
         for wired in self._tasks:
             wired[0].first = True
             wired[0].lose_sight()
@@ -739,17 +751,20 @@ class Loop:
             print("esair: %s: %r, fault %d" % (name, fault, self.faults))
 
 
-def _within(value: "Any", asked: "Any", safe: "Any") -> bool:
-    """Tell whether a command is no more than another: each number lies towards safe."""
-    if not isinstance(asked, tuple):
-        value, asked, safe = (value,), (asked,), (safe,)
-    for each, most, least in zip(value, asked, safe):
-        if each not in (most, least) and (
-            isinstance(most, (bool, str))
-            or not min(most, least) <= each <= max(most, least)
-        ):
-            return False
-    return len(value) == len(asked)
+def _less(value: "Any", most: "Any", safe: "Any") -> "Any":
+    """Return a command with each number moved between that of another and of safe."""
+    if isinstance(most, tuple):
+        parts = map(_less, value, most, safe)
+        return tuple(parts) if type(most) is tuple else type(most)(*parts)
+    if value == safe or (
+        type(most) is not str and min(most, safe) <= value <= max(most, safe)
+    ):
+        return value
+    return most
+
+
+def _rank(port: "Any") -> "Any":
+    return -port.priority, port.name
 
 
 def _ms(value: float) -> int:
@@ -768,12 +783,14 @@ def declared(reaction: "Any") -> "Iterable[tuple[str, Any]]":
     return needs.items()
 
 
-def give_name(part: "Any") -> None:
-    """Give a part the name of its class, in snake case, unless it has one."""
+def give_name(part: "Any") -> str:
+    """Give a part the name of its class, in snake case, unless it has one; return it."""
     if not part.name:
-        name, found = type(part).__name__, ""
-        for before, letter, after in zip("_" + name, name, name[1:] + "_"):
+        kind, found = type(part).__name__, ""
+        for before, letter, after in zip("_" + kind, kind, kind[1:] + "_"):
             if letter.isupper() and (after.islower() or not before.isupper()):
                 found += "_"
             found += letter.lower()
         part.name = found.replace("__", "_").strip("_")
+    name: str = part.name
+    return name

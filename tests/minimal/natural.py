@@ -11,7 +11,7 @@ A world is plain data (JSON)::
      it is read, None if it raises, ...]}, ...],
      "actuators": [{"kind": one of KINDS, "timeout": in seconds, "clamp": bool}, ...],
      "reactions": [{"kind": one of REACTIONS, "rate": in Hz or None, "inputs": [[sensor,
-     max_age], ...], "outputs": [[actuator, priority, hold, blind], ...]}, ...]}
+     max_age], ...], "outputs": [[actuator, priority, hold, blind, latch], ...]}, ...]}
 """
 
 # ruff: noqa: B905, UP031 - MicroPython's language: no strict=, no formats beyond %
@@ -182,11 +182,11 @@ def make_reaction(number, about, actuators):
             float, name="s%d" % sensor, max_age=max_age, optional=optional
         )
     kinds = []
-    for key, (actuator, priority, hold, blind) in zip("xy", about["outputs"]):
+    for key, (actuator, priority, hold, blind, latch) in zip("xy", about["outputs"]):
         kinds.append(actuators[actuator]["kind"])
         name = "m%d" % actuator
         if cls in (Slower, Stops):
-            attributes[key] = guards(None, name=name, priority=priority)
+            attributes[key] = guards(None, name=name, priority=priority, latch=latch)
         else:
             attributes[key] = writes(
                 None, name=name, priority=priority, hold=hold, blind=blind

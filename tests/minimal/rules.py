@@ -548,6 +548,157 @@ def rule_a_guard_that_latches_waits_for_the_user():
     assert motor.told == [0.0, 1, 0.0, 1], motor.told
 
 
+def rule_what_was_blind_between_two_steps_has_been_safe():
+    """Its reading was too old before the next one came, and it decides at its rate."""
+
+    class Slow(Reaction):
+        rate = 5
+        eye = reads(float, max_age=0.05)
+        motor = writes(float, hold=1.0)
+
+        def react(self, eye):
+            return 1.0
+
+    class Long(Motor):
+        command_timeout = 1.0
+
+    for lost, expected in ((1, [0.0, 1.0]), (2, [0.0, 1.0, 0.0])):
+        eye = Sonar(*[1] + [OSError(5)] * lost + [1])
+        eye.name = "eye"
+        motor = Long()
+        loop = Loop([Slow()], [eye], [motor], rate=50)
+        for _ in range(6):
+            loop.step()
+        assert motor.told == expected, motor.told
+
+
+def rule_a_reading_as_old_as_its_greatest_age_is_good():
+    """Older is too old: the age of the one is its greatest, that of the other over it."""
+    for age, expected in ((0.04, [0.0, 1]), (0.039, [0.0, 1, 0.0])):
+
+        class Exact(Go):
+            sonar = reads(float, max_age=age)
+            motor = writes(float)
+
+        _, motor = told_by([1, OSError(5), OSError(5)], 3, Exact())
+        assert motor.told == expected, motor.told
+
+
+def rule_a_hold_that_is_over_prefers_nobody():
+    """Of equal priorities the present holder goes on; after its hold, the name."""
+
+    class Half(Reaction):
+        rate = 10
+        motor = writes(float, hold=0.05)
+
+        def react(self):
+            return 0.5
+
+    class Late(Half):
+        started = False
+
+        def react(self):
+            started, self.started = self.started, True
+            return 0.125 if started else None
+
+    motor = Motor()
+    loop = Loop([Half("b"), Late("a")], [], [motor], rate=50)
+    for _ in range(6):
+        loop.step()
+    assert motor.told[-1] == 0.125, motor.told
+
+
+def rule_one_port_says_nothing_in_a_dictionary_too():
+    class Several(Go):
+        def react(self, sonar):
+            return {"motor": sonar if sonar > 0 else None}
+
+    class Low(Reaction):
+        rate = 50
+        motor = writes(float, priority=-1)
+
+        def react(self):
+            return 0.125
+
+    motor = Motor()
+    loop = Loop([Several(), Low()], [Sonar(0.5, -1)], [motor], rate=50)
+    for _ in range(2):
+        loop.step()
+    assert motor.told == [0.0, 0.5, 0.125], motor.told
+    assert loop.faults == 0, loop.fault
+
+
+def rule_what_a_guard_says_is_a_command_too():
+    """Of the type of the actuator: what is none stops all."""
+
+    class Says(Bumper):
+        answer = True
+
+        def react(self, eye, motor):
+            return self.answer
+
+    class Two(Motor):
+        safe = (0.0, 0.0)  # type: ignore[assignment]
+
+    class Both(Go):
+        def react(self, sonar):
+            return (1.0, 1.0)
+
+    for answer, expected in ((True, [0.0]), (0, [0.0, 0.0]), (0.5, [0.0, 0.5])):
+        guard = Says()
+        guard.answer = answer
+        _, motor = blind_world([0], [guard, Go()], 1)
+        assert motor.told == expected, motor.told
+        assert type(motor.told[-1]) is float
+    guard.answer = [0.0, 0.0]  # type: ignore[assignment]
+    motor, eye = Two(), Sonar(0)
+    eye.name = "eye"
+    loop = Loop([guard, Both()], [Sonar(1), eye], [motor], rate=50)
+    loop.step()
+    assert motor.told == [(0.0, 0.0)], motor.told
+
+
+def rule_each_part_of_what_stands_only_gets_less():
+    class Once(Reaction):
+        rate = 1
+        motor = writes(tuple, hold=1.0)
+
+        def react(self):
+            return (1.0, -1.0)
+
+    class Parts(Reaction):
+        eye = reads(float)
+        motor = guards(tuple)
+
+        def react(self, eye, motor):
+            return (0.5, -0.5) if eye == 0 else (0.25, -1.0)
+
+    class Pair(Motor):
+        safe = (0.0, 0.0)  # type: ignore[assignment]
+        command_timeout = 1.0
+
+    eye, motor = Sonar(0, 1), Pair()
+    eye.name = "eye"
+    loop = Loop([Parts(), Once()], [eye], [motor], rate=50)
+    for _ in range(3):
+        loop.step()
+    assert motor.told == [(0.0, 0.0), (0.5, -0.5), (0.25, -0.5)], motor.told
+
+
+def rule_a_latching_guard_waits_for_its_first_sight():
+    """What was never moving has not been moved blindly."""
+
+    class Latches(Bumper):
+        motor = guards(float, latch=True)
+
+        def blind(self, motor):
+            return motor  # nothing passes while it is blind: it latches
+
+    values = [OSError(5), 0, OSError(5)]
+    _, motor = blind_world(values, [Latches(), Go()], 6)
+    assert motor.told == [0.0, 1, 1, 1, 0.0], motor.told
+
+
 def rule_nothing_moves_before_it_is_armed():
     motor = Motor()
     loop = Loop([Go()], [Sonar(1)], [motor], rate=50, armed=False)

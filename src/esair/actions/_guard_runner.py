@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from esair.actions._reaction import Reaction
 from esair.actions._reaction_runner import ReactionRunner
+from esair.actions._sampling import polled_for
 from esair.connections import (
     BLIND,
     ActuatorChannel,
+    Decision,
     Protection,
     Registration,
     SensorChannel,
+    Sight,
 )
 from esair.loop import Owner, clock_beside
 
@@ -38,7 +42,9 @@ class GuardRunner(ReactionRunner):
         owner: Whose random numbers it draws.
     """
 
-    __slots__ = ("_channel", "_port", "_protection")
+    grace = 2e-5  # what moves by the same reading is safe before: that latches nothing
+
+    __slots__ = ("_channel", "_port", "_protection", "_sight")
 
     def __init__(
         self,
@@ -67,6 +73,7 @@ class GuardRunner(ReactionRunner):
         self._port = port
         self._protection = protection
         self._channel: ActuatorChannel | None = None
+        self._sight: Sight | None = None
 
     def guard(
         self,
@@ -80,10 +87,19 @@ class GuardRunner(ReactionRunner):
         protection.fallback = self._fallback
         protection.on_crash = self._crashed
         self.start(inputs, {})
+        self._sight = Sight(math.inf, polled_for(self._inputs))
+        channel.decision.join(self._sight)
+
+    @property
+    def moved(self) -> list[tuple[Decision, float]]:
+        """All guards of the actuator look together."""
+        return [] if self._channel is None else [(self._channel.decision, math.inf)]
 
     def stop(self) -> None:
         """Judge no command any more: while its entry is in the table none passes."""
         super().stop()
+        if self._channel is not None:
+            self._channel.decision.leave(self._sight)
         if self._protection.judge == self._judge:
             self._protection.judge = None
 

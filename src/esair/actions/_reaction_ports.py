@@ -7,7 +7,7 @@ import logging
 from collections.abc import Awaitable
 from typing import TYPE_CHECKING, Any
 
-from esair.connections import ActuatorChannel, Registration, SensorChannel
+from esair.connections import ActuatorChannel, Registration, SensorChannel, Sight
 from esair.exceptions import (
     DeviceLostError,
     EsairError,
@@ -19,7 +19,6 @@ from esair.messages import Reading, Refused, Written
 if TYPE_CHECKING:
     from esair.actions._reaction_runner import ReactionRunner
 
-_EARLY = 1e-7  # of two sums of seconds that are the same moment one may be a hair less
 FOR_EVER = float("inf")
 
 _log = logging.getLogger("esair")
@@ -79,7 +78,7 @@ class Input:
         if limit is None:
             limit = self.channel.max_age
         if limit < FOR_EVER:
-            self.stale_at = reading[1] + limit - _EARLY
+            self.stale_at = reading[1] + limit + runner.grace
             runner.refresh(self)
         if not self.ready:
             self.ready = True
@@ -129,6 +128,7 @@ class Output:
     """One actuator of a running reaction, and what it decided for it in this turn."""
 
     __slots__ = (
+        "_sight",
         "active",
         "channel",
         "command",
@@ -153,6 +153,7 @@ class Output:
         self.channel = channel
         self.decision = channel.decision
         self.registration = registration
+        self._sight: Sight | None = None
         self.command: Any = None
         """What it decided in this turn; None to give the actuator back."""
         self.decided = False
@@ -163,6 +164,16 @@ class Output:
         """A write is on its way."""
         self.later: Any = None
         """The newest command, while an older one is on its way."""
+
+    def join(self, sensors: tuple[SensorChannel, ...]) -> None:
+        """Have a say in what the actuator does, by what these sensors see."""
+        self._sight = Sight(self.registration.priority, sensors)
+        self.decision.join(self._sight)
+
+    def leave(self) -> None:
+        """Send nothing more of what was decided, and have no say."""
+        self.forget()
+        self.decision.leave(self._sight)
 
     def decide(self, command: Any) -> None:
         """Want a command sent at the end of the turn, or None."""

@@ -12,9 +12,9 @@ from esair.actions._by_name import by_name, order_of
 from esair.actions._from_minimal import MinimalReaction
 from esair.actions._reaction import EVERY_LIMIT, Reaction
 from esair.actions._reaction_ports import FOR_EVER, Input, Output
-from esair.actions._sampling import Sampling
+from esair.actions._sampling import Sampling, polled_for
 from esair.actions._step_clock import StepClock
-from esair.connections import ActuatorChannel, Registration, SensorChannel
+from esair.connections import ActuatorChannel, Decision, Registration, SensorChannel
 from esair.exceptions import (
     BadValueError,
     BehaviorFailedError,
@@ -110,6 +110,9 @@ class ReactionRunner:
 
     input_type: ClassVar[type[Input]] = Input
     """What each of its sensors feeds."""
+
+    grace: ClassVar[float] = 1e-5
+    """Seconds that a reading may be older than its limit: timers are a hair early."""
 
     def __init__(
         self,
@@ -223,6 +226,8 @@ class ReactionRunner:
         self._outputs = {
             name: Output(self, name, *terms) for name, terms in outputs.items()
         }
+        for output in self._outputs.values():
+            output.join(polled_for(self._inputs))
         if len(self._outputs) == 1:
             (self._single,) = self._outputs.values()
         self.missing = sum(not each.optional for each in self._inputs)
@@ -241,17 +246,22 @@ class ReactionRunner:
             )
             self._on_state(False, f"no reading of {waits} yet")
 
+    @property
+    def moved(self) -> list[tuple[Decision, float]]:
+        """The decisions in which it takes part, each with its priority there."""
+        outputs = self._outputs.values()
+        return [(each.decision, each.registration.priority) for each in outputs]
+
     def _take_rate(self, rate: float) -> None:
         """Step on the grid, at the moments at which the sensors are asked."""
-        asked = [each for one in self._inputs for each in one.channel.sampled]
-        polled = tuple(dict.fromkeys(asked))
         name, scheduler = self.reaction.name, self._scheduler
+        polled = polled_for(self._inputs)
         names = [each.name for each in polled] or [name]
         phase = max(map(scheduler.phase, names))
         self.job = scheduler.every(1.0 / rate, self._turn, name=name, phase=phase)
-        if polled:
-            self._sampling = Sampling(scheduler, polled, self._turn, name, rate)
-            self.job.waits = self._sampling.waits
+        moved = self.moved
+        self._sampling = Sampling(scheduler, polled, moved, self._turn, name, rate)
+        self.job.waits = self._sampling.waits
 
     def stop(self) -> None:
         """Never step again, and follow nothing. What it wrote is the caller's to undo."""
@@ -265,7 +275,7 @@ class ReactionRunner:
         for each in self._inputs:
             each.channel.unfollow(each)
         for output in self._outputs.values():
-            output.forget()
+            output.leave()
         for task in tuple(self.settling):
             task.cancel()
 

@@ -1,11 +1,24 @@
-"""How a step at a rate waits for the sensors that are asked at the same moment."""
+"""How a step at a rate waits for the sensors that are asked at the same moment.
+
+For its own, and for those of who has as much to say about what it moves: the guards, and
+whoever writes it with its priority or a higher one. So all decide together, on what there
+is to see at that moment.
+"""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
-from esair.connections import SensorChannel
+from esair.actions._reaction_ports import Input
+from esair.connections import Decision, SensorChannel
 from esair.loop import Job, OneShot, Order, Scheduler, Step
+
+
+def polled_for(inputs: Sequence[Input]) -> tuple[SensorChannel, ...]:
+    """Return the sensors that are asked for what is decided on, each once."""
+    asked = [each for one in inputs for each in one.channel.sampled]
+    return tuple(dict.fromkeys(asked))
 
 
 class Sampling:
@@ -15,7 +28,8 @@ class Sampling:
 
     Args:
         scheduler: Who calls the step.
-        polled: The sensors that are asked.
+        polled: Its sensors that are asked.
+        moved: The decisions in which it takes part, each with its priority there.
         step: What decides.
         name: Of the reaction.
         rate: How often it steps, in Hz.
@@ -25,6 +39,7 @@ class Sampling:
         "_awaits",
         "_deferred",
         "_half",
+        "_moved",
         "_patience",
         "_polled",
         "_sampled_in",
@@ -35,12 +50,14 @@ class Sampling:
         self,
         scheduler: Scheduler,
         polled: tuple[SensorChannel, ...],
+        moved: Sequence[tuple[Decision, float]],
         step: Step,
         name: str,
         rate: float,
     ) -> None:
         self._scheduler = scheduler
         self._polled = polled
+        self._moved = moved
         self._half = 0.5 / rate
         self._deferred: Job = scheduler.on_demand(step, name=name)
         self._awaits = 0
@@ -52,9 +69,14 @@ class Sampling:
     def waits(self, now: float) -> bool:
         """Tell whether the step waits; then it comes when its samples are there."""
         turn, half = self._scheduler.turns, self._half
+        bearing = list(self._polled)
+        for decision, priority in self._moved:
+            for sight in decision.sights:
+                if sight.priority >= priority:
+                    bearing += sight.sensors
         awaited = [
             each
-            for each in self._polled
+            for each in dict.fromkeys(bearing)
             if each.awaited_in == turn and each.latency <= half
         ]
         if not awaited:

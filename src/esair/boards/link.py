@@ -156,7 +156,7 @@ class Link:
         if data:
             self._take(data)
         for name, node in self.loop.inputs.items():
-            if node is self.host or node.time in (None, self.told.get(name)):
+            if node is self.host or node.time < 0 or node.time == self.told.get(name):
                 continue
             self.told[name] = node.time
             self._send("S" + name, [self.loop.now_ms - node.time, node.value])

@@ -6,6 +6,7 @@ from esair.connections._applied_channel import Applied, AppliedChannel
 from esair.connections._call import Call, End
 from esair.connections._calls import Calls
 from esair.connections._command_check import CommandCheck, limits_by_field, part_of
+from esair.connections._decision import Decision, Sight
 from esair.connections._derived_channel import DerivedChannel, Source
 from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._follower import Follower
@@ -32,6 +33,7 @@ __all__ = [
     "Call",
     "Calls",
     "CommandCheck",
+    "Decision",
     "DerivedChannel",
     "Driver",
     "End",
@@ -48,6 +50,7 @@ __all__ = [
     "SensorChannel",
     "SensorConnection",
     "SensorPort",
+    "Sight",
     "Source",
     "Stopped",
     "is_loss",

@@ -6,11 +6,14 @@ import asyncio
 from collections.abc import Awaitable
 from typing import TYPE_CHECKING, Any, Protocol
 
+import attrs
+
 from esair.connections._registrations import Registration
 from esair.loop import Scheduler
 
 if TYPE_CHECKING:
     from esair.connections._held_device import HeldDevice
+    from esair.connections._sensor_channel import SensorChannel
 
 
 class Wish(Protocol):
@@ -35,6 +38,19 @@ class Wish(Protocol):
         """Learn that somebody else was first."""
 
 
+@attrs.frozen(eq=False)
+class Sight:
+    """What somebody sees who decides about an actuator.
+
+    Attributes:
+        priority: Of what they want of it; that of a guard is above all.
+        sensors: Which are asked for what they decide on.
+    """
+
+    priority: float
+    sensors: tuple[SensorChannel, ...]
+
+
 class Decision:
     """The wishes of one turn for one actuator; at most one command leaves.
 
@@ -47,13 +63,23 @@ class Decision:
         loop: In whose turns it is decided.
     """
 
-    __slots__ = ("_channel", "_others", "_scheduler", "_wish")
+    __slots__ = ("_channel", "_others", "_scheduler", "_wish", "sights")
 
     def __init__(self, channel: HeldDevice, loop: asyncio.AbstractEventLoop) -> None:
         self._channel = channel
         self._scheduler = Scheduler.of(loop)
+        self.sights: list[Sight] = []
+        """What those see who have a say in it."""
         self._wish: Wish | None = None
         self._others: list[Wish] = []
+
+    def join(self, sight: Sight) -> None:
+        """Let those who decide with them wait for what they see."""
+        self.sights.append(sight)
+
+    def leave(self, sight: Sight | None) -> None:
+        """Wait for it no more. Also fine when it was never there."""
+        self.sights = [each for each in self.sights if each is not sight]
 
     def add(self, wish: Wish) -> None:
         """Take part in the decision of this turn; the wish commits at its end."""
@@ -86,7 +112,7 @@ class Decision:
         return (
             wish.command is not None,  # who gives it back comes first
             -registration.priority,
-            registration is not self._channel.holder,
+            registration is not self._channel.present_holder,
             registration.behavior,
             wish.name,
         )

@@ -73,6 +73,11 @@ class HeldDevice(ProtectedDevice):
         self.operations = Operations(self, loop, on_error)
         super().__init__(actuator, registrations, loop, on_error, left)
 
+    @property
+    def present_holder(self) -> Registration | None:
+        """Who holds it now; None when the hold is over."""
+        return self.holder if self._time() + _EARLY < self.until else None
+
     def down(self, state: ResourceState, error: EsairError) -> None:
         """The device is gone: forget who held it and what it was told."""
         self._disarm()

@@ -77,8 +77,6 @@ class ProtectedDevice(ActuatorDevice):
         self._guards = guards
         if holds:
             self._keep_still()
-        if guards:
-            self.review()
 
     @property
     def moves(self) -> bool:

@@ -43,6 +43,9 @@ class Protected(Protocol):
     ) -> None:
         """Obey these from this moment on: holds in force, and all guards."""
 
+    def review(self) -> None:
+        """Put what stands to the guards again."""
+
 
 class Protection:
     """What one component has over one actuator.
@@ -187,7 +190,9 @@ class Protection:
             if passed is BLIND:
                 if moving:
                     self._latch(self.reason or "it was blind", command)
-                passed = None if self.fallback is None else self.fallback(command)
+                passed = None
+                if self.fallback is not None and not self.latch:
+                    passed = self.fallback(command)
             elif passed is None:
                 self._latch("it has refused a command", command)
             if passed is None or passed is command:
@@ -274,7 +279,7 @@ class Protections:
         for entry in entries:
             entry.since = entry.since or now
             self._entries.setdefault(entry.actuator, []).append(entry)
-            self._tell(entry.actuator)
+            self._tell(entry.actuator, guards=entry.guards)
 
     def leave(self, entries: Iterable[Protection]) -> None:
         """End entries: by the user's will, or with the step of a behavior."""
@@ -284,7 +289,7 @@ class Protections:
                 there.remove(entry)
                 if not there:
                     del self._entries[entry.actuator]
-                self._tell(entry.actuator)
+                self._tell(entry.actuator, guards=entry.guards)
 
     def blind(self, entries: Iterable[Protection], reason: str) -> None:
         """Take note that a component cannot decide, and why."""
@@ -292,7 +297,7 @@ class Protections:
             if entry.reason != reason:
                 entry.since = entry.since if entry.reason else _now()
                 entry.reason = reason
-                self._tell(entry.actuator)
+                self._tell(entry.actuator, guards=entry.guards)
 
     def sees(self, entries: Iterable[Protection]) -> None:
         """Take note that a component has decided."""
@@ -300,7 +305,7 @@ class Protections:
             if entry.reason:
                 entry.reason = ""
                 entry.since = _now()
-                self._tell(entry.actuator)
+                self._tell(entry.actuator, guards=entry.guards)
 
     def mute(self, entries: Iterable[Protection], seconds: float, reason: str) -> None:
         """Let everything pass for a while; 0 ends that."""
@@ -308,7 +313,7 @@ class Protections:
         for entry in entries:
             entry.muted_until = until
             entry.muted_for = reason
-            self._tell(entry.actuator)
+            self._tell(entry.actuator, guards=entry.guards)
         if seconds > 0:
             loop = asyncio.get_running_loop()
             Deadlines.of(loop).after(seconds, self._tell_all)
@@ -318,7 +323,7 @@ class Protections:
         for entry in entries:
             entry.latched = ""
             entry.refused = None
-            self._tell(entry.actuator)
+            self._tell(entry.actuator, guards=entry.guards)
 
     def appear(self, actuator: str) -> None:
         """An actuator has come: nobody has decided on it yet.
@@ -335,7 +340,8 @@ class Protections:
         for actuator in self._entries:
             self._tell(actuator)
 
-    def _tell(self, actuator: str) -> None:
+    def _tell(self, actuator: str, *, guards: bool = True) -> None:
+        """Have a channel obey; guards that have changed look at what stands."""
         channel = self._channels.get(actuator)
         if channel is None:
             return
@@ -349,6 +355,8 @@ class Protections:
             ),
             tuple(each for each in entries if each.guards),
         )
+        if guards:
+            channel.review()
 
 
 def _now() -> float:

@@ -122,7 +122,7 @@ def _actuator(part: Any, rate: float) -> list[str]:
     if not found:
         try:
             loop = minimal.Loop(actuators=[part], rate=rate)
-            asked = types.SimpleNamespace(command=part.safe, key=name, time=0)
+            asked = types.SimpleNamespace(command=part.safe, name=name, time=0)
             with contextlib.redirect_stdout(io.StringIO()):
                 loop.outputs[name].checked(asked)
             error = loop.fault and loop.fault[1]
