@@ -100,3 +100,19 @@ async def test_the_last_one_takes_the_timer_with_it() -> None:
     one.man.disarm()
     left = [each for each in one.loop._scheduled if not each.cancelled()]  # type: ignore[attr-defined]
     assert len(left) == before
+
+
+async def test_a_moment_between_two_nanoseconds_is_reached() -> None:
+    """Called a hair early, it was looked for again in the same instant, for ever."""
+    loop = asyncio.get_running_loop()
+    found: list[float] = []
+
+    class Man:
+        dies = loop.time() + 1.0000000005838672e-06
+
+        def dead(self) -> None:
+            found.append(loop.time())
+
+    DeadMan(loop, Man()).arm()
+    await asyncio.sleep(0.001)
+    assert len(found) == 1

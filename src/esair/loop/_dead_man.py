@@ -10,7 +10,7 @@ from typing import Protocol
 
 from esair.loop._deadlines import contained
 from esair.loop._of_loop import of_loop
-from esair.loop._rate_group import EARLY, SECOND, OneShot, Order
+from esair.loop._rate_group import REACHED, OneShot, Order
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
 
@@ -117,7 +117,7 @@ class DeadMen:
 
     def _looks(self, _now: float) -> None:
         self._look = None
-        heap, now = self._heap, self._time() + EARLY / SECOND
+        heap, now = self._heap, self._time() + REACHED
         while heap and heap[0][0] <= now:
             _, number, man = heap[0]
             if number == man.number and man.armed:

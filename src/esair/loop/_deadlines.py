@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.loop._of_loop import of_loop
-from esair.loop._rate_group import EARLY, SECOND, Order
+from esair.loop._rate_group import REACHED, Order
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
 
@@ -96,7 +96,7 @@ class Deadlines:
         self._scheduler.at(when, self._look, order=Order.EXPIRY)
 
     def _look(self, _now: float) -> None:
-        now = self._time() + EARLY / SECOND
+        now = self._time() + REACHED
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

@@ -23,6 +23,9 @@ SECOND = 1_000_000_000
 EARLY = 1_000
 """Timers may fire a hair early; what is due so soon is due, in nanoseconds."""
 
+REACHED = (EARLY + 2) / SECOND
+"""How early a call comes at most, in seconds: moments are rounded to nanoseconds."""
+
 
 class Order(enum.IntEnum):
     """In which order the things of one instant are called."""
