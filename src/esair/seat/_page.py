@@ -6,7 +6,6 @@ import asyncio
 import collections
 import contextlib
 import hmac
-import importlib
 import ipaddress
 import logging
 import os
@@ -85,7 +84,7 @@ def import_packages() -> None:
     """
     try:
         for package in _PACKAGES:
-            importlib.import_module(package)
+            __import__(package)
     except ImportError as error:
         told = f"it needs {error.name}: pip install 'esair[page]'"
         raise ConfigError("page", "", told) from None
