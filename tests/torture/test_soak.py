@@ -82,3 +82,18 @@ def test_deadlines_of_a_stop_do_not_add_up() -> None:
             Step(2.8, "replace", "avoid"),
         ],
     )
+
+
+@pytest.mark.promise("TURN-1", "PRO-1")
+def test_a_sleep_of_the_computer_is_not_noticed_within_a_command() -> None:
+    """The scheduler, which was at rest, looked when the command woke it: safe came first."""
+    survive(
+        f"{EXAMPLES / 'slow_arm.py'}:robot",
+        seed=0,
+        lasts=4.857,
+        own=True,
+        steps=[
+            Step(0.4, "unplugged", "arm", lasts=4),
+            Step(2.0, "suspended", much=3600),
+        ],
+    )

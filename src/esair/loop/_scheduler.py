@@ -291,8 +291,6 @@ class Scheduler:
 
     def _begin(self) -> None:
         if not self._turning:
-            if not self._has_border:
-                self.suspends.look()
             self._turn = self._batches()
             self._lead_on()
         elif self._sleep is not None and not self._sleep.done():
@@ -345,6 +343,9 @@ class Scheduler:
 
     def _batches(self) -> Iterator[Iterable[Callee]]:
         """Go through one turn; what falls due in it waits for the next one."""
+        if not self._has_border:
+            # Not where it is woken: that may be within the check of a command.
+            self.suspends.look()
         self.turns += 1
         self._now = self._time()
         now = round(self._now * SECOND)
@@ -430,8 +431,6 @@ class Scheduler:
         finally:
             self._sleep = None
             self._timer_due = -1
-        if not self._has_border:
-            self.suspends.look()
 
     def _set_timer(self, due: int) -> None:
         if self._needs_no_timer:
