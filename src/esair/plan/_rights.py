@@ -161,7 +161,7 @@ def _unknown(
     One that is like no other may be that of a behavior added later; so may one that is
     like another that the policy names too.
     """
-    left = [each for each in plan.action_names if each not in named]
+    left = [each for each in plan.action_names if named.get(each) != "allow"]
     for who, field in named.items():
         if who == "*" or who in plan.action_names:
             continue
