@@ -40,6 +40,10 @@ class Recorded(NamedTuple):
     text: str
 
 
+_BEGUN = b"\xff" * 8
+"""The length of a chunk that was begun: its writer was killed before its end."""
+
+
 def records_of(path: Path) -> Iterator[Any]:
     """Yield the records of an MCAP file up to where it is cut.
 
@@ -63,10 +67,15 @@ def records_of(path: Path) -> Iterator[Any]:
             except OSError:
                 raise
             except Exception as error:  # the reader meets whatever is there
+                end = file.tell()
+                file.seek(begin + 1)
+                if file.read(len(_BEGUN)) == _BEGUN:
+                    return
+                file.seek(end)
                 _log.warning(
                     "%s: damaged at byte %d, left out: %s", path, begin, describe(error)
                 )
-                if file.tell() == begin:
+                if end == begin:
                     return
                 continue
             yield from parts
