@@ -199,7 +199,7 @@ async def test_a_class_may_say_what_only_std_asks() -> None:
         assert robot.behaviors.query("once").state is esair.BehaviorState.FAILED
         assert robot.behaviors.query("once").restarts == 0
         sonar.values = [OSError(5)]
-        await asyncio.sleep(0.11)
+        await asyncio.sleep(0.05)  # between two polls
         assert robot.resources.query("sonar").losses == 1
 
 
