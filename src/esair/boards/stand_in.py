@@ -89,6 +89,35 @@ class Pin:
         handlers[self.number] = (handler, self)
 
 
+class HardwareEncoder:
+    """The ``Encoder`` of a board that has one: ``stand_in.Encoder = HardwareEncoder``."""
+
+    def __init__(self, unit: int, a: Pin, b: Pin, phases: int = 1) -> None:
+        if phases != 4:
+            raise ValueError("phases")
+        self.count = 0
+        self._pins = (a, b)
+        self._last = (a.value(), b.value())
+        for each in self._pins:
+            each.irq(self._edge)
+
+    def _edge(self, pin: Pin) -> None:
+        """Count one, forwards if the first track now differs from the second before."""
+        now = (self._pins[0].value(), self._pins[1].value())
+        self.count += 1 if now[0] != self._last[1] else -1
+        self._last = now
+
+    def value(self) -> int:
+        """Give the count."""
+        return self.count
+
+    def deinit(self) -> None:
+        """Count no more, nor tell."""
+        del self.count
+        for each in self._pins:
+            each.irq(None)
+
+
 class PWM:
     """Pulses on a pin."""
 
