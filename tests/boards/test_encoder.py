@@ -27,9 +27,9 @@ def rp2(monkeypatch):
     """A board with PIO."""
     monkeypatch.setitem(sys.modules, "rp2", pio)
     monkeypatch.setattr(pio, "machines", {})
-    monkeypatch.delitem(sys.modules, "esair.boards.encoder_pio", raising=False)
+    monkeypatch.delitem(sys.modules, "esair.boards._encoder_pio", raising=False)
     yield
-    sys.modules.pop("esair.boards.encoder_pio", None)
+    sys.modules.pop("esair.boards._encoder_pio", None)
 
 
 @pytest.fixture(params=["pins", "rp2", "Encoder"])

@@ -91,7 +91,7 @@ def _counter(unit: int, a: "Any", b: "Any") -> "Any":
         import rp2  # noqa: F401 - boards without it do not compile the program
     except ImportError:
         return _PinCounter(a, b)
-    from esair.boards.encoder_pio import PioCounter
+    from esair.boards._encoder_pio import PioCounter
 
     return PioCounter(unit, a, b)
 
