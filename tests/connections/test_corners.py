@@ -87,6 +87,8 @@ async def test_following_twice_feeds_once():
 
         def doubt(self, error: object) -> None: ...
 
+        def limited(self) -> None: ...
+
     async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
         channel, count = robot.sensors.channel("sonar"), Count()
         channel.follow(count)

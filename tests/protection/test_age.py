@@ -129,3 +129,29 @@ async def test_what_a_guard_has_stopped_is_given_back_too() -> None:
         assert set(wheels.commands) == {0.0}
         sonar.feed(2.0)
         await wheels.until(0.25, timeout=0.1)
+
+
+async def test_a_quicker_sensor_is_too_old_sooner() -> None:
+    """Its newest reading too, which was to be good for three of the old periods."""
+
+    class Go(esair.Reaction):
+        eye = esair.reads(float)
+        motor = esair.writes(float)
+
+        def react(self, eye: float) -> float:
+            return 0.5
+
+    class Hurry(esair.Behavior):
+        eye = esair.reads(float, configure=True)
+
+        async def run(self) -> None:
+            await asyncio.sleep(1.0)
+            eye.stall()
+            await self.eye.configure(rate=50.0)
+
+    eye = FakeSensor("eye", 1.0, type=float, rate=5.0)
+    wheels = motor()
+    async with esair.Robot(resources=[eye, wheels], behaviors=[Go(), Hurry()]):
+        await wheels.until(0.5, timeout=0.9)
+        await asyncio.sleep(1.2)
+        assert wheels.commands[-1] == 0.0

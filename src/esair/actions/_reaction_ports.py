@@ -105,6 +105,13 @@ class Input:
         if error is not None:
             self.lose(_in_short(self.name, error))
 
+    def limited(self) -> None:
+        """Have the newest reading for as long as is said now, where the sensor says it."""
+        newest = self.channel.newest
+        if self.ready and self.max_age is None and newest is not None:
+            self.stale_at = newest[1] + self.limit + self.runner.grace
+            self.runner.refresh(self)
+
     def doubt(self, error: EsairError) -> None:
         """Park it at a bad reading, if nothing else tells how old the last good one is."""
         if self.limit == FOR_EVER:

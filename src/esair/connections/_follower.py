@@ -22,5 +22,8 @@ class Follower(Protocol):
     def changed(self, error: EsairError | None) -> None:
         """Learn that the sensor is gone for now (why), or back (None)."""
 
+    def limited(self) -> None:
+        """Learn that the sensor's own greatest age of a reading has changed."""
+
     def doubt(self, error: EsairError) -> None:
         """Learn that it has given a bad value, or an error instead of one."""

@@ -190,6 +190,9 @@ class _Stream:
             self._error = error
             self._wake()
 
+    def limited(self) -> None:
+        """Each loop decides by itself what is too old."""
+
     def doubt(self, error: EsairError) -> None:
         """Wait for the next good value."""
 

@@ -114,6 +114,8 @@ class SensorChannel(SensorDevice):
         if self._poll is not None:
             self._stop_polling()
             self._start_polling()
+        for follower in self._followers:
+            follower.limited()
 
     @property
     def successes(self) -> int:
