@@ -7,7 +7,7 @@ It runs on MicroPython too, as ``rp2.py``. What it does not model fails.
 WORD = 0xFFFFFFFF
 PACE = 25
 
-machines = {}  # the state machines, by number
+machines: dict[int, "StateMachine"] = {}  # the state machines, by number
 
 
 class PIO:
@@ -91,7 +91,7 @@ class StateMachine:
         name, operands = self.program.code[self.at]
         wraps = self.at == self.program.top
         self.at = self.program.bottom if wraps else self.at + 1
-        INSTRUCTIONS[name](self, *operands)
+        INSTRUCTIONS[name](self, *operands)  # type: ignore[operator]
 
     def source(self, name):
         if name[0] == "~":

@@ -646,7 +646,7 @@ def rule_what_a_guard_says_is_a_command_too():
 
     for answer, expected in ((True, [0.0]), (0, [0.0, 0.0]), (0.5, [0.0, 0.5])):
         guard = Says()
-        guard.answer = answer
+        guard.answer = answer  # type: ignore[assignment]
         _, motor = blind_world([0], [guard, Go()], 1)
         assert motor.told == expected, motor.told
         assert type(motor.told[-1]) is float
