@@ -12,14 +12,16 @@ def pick(wanted: str, there: Sequence[Device], noun: str) -> str:
     """Return the path of a device.
 
     Args:
-        wanted: ``usb:VID:PID[:SERIAL]``, the beginning of its name, or nothing for the
-            only one that is there.
-        there: Those that are there.
+        wanted: A path, ``usb:VID:PID[:SERIAL]``, the beginning of its name, or nothing
+            for the only one that is there.
+        there: Those that are there; nobody looks whether a path is one of theirs.
         noun: What they are called, for the error.
 
     Raises:
         FileNotFoundError: It is not there, or several are.
     """
+    if wanted.startswith("/"):
+        return wanted
     if wanted.startswith("usb:"):
         identity = parse_identity(wanted)
         fitting = [

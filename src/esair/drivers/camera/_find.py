@@ -22,16 +22,12 @@ def devices(root: Path = ROOT) -> list[Device]:
 
     Of the files of one camera the first is its pictures; the others are of no use here.
     """
-    places = sorted(
-        (
-            place
-            for place in entries(root / "sys/class/video4linux")
-            if place.name.removeprefix("video").isdecimal()
-            and read(place / "index") in {"", "0"}
-        ),
-        key=lambda place: int(place.name.removeprefix("video")),
-    )
-    return [_camera(place, root) for place in places]
+    return [
+        _camera(place, root)
+        for place in entries(root / "sys/class/video4linux")
+        if place.name.removeprefix("video").isdecimal()
+        and read(place / "index") in {"", "0"}
+    ]
 
 
 def toml(device: Device, name: str) -> list[str]:
@@ -56,8 +52,6 @@ def find_camera(wanted: str, root: Path = ROOT) -> str:
     Raises:
         FileNotFoundError: It is not there, or several are.
     """
-    if wanted.startswith("/"):
-        return wanted
     return pick(wanted, devices(root), "camera")
 
 

@@ -21,15 +21,11 @@ _GAMEPAD, _JOYSTICK = 0x130, 0x120
 
 def devices(root: Path = ROOT) -> list[Device]:
     """Return the pads that are there, by the numbers of their events."""
-    places = sorted(
-        (
-            place
-            for place in entries(root / "sys/class/input")
-            if place.name.removeprefix("event").isdecimal() and _is_pad(place)
-        ),
-        key=lambda place: int(place.name.removeprefix("event")),
-    )
-    return [_pad(place, root) for place in places]
+    return [
+        _pad(place, root)
+        for place in entries(root / "sys/class/input")
+        if place.name.removeprefix("event").isdecimal() and _is_pad(place)
+    ]
 
 
 def toml(device: Device, name: str) -> list[str]:
@@ -53,8 +49,6 @@ def find_pad(wanted: str, root: Path = ROOT) -> str:
     Raises:
         FileNotFoundError: It is not there, or several are.
     """
-    if wanted.startswith("/"):
-        return wanted
     return pick(wanted, devices(root), "pad")
 
 
