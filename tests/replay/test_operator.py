@@ -103,6 +103,15 @@ def refused(client: Client, act: str, **fields: Any) -> None:
         client.do(act, fields)
 
 
+def until_done(client: Client, act: str, fields: dict[str, Any]) -> Any:
+    """Do what a guard may forbid for a moment, and a behavior that crashes."""
+    for _ in range(40):
+        with contextlib.suppress(RefusedActError):
+            return client.do(act, fields)
+        time.sleep(0.05)
+    raise AssertionError(f"{act} was never let")
+
+
 def test_every_act_is_repeated(running: Running) -> None:
     """Settings, requests, swaps from the file, a halt, driving: to the end."""
     file = running.folder / "robot.toml"
@@ -114,10 +123,10 @@ def test_every_act_is_repeated(running: Running) -> None:
         assert client.do("status")["robot"] == "beacon"
         client.do("restart", {"name": "shine"})
         blink = {"receiver": "shine", "request": "Blink", "fields": {"times": 3}}
-        assert client.do("ask", blink) == 3
+        assert until_done(client, "ask", blink) == 3
         refused(client, "ask", receiver="shine", request="Blnk")
         measure = {"resource": "lamp", "operation": "measure", "fields": {"times": 2}}
-        client.do("operate", measure)
+        until_done(client, "operate", measure)
         client.do("mute", {"name": "dim", "seconds": 0.1, "reason": "a trial"})
         client.do("remove", {"name": "spare"})
         client.do("add", {"name": "spare"})
