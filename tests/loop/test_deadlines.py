@@ -157,3 +157,24 @@ def test_any_order_of_asking_and_cancelling(steps) -> None:
 
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         runner.run(run())
+
+
+async def test_who_had_no_chance_to_run_has_not_timed_out() -> None:
+    """What passed while the loop was held up is put off, once; no other is."""
+    loop: VirtualLoop = asyncio.get_running_loop()  # type: ignore[assignment]
+    deadlines = Deadlines.of(loop)
+    begin, called = loop.time(), []
+    deadlines.after(0.1, lambda: called.append(loop.time() - begin))
+    deadlines.after(0.1, called.append, "cancelled").cancel()
+    in_time = loop.create_future()
+    loop.call_later(2.05, in_time.set_result, None)
+    waits = asyncio.create_task(deadlines.wait(in_time, 0.5))
+    await asyncio.sleep(0.0)
+
+    loop.advance(2.0)
+    deadlines.after(0.01, lambda: called.append(loop.time() - begin))
+    await waits
+    assert in_time.done()
+    await asyncio.sleep(1.0)
+
+    assert called == pytest.approx([2.01, 2.1], abs=1e-3)

@@ -656,6 +656,81 @@ async def test_a_last_try_does_not_open_what_is_still_being_opened() -> None:
     assert deaf.most == 1
 
 
+class Returning(esair.Actuator[float]):
+    """Gone, then there again; what it is told takes a while."""
+
+    safe = 0.0
+    gone = False
+
+    def __init__(self) -> None:
+        super().__init__(name="returning")
+        self.log: list[object] = []
+
+    async def open(self) -> None:
+        if self.gone:
+            raise ConnectionError("not there")
+        self.log.append("open")
+
+    async def write(self, command: float) -> None:
+        for _ in range(4):
+            await asyncio.sleep(0.05)
+        self.log.append(command)
+
+    async def lose(self) -> None:
+        self.gone = True
+        self.report_lost(ConnectionError("cable"))
+        await asyncio.sleep(0.01)
+        self.gone = False
+        self.log.clear()
+
+
+@pytest.mark.promise("ROB-2", "SUP-3")
+async def test_a_removal_and_the_stop_share_one_last_try() -> None:
+    """The second neither ends what the first has begun, nor begins another."""
+    motor = Returning()
+    async with esair.Robot(resources=[motor], behaviors=[]) as robot:
+        await motor.lose()
+        removal = asyncio.create_task(robot.resources.remove("returning"))
+        await asyncio.sleep(0.1)
+        await robot.stop("enough")
+        await removal
+
+    assert motor.log == ["open", 0.0]
+    assert [(told.resource, told.answered) for told in robot.stopped] == [
+        ("returning", True)
+    ]
+
+
+@pytest.mark.promise("ROB-2")
+async def test_a_busy_computer_leaves_time_for_a_last_try() -> None:
+    """Its time passed while nothing could run: the device is told safe all the same."""
+    motor = Returning()
+    loop: Any = asyncio.get_running_loop()
+    async with esair.Robot(resources=[motor], behaviors=[]) as robot:
+        await motor.lose()
+        stop = asyncio.create_task(robot.stop("enough"))
+        await asyncio.sleep(0.12)
+        loop.advance(2.0)
+        await stop
+
+    assert motor.log == ["open", 0.0]
+    assert robot.stopped[0].answered
+
+
+@pytest.mark.promise("ROB-2")
+async def test_a_busy_computer_leaves_time_for_the_safe_command() -> None:
+    """The stop waits for its answer a little longer than the time that has passed."""
+    motor = Returning()
+    loop: Any = asyncio.get_running_loop()
+    async with esair.Robot(resources=[motor], behaviors=[]) as robot:
+        stop = asyncio.create_task(robot.stop("enough"))
+        await asyncio.sleep(0.12)
+        loop.advance(5.0)
+        await stop
+
+    assert robot.stopped[0].answered
+
+
 @pytest.mark.promise("RS-4")
 @pytest.mark.fault("X01")
 @pytest.mark.parametrize("fails", [False, True])

@@ -23,7 +23,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import clock_of, spawn
+from esair.loop import Deadlines, clock_of, spawn
 from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
@@ -162,7 +162,8 @@ class ActuatorDevice:
         """The device is gone: what its calls still do is fenced."""
         self.state = state
         self.error = error
-        if self._told_error == "":
+        taken_away = self._told_safe and state is ResourceState.REMOVED
+        if self._told_error == "" and not taken_away:
             self._told_error = f"it is {state.value}"
         self._lane = None
         if self.applied is not None:
@@ -309,7 +310,7 @@ class ActuatorDevice:
                 return
             pulse: asyncio.Future[None] = self._loop.create_future()
             self._pulses.append(pulse)
-            await asyncio.wait({pulse}, timeout=seconds)
+            await Deadlines.of(self._loop).wait(pulse, seconds)
 
     @property
     def _turn_within(self) -> float:

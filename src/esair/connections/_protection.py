@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from esair.connections._weaker import is_same, is_weaker
 from esair.exceptions import BadValueError, describe
-from esair.loop import Deadlines, clock_of
+from esair.loop import Order, Scheduler, clock_of
 from esair.messages import Refused
 from esair.resources import HOLD
 
@@ -316,7 +316,7 @@ class Protections:
             self._tell(entry.actuator, guards=entry.guards)
         if seconds > 0:
             loop = asyncio.get_running_loop()
-            Deadlines.of(loop).after(seconds, self._tell_all)
+            Scheduler.of(loop).at(until, self._tell_all, order=Order.EXPIRY)
 
     def reset(self, entries: Iterable[Protection]) -> None:
         """Take the latches of guards back."""
@@ -336,7 +336,7 @@ class Protections:
                 entry.since = _now()
         self._tell(actuator)
 
-    def _tell_all(self) -> None:
+    def _tell_all(self, _moment: float) -> None:
         for actuator in self._entries:
             self._tell(actuator)
 

@@ -1,4 +1,9 @@
-"""All deadlines of a loop, behind one timer; they take effect at the end of a turn."""
+"""All deadlines of a loop, behind one timer; they take effect at the end of a turn.
+
+Who had no chance to run has not timed out: a deadline that passed while the loop was held
+up, or the whole computer, is put off once, so that what has come meanwhile, or is just
+about to, is still in time.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +17,17 @@ from esair.loop._rate_group import REACHED, Order
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
 
+HELD_UP = 0.1
+"""How much too late the loop comes to a deadline if it was held up, in seconds."""
+
+CHANCE = 0.1
+"""By how much a deadline is put off that has passed meanwhile, in seconds."""
+
 
 class Deadline:
     """A function that is called at a moment, unless it is cancelled before."""
 
-    __slots__ = ("_arguments", "_deadlines", "_function", "when")
+    __slots__ = ("_arguments", "_deadlines", "_function", "put_off", "when")
 
     def __init__(
         self,
@@ -26,6 +37,7 @@ class Deadline:
         arguments: tuple[Any, ...],
     ) -> None:
         self.when = when
+        self.put_off = False
         self._deadlines = deadlines
         self._function = function
         self._arguments = arguments
@@ -85,6 +97,15 @@ class Deadlines:
             self._look_at(when)
         return deadline
 
+    async def wait(self, future: asyncio.Future[Any], seconds: float) -> None:
+        """Wait until a future is done, or for some seconds; it goes on either way."""
+        over: asyncio.Future[None] = self._loop.create_future()
+        deadline = self.after(max(0.0, seconds), _set, over)
+        try:
+            await asyncio.wait({future, over}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            deadline.cancel()
+
     def _look_at(self, when: float) -> None:
         if self._timer is not None:
             self._timer.cancel()
@@ -105,7 +126,11 @@ class Deadlines:
             (each for each in self._waiting if each.when <= now), key=_by_moment
         )
         for deadline in due:
-            if deadline in self._waiting:  # those before it may have cancelled it
+            if deadline not in self._waiting:
+                continue  # one before it has cancelled it
+            if now - deadline.when > HELD_UP and not deadline.put_off:
+                deadline.put_off, deadline.when = True, now + CHANCE
+            else:
                 del self._waiting[deadline]
                 contained(self._loop, deadline._call)  # noqa: SLF001 - two halves of one
         earliest = min((each.when for each in self._waiting), default=math.inf)
@@ -126,6 +151,11 @@ def contained(loop: asyncio.AbstractEventLoop, function: Callable[[], object]) -
     except Exception as error:
         message = f"{function!r:.200} raised at its moment"
         loop.call_exception_handler({"message": message, "exception": error})
+
+
+def _set(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
 
 
 def _by_moment(deadline: Deadline) -> float:

@@ -419,12 +419,12 @@ class ResourceDeployment:
         """Send every actuator its safe command, whatever was sent before.
 
         Returns:
-            What each actuator was told, and whether it answered.
+            What each actuator was told, and whether it answered; also of those that
+            the user is taking away just now.
         """
-        await asyncio.gather(
-            *(self._make_safe(name) for name in self.actuators.channels)
-        )
-        return [channel.told() for channel in self.actuators.channels.values()]
+        channels = tuple(self.actuators.channels.values())
+        await asyncio.gather(*(self._make_safe(each.name) for each in channels))
+        return [each.told() for each in channels]
 
     async def stop(self) -> None:
         """Close every device, all at the same time; each has a deadline."""

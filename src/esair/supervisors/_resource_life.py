@@ -112,6 +112,7 @@ class ResourceLife(Life):
         """What the device answered when it was asked for the first time who it is."""
         self._task: asyncio.Task[None]
         self._error_of_try: BaseException | None = None
+        self._last_try: asyncio.Task[None] | None = None
         self._looks: Deadline | None = None
         """When it is asked next whether the set-up of the device is still there."""
         self._forget_bus: tuple[Callable[[], None], ...] = ()
@@ -240,19 +241,28 @@ class ResourceLife(Life):
     async def last_try(self, until: float) -> None:
         """Open a device that is not there once more, for its safe command alone.
 
+        Its removal and the stop may both ask for it: then they share one.
+
         Args:
             until: When to give up, on the loop's clock.
         """
+        if self._last_try is None:
+            self._last_try = spawn(
+                self._loop, self._try_once_more(until), name=f"{self.name} last try"
+            )
+        await asyncio.wait({self._last_try})
+
+    async def _try_once_more(self, until: float) -> None:
         name, channel = self.name, self.channel
         assert isinstance(channel, ActuatorChannel)
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=LAST_TRY)
         if self._over:
             return  # it was removed meanwhile: nobody would close it again
-        trying = spawn(self._loop, self._open_once(), name=f"{name} last try")
+        trying = spawn(self._loop, self._open_once(), name=f"{name} opening")
         self._task = trying
-        seconds = min(LAST_TRY, max(0.0, until - self._loop.time()))
-        await asyncio.wait({trying}, timeout=seconds)
+        seconds = min(LAST_TRY, self._left(until))
+        await Deadlines.of(self._loop).wait(trying, seconds)
         if not trying.done():
             trying.cancel()
             channel.not_told(DriverStuckError(name, "open", seconds))
