@@ -24,6 +24,7 @@ class Motor(esair.Actuator[float]):
     """Writes down when a command lands, not when its call begins."""
 
     safe = 0.0
+    safe_takes = 0.0
 
     def __init__(self, takes: float, *, deaf: bool = False, **options: Any) -> None:
         super().__init__(**options)
@@ -32,7 +33,7 @@ class Motor(esair.Actuator[float]):
         self.landed: list[float] = []
 
     async def write(self, command: float) -> None:
-        until = now() + (self.takes if command else 0.0)
+        until = now() + (self.takes if command else self.safe_takes)
         while (left := until - now()) > 1e-9:
             try:
                 await asyncio.sleep(left)
@@ -164,6 +165,35 @@ async def test_no_motion_begins_while_a_safe_command_is_in_flight(user_of: Any) 
             open_safes += 1 if what == "begin" else -1
         elif what == "begin":
             assert open_safes == 0, begun
+
+
+@pytest.mark.promise("CALL-3")
+async def test_no_motion_begins_while_an_abandoned_safe_command_is_alive(
+    user_of: Any,
+) -> None:
+    """The next try was taken at once, but the driver still has the first."""
+    alive: list[float] = []
+    beside: dict[float, list[float]] = {}
+
+    class Deaf(Motor):
+        async def write(self, command: float) -> None:
+            beside[command] = list(alive)
+            alive.append(command)
+            await super().write(command)
+            alive.remove(command)
+
+    motor = Deaf(0.0, name="motor", deaf=True)
+    user = user_of("user", motor=esair.writes(float))
+    motor.deadline = 0.1
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        await user.motor.write(1.0)
+        motor.safe_takes = 0.15
+        await asyncio.sleep(0.25)
+        motor.safe_takes = 0.0
+        await asyncio.sleep(0.06)
+        assert beside[0.0] == [0.0]  # the first try was given up at 0.3 s
+        await user.motor.write(2.0)
+        assert beside[2.0] == []
 
 
 @pytest.mark.promise("CALL-3", "AC-2")

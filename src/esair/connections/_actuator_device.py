@@ -389,7 +389,9 @@ class ActuatorDevice:
         opening = calls.opening
         # A copy: a driver that changes what it was given must not change what is safe.
         given = command if command is HOLD else copy.deepcopy(command)
-        applied = await calls.run("safe", self._write, given, limit=actuator.deadline)
+        applied = calls.begin("safe", self._write, (given,), actuator.deadline)
+        if type(applied) is Call:
+            applied = await self._outcome_of_safe(applied)
         if opening == calls.opening and calls is self.calls:
             self._told_error = ""
             if command is HOLD and applied is not None:
@@ -399,6 +401,14 @@ class ActuatorDevice:
                 self.watch.is_safe()
             if self._journal.heard:
                 self._journal.publish(Kind.SAFE, self.name, "", command)
+
+    async def _outcome_of_safe(self, call: Call) -> Any:
+        try:
+            return await self.calls.outcome(call)
+        finally:
+            ready = self.state is ResourceState.READY
+            if ready and call.is_abandoned and self._lane is None:
+                self._lane = call  # its driver still has the device
 
     async def open_safe(self) -> None:
         """Send the safe command to a device that was just opened.
