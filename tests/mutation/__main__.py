@@ -3,8 +3,12 @@
 The tests are collected once. One child process runs them all and notes which lines each
 one reaches, and in what time; then each mutant is a child of its own, forked from there:
 the mistake is put into the functions that are loaded, and the tests that reach its line
-run, quickest first, until one fails. What a test in real time finds has to be found three
-times: it could be the computer that is busy.
+run until one fails: those in virtual time first, of these the quick ones and those that
+have found other mistakes in the file. What a test in real time finds has to be found
+three times: it could be the computer that is busy.
+
+With ``--baseline`` what the tests reach is kept in a file; next time only new tests are
+measured, and lines that have moved are found again.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from __future__ import annotations
 import argparse
 import collections
 import contextlib
+import difflib
 import gc
 import os
 import pickle
@@ -51,30 +56,39 @@ CPU_LIMIT, WALL_LIMIT = 60, 240
 class Baseline:
     """What the tests reach, and take, without any mistake."""
 
-    lines: dict[str, dict[int, list[str]]]
-    seconds: dict[str, float]
-    bad: list[str]
+    lines: dict[str, dict[int, set[str]]] = attrs.Factory(dict)
+    seconds: dict[str, float] = attrs.Factory(dict)
+    bad: set[str] = attrs.Factory(set)
     """Tests that fail all the same."""
+    sources: dict[str, list[str]] = attrs.Factory(dict)
+    """The files, line by line, as they were reached."""
 
-    def tests_of(self, mutant: Mutant, budget: float) -> list[str]:
-        """Who can notice: the quickest tests that reach it, as many as there is time for."""
+    def reached_by(self, mutant: Mutant) -> set[str]:
+        """Return who reaches a mistake."""
         reached = self.lines.get(str(mutant.file), {})
         found = set(reached.get(mutant.line, ()))
         if not found:  # a default, an attribute: its line ran at the import
             first, last = mutant.scope or (0, sys.maxsize)
-            found = {
-                n
-                for line, names in reached.items()
-                if first <= line <= last
-                for n in names
+            for line, names in reached.items():
+                if first <= line <= last:
+                    found |= names
+        return found
+
+    def keep_up(self) -> None:
+        """Find the lines of files that have changed since."""
+        for file, before in self.sources.items():
+            now = Path(file).read_text(encoding="utf-8").splitlines()
+            match = difflib.SequenceMatcher(None, before, now, autojunk=False)
+            moved = {
+                old + n + 1: new + n + 1
+                for old, new, size in match.get_matching_blocks()
+                for n in range(size)
             }
-        chosen = []
-        for name in sorted(found, key=lambda each: self.seconds[each]):
-            budget -= self.seconds[name]
-            if budget < 0:
-                break
-            chosen.append(name)
-        return chosen
+            lines = self.lines[file]
+            self.lines[file] = {
+                moved[line]: names for line, names in lines.items() if line in moved
+            }
+            self.sources[file] = now
 
 
 class Runner:
@@ -85,6 +99,9 @@ class Runner:
         self.survivors: list[Mutant] = []
         self.score: collections.Counter[tuple[str, str]] = collections.Counter()
         self._failed = False
+        self._killers: collections.Counter[tuple[Path, str]] = collections.Counter()
+        self._told = Path(tempfile.mkdtemp())
+        """Where a child writes which test has failed."""
 
     @property
     def killed(self) -> float:
@@ -109,6 +126,11 @@ class Runner:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         self._plugins = session.config.pluginmanager
         self.items = {item.nodeid: item for item in session.items}
+        self._in_real_time = {
+            item.nodeid
+            for item in session.items
+            if item.get_closest_marker("real_clock") is not None
+        }
         gc.collect()
         self.functions = loaded_functions()
         gc.freeze()  # children share it; what is new in them is theirs
@@ -116,10 +138,12 @@ class Runner:
         baseline = self._measure()
         running: dict[int, tuple[int, Mutant, float]] = {}
         tries: collections.Counter[Mutant] = collections.Counter()
+        suspects: dict[Mutant, str] = {}
         while mutants or running:
             while mutants and len(running) < self.options.jobs:
                 mutant = mutants.pop()
-                tests = baseline.tests_of(mutant, self.options.budget)
+                suspect = suspects.get(mutant)
+                tests = [suspect] if suspect else self._tests_of(mutant, baseline)
                 if not tests:
                     self._note(mutant, "survived", "no test comes here")
                     continue
@@ -129,15 +153,20 @@ class Runner:
                 pid, mutant, began = running.pop(fd)
                 os.close(fd)
                 end = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+                why = f"{time.monotonic() - began:.1f} s"
+                told = self._told / str(pid)
+                if told.exists():
+                    why = told.read_text()
+                    self._killers[mutant.file, why] += 1
                 tries[mutant] += 1
                 if end == IN_REAL_TIME and tries[mutant] < IN_REAL_TIME:
+                    suspects[mutant] = why
                     mutants.append(mutant)
                     continue
-                took = f"{time.monotonic() - began:.1f} s"
                 how = {0: "survived", 1: "killed", IN_REAL_TIME: "killed"}.get(
                     end, "hangs or crashes"
                 )
-                self._note(mutant, how, took)
+                self._note(mutant, how, why)
             for pid, _, began in running.values():
                 if time.monotonic() - began > WALL_LIMIT:
                     os.kill(pid, signal.SIGKILL)
@@ -164,12 +193,28 @@ class Runner:
         )
         return chosen
 
+    def _tests_of(self, mutant: Mutant, baseline: Baseline) -> list[str]:
+        """Who can notice, the most promising first, as many as there is time for."""
+
+        def promise(name: str) -> tuple[bool, float]:
+            found = self._killers[mutant.file, name]
+            return name in self._in_real_time, baseline.seconds[name] / (1 + found)
+
+        budget, chosen = self.options.budget, []
+        names = baseline.reached_by(mutant) & self.items.keys() - baseline.bad
+        for name in sorted(names, key=promise):
+            budget -= baseline.seconds[name]
+            if budget < 0:
+                break
+            chosen.append(name)
+        return chosen
+
     def _note(self, mutant: Mutant, how: str, why: str) -> None:
         self.score[mutant.file.name, how] += 1
         if how == "survived":
             self.survivors.append(mutant)
         place = f"{mutant.file.relative_to(SOURCE)}:{mutant.line}"
-        print(f"{how:17}{why:>19}  {place}: {mutant}", flush=True)
+        print(f"{how:17} {place}: {mutant}  [{why}]", flush=True)
 
     def _fork(self, work: Callable[..., int], *terms: Any) -> int:
         pid = os.fork()
@@ -197,45 +242,45 @@ class Runner:
             before(item.nodeid)
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             if self._failed:
-                return (
-                    1 if item.get_closest_marker("real_clock") is None else IN_REAL_TIME
-                )
+                (self._told / str(os.getpid())).write_text(item.nodeid)
+                return IN_REAL_TIME if item.nodeid in self._in_real_time else 1
         return 0
 
     def _measure(self) -> Baseline:
         kept: Path = self.options.baseline
-        if not kept.exists():
-            os.waitpid(self._fork(self._reach, kept), 0)
-        baseline: Baseline = pickle.loads(kept.read_bytes())
+        baseline = pickle.loads(kept.read_bytes()) if kept.exists() else Baseline()
+        baseline.keep_up()
+        new = self.items.keys() - baseline.seconds.keys() - baseline.bad
+        if new:
+            os.waitpid(self._fork(self._reach, baseline, sorted(new)), 0)
+            baseline = pickle.loads(kept.read_bytes())
         print(
             f"{len(baseline.seconds)} tests; without a mutant fail: {baseline.bad}\n",
             flush=True,
         )
         return baseline
 
-    def _reach(self, kept: Path) -> int:
+    def _reach(self, baseline: Baseline, names: list[str]) -> int:
         reach = coverage.Coverage(
             None, config_file=False, source=[str(SOURCE / room) for room in MUTATED]
         )
         reach.start()
-        seconds: dict[str, float] = {}
-        bad: list[str] = []
-        for name in self.items:
+        for name in names:
             began, self._failed = time.process_time(), False
             if self._run([name], reach.switch_context):
-                bad.append(name)
+                baseline.bad.add(name)
             else:
-                seconds[name] = time.process_time() - began
+                baseline.seconds[name] = time.process_time() - began
         reach.stop()
         data = reach.get_data()
-        lines = {
-            file: {
-                line: [each for each in contexts if each in seconds]
-                for line, contexts in data.contexts_by_lineno(file).items()
-            }
-            for file in data.measured_files()
-        }
-        kept.write_bytes(pickle.dumps(Baseline(lines, seconds, bad)))
+        for file in data.measured_files():
+            lines = baseline.lines.setdefault(file, {})
+            for line, contexts in data.contexts_by_lineno(file).items():
+                there = baseline.seconds.keys() & contexts
+                lines.setdefault(line, set()).update(there)
+            text = Path(file).read_text(encoding="utf-8")
+            baseline.sources[file] = text.splitlines()
+        self.options.baseline.write_bytes(pickle.dumps(baseline))
         return 0
 
     def _with(self, mutant: Mutant, tests: list[str]) -> int:
