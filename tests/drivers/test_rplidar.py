@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import random
 from typing import Any
 
 import hypothesis
@@ -16,6 +17,7 @@ from esair.drivers.rplidar import (
     GET_INFO,
     HEALTH_DESCRIPTOR,
     INFO_DESCRIPTOR,
+    LOOKS,
     SCAN,
     STOP,
     Health,
@@ -139,6 +141,35 @@ def test_after_garbage_whole_turns_come_again(garbage: bytes) -> None:
     assert got[-1].angles == pytest.approx(scan.angles, abs=0.001)
 
 
+GARBAGE = [
+    b"\x01",
+    encode_scan(Scan((0.0,), (1.0,), (15,))),
+    encode_scan(Scan((0.0, 1.0), (1.0, 1.0), (15, 15))),
+    encode_scan(Scan((0.0,), (1.0,), (15,))) + b"\0",
+    random.Random(7).randbytes(1 << 16),
+]
+
+
+@pytest.mark.fault("D11", "D12")
+@pytest.mark.parametrize("garbage", GARBAGE, ids=lambda each: f"{each[:6]!r}")
+def test_garbage_is_looked_at_in_few_places(garbage: bytes) -> None:
+    """However it is made and cut; real turns after it are given again."""
+    garbage = (garbage * ((1 << 18) // len(garbage)))[: 1 << 18]
+    angles = tuple(-math.tau * n / 400 for n in range(400))
+    wire = garbage + encode_scan(Scan(angles, (1.0,) * 400, (15,) * 400)) * 100
+    results = []
+    for size in (64, 1000, len(wire)):
+        decoder = ScanDecoder()
+        scans: list[Scan] = []
+        for begin in range(0, len(wire), size):
+            scans += decoder.feed(wire[begin : begin + size])
+            if begin < len(garbage) <= begin + size:
+                assert decoder.looks.count * LOOKS <= 2048 + len(wire) / 128
+        assert scans[-1].ranges == (1.0,) * 400
+        results.append((scans, decoder.discarded, decoder.bad_turns))
+    assert all(each == results[0] for each in results)
+
+
 @pytest.mark.fault("D11")
 def test_a_turn_that_never_ends_takes_no_memory() -> None:
     """It is thrown away and counted."""
@@ -149,7 +180,7 @@ def test_a_turn_that_never_ends_takes_no_memory() -> None:
     assert decoder.feed(begin + on * 100_000) == []
 
     assert decoder.bad_turns == 1
-    assert len(decoder._angles) == 0
+    assert len(decoder._turn) == 0
     assert len(decoder.feed((begin + on) * 2)) == 1
 
 

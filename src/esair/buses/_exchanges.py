@@ -57,6 +57,11 @@ class Exchanges:
         return self._waiting
 
     @property
+    def expects(self) -> bool:
+        """Whether what comes can be an answer, wanted or late."""
+        return self._now is not None or bool(self._owed)
+
+    @property
     def owed(self) -> int:
         """How many answers may still come that nobody waits for."""
         self._forget_old()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import collections
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Generic, TypeVar
 
 from esair.exceptions import BadValueError
@@ -48,6 +48,14 @@ class Inbox(Generic[T]):
             self.dropped += 1
         items.append(item)
         self._wake()
+
+    def extend(self, items: Sequence[T]) -> None:
+        """Add items, the newest last; never waits and never fails."""
+        kept = self._items
+        self.dropped += max(0, len(kept) + len(items) - (kept.maxlen or 0))
+        kept.extend(items)
+        if items:
+            self._wake()
 
     def fail(self, error: BaseException) -> None:
         """Let every further wait raise an error."""

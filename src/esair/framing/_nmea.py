@@ -16,7 +16,8 @@ from esair.exceptions import BadValueError
 from esair.framing._framing import Framing
 from esair.framing._looks import Looks
 
-_ENDING = re.compile(rb"\*([0-9A-Fa-f]{2})\r*\n")
+_HALVES = [tuple(8 << place for place in reversed(range(n))) for n in range(32)]
+"""How wide the halves of 1, 2, 4 and so on bytes are, in bits."""
 
 _FORBIDDEN = frozenset("$*,\r\n!\\^~")
 
@@ -27,12 +28,9 @@ class SentenceError(ValueError):
 
 def checksum(body: bytes) -> int:
     """Return the exclusive or of all bytes between ``$`` and ``*``."""
-    number, bits = int.from_bytes(body), 8
-    while bits < 8 * len(body):
-        bits *= 2
-    while bits > 8:  # the upper half onto the lower one, at once
-        bits //= 2
-        number ^= number >> bits
+    number = int.from_bytes(body)
+    for bits in _HALVES[max(0, len(body) - 1).bit_length()]:
+        number ^= number >> bits  # the upper half onto the lower one, at once
     return number & 0xFF
 
 
@@ -95,6 +93,9 @@ class Sentences(Framing):
     def __init__(self, *, max_length: int = 256) -> None:
         super().__init__(max_length=max_length)
         self._max_frame = 1 + max_length + 5  # $, *XX and the end of the line
+        self._sentence = re.compile(
+            rb"\$([^$\n\x80-\xff]{1,%d})\*([0-9A-Fa-f]{2})\r*\n" % max_length
+        )
         self.looks = Looks()
         """Pays for the sentences that are wrong."""
         self._paid = self._next = 0  # places, from the beginning of what is kept
@@ -129,24 +130,15 @@ class Sentences(Framing):
         payloads: list[bytes] = []
         used = 0
         past = max(0, self._next)
-        while ending := _ENDING.search(lines, past):
-            end = ending.end()
-            begin = lines.rfind(b"$", past, ending.start())
-            body = lines[begin + 1 : ending.start()]
-            past = end
-            if (
-                begin >= 0
-                and 0 < len(body) <= self.max_length
-                and end - begin <= self._max_frame
-                and b"\n" not in body
-                and body.isascii()
-                and int(ending[1], 16) == checksum(body)
-            ):
+        while found := self._sentence.search(lines, past):
+            begin, past = found.span()
+            body, told = found.groups()
+            if past - begin <= self._max_frame and int(told, 16) == checksum(body):
                 payloads.append(body)
-                used += end - begin
+                used += past - begin
             else:
-                self.looks.earn(end - self._paid)
-                self._paid = end
+                self.looks.earn(past - self._paid)
+                self._paid = past
                 past += self.looks.pay()
         self._next = past
         return payloads, used

@@ -600,3 +600,19 @@ async def test_the_error_of_a_lost_line_does_not_grow(line: FakeSerial) -> None:
 
     assert depths[1:] == depths[1:2] * 19
     await line.close()
+
+
+async def test_each_message_of_a_read_is_counted_once(line: FakeSerial) -> None:
+    """By who heard it, took it as an answer, let it go for newer ones, or by nobody."""
+    await line.open()
+    loud, quiet = line.frames(b"x=", limit=2), line.frames(b"y=")
+    asked = asyncio.ensure_future(line.ask(b"z?", prefix=b"z="))
+    await asyncio.sleep(0.01)
+
+    line.feed(b"x=1\n\nx=2\ny=1\nnoise\nz=7\nx=3\nz=8\n")
+    assert await asked == b"z=7"
+
+    assert [await loud.take() for _ in range(2)] == [b"x=2", b"x=3"]
+    assert await quiet.take() == b"y=1"
+    assert (line.stats.dropped, line.stats.unheard) == (1, 3)
+    await line.close()

@@ -325,8 +325,8 @@ class SerialBus(Bus):
         self.stats.received += len(data)
         bad_before = framing.bad_frames
         messages = framing.feed(data)
-        for message in messages:
-            self._deliver(message)
+        if messages:
+            self._deliver(messages)
         bad = framing.bad_frames - bad_before
         self.stats.bad_frames += bad
         self._bad_in_row = 0 if messages else self._bad_in_row + bad
@@ -340,16 +340,25 @@ class SerialBus(Bus):
             self._count(fault)
             self._fail_all(fault)
 
-    def _deliver(self, message: bytes) -> None:
-        heard = self._exchanges.offer(message)
+    def _deliver(self, messages: list[bytes]) -> None:
+        prefixes = tuple(prefix for prefix, _ in self._inboxes)
+        unheard = len(messages)
+        if self._exchanges.expects:
+            for message in messages:
+                if self._exchanges.offer(message) and not message.startswith(prefixes):
+                    unheard -= 1
+        if all(prefixes):  # an empty one is nobody's, and costs next to nothing
+            messages = [
+                each for each in filter(None, messages) if each.startswith(prefixes)
+            ]
         for prefix, inbox in self._inboxes:
-            if message.startswith(prefix):
-                dropped = inbox.dropped
-                inbox.offer(message)
-                self.stats.dropped += inbox.dropped - dropped
-                heard = True
-        if not heard:
-            self.stats.unheard += 1
+            dropped = inbox.dropped
+            if len(prefixes) > 1:
+                inbox.extend([each for each in messages if each.startswith(prefix)])
+            else:
+                inbox.extend(messages)
+            self.stats.dropped += inbox.dropped - dropped
+        self.stats.unheard += unheard - len(messages)
 
     def _fail_all(self, error: BaseException) -> None:
         self._exchanges.fail(error)

@@ -108,8 +108,9 @@ class FixBuilder:
 
     def __init__(self, sentences: Sequence[str] = SENTENCES) -> None:
         self._wanted = frozenset(sentences)
+        self._kinds = {kind.encode(): kind for kind in sentences}
         self._found: dict[str, Any] = {}
-        self._moment: datetime.time | None = None
+        self._moment: float | None = None  # as hhmmss.ss
         self._apart = 0
         self._looks = Looks()
         self._leave = self._skipped = 0
@@ -122,8 +123,8 @@ class FixBuilder:
         Returns:
             The fix that it completes; None if it completes none.
         """
-        kind = body[2:5].decode("ascii", "replace")
-        if kind not in self._wanted:
+        kind = self._kinds.get(body[2:5])
+        if kind is None:
             return None
         size = len(body) + FRAME
         if self._leave > size:
@@ -143,10 +144,11 @@ class FixBuilder:
         told, none = (fields[6], b"0") if kind == "GGA" else (fields[2], b"V")
         message: Any = None
         try:
-            moment = _time(fields[1])
+            moment = float(fields[1])
             if told and told != none:
                 message = NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)
-                moment = message.time
+                if not isinstance(message.time, datetime.time):
+                    raise ValueError("a time that is none")
                 if kind == "GGA" and message.quality <= 0:
                     message = None
         except _ERRORS:
@@ -169,9 +171,9 @@ class FixBuilder:
         if None in found.values():
             self.without_fix += 1
             return None
-        return self._fix(moment, found.get("GGA"), found.get("RMC"))
+        return self._fix(found.get("GGA"), found.get("RMC"))
 
-    def _fix(self, moment: datetime.time, gga: Any, rmc: Any) -> Fix | None:
+    def _fix(self, gga: Any, rmc: Any) -> Fix | None:
         place = gga or rmc
         try:
             fix = Fix(
@@ -183,21 +185,14 @@ class FixBuilder:
                 quality=gga and int(gga.quality),
                 satellites=gga and _count(gga.numSV),
                 hdop=gga and _optional(gga.HDOP),
-                time=datetime.datetime.combine(rmc.date, moment, datetime.UTC)
+                time=datetime.datetime.combine(rmc.date, place.time, datetime.UTC)
                 if rmc is not None and isinstance(rmc.date, datetime.date)
-                else moment,
+                else place.time,
             )
         except _ERRORS:
             self.bad_sentences += 1
             return None
         return fix
-
-
-def _time(field: bytes) -> datetime.time:
-    seconds = float(field[4:])
-    whole = int(seconds)
-    microsecond = round((seconds - whole) * 1e6)
-    return datetime.time(int(field[:2]), int(field[2:4]), whole, microsecond)
 
 
 def _number(value: Any, low: float, high: float) -> float:

@@ -34,7 +34,11 @@ from esair.watchdog import SafeFrames
 __all__ = ["LineActuator", "LineSensor"]
 
 _KEY = re.compile(r"[A-Za-z]\w{0,31}\Z", re.ASCII)
-_NUMBER = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?\Z")
+_LINE = re.compile(rb"([A-Za-z]\w{0,31})[=:](.*)", re.DOTALL)
+_NUMBER = re.compile(rb"[+-]?(\d++(\.\d*+)?|\.\d++)([eE][+-]?\d++)?\Z")
+WAITING = 8
+"""How many values that a board pushes are kept until they are taken."""
+
 _DIGITS = 64
 """The most characters that a number has; no computer needs more for a float."""
 
@@ -60,26 +64,21 @@ def decode_value(line: bytes) -> tuple[str, float]:
     Raises:
         LineError: It is no such line, or the value is no finite number.
     """
-    key, value = _split(line, b"=:")
-    number = value.strip()
-    if (
-        len(number) > _DIGITS
-        or not _NUMBER.match(number)
-        or not math.isfinite(float(number))
-    ):
-        raise LineError(f"expected a number in {line!r:.80}")
-    return key, float(number)
+    found = _LINE.match(line)
+    if found is None:
+        raise LineError(f"expected name=value, not {line[:80]!r:.80}")
+    value = _number(found[2])
+    if value is None:
+        raise LineError(f"expected a number in {line[:80]!r:.80}")
+    return found[1].decode("ascii"), value
 
 
-def _split(line: bytes, marks: bytes) -> tuple[str, bytes]:
-    text = line.rstrip(b"\r")
-    for place, byte in enumerate(text):
-        if byte in marks:
-            key = text[:place].decode("ascii", "replace")
-            if _KEY.match(key):
-                return key, text[place + 1 :]
-            break
-    raise LineError(f"expected name=value, not {line!r:.80}")
+def _number(text: bytes) -> float | None:
+    text = text.strip()
+    if len(text) > _DIGITS or not _NUMBER.match(text):
+        return None
+    value = float(text)
+    return value if math.isfinite(value) else None
 
 
 class _LineDevice:
@@ -182,17 +181,17 @@ class LineSensor(_LineDevice, Sensor[float]):
 
     async def stream(self) -> AsyncIterator[float]:
         """Yield each value that comes; what is no number is counted and left out."""
+        begin = len(self.key) + 1
         with contextlib.closing(self._lines()) as lines:
             async for line in heard(self, lines, self.silent_after):
-                try:
-                    _, value = decode_value(line)
-                except LineError:
+                value = _number(line[begin:])
+                if value is None:
                     self.bad_lines += 1
                 else:
                     yield value
 
     def _lines(self) -> Inbox[bytes]:
-        return self.bus.frames(f"{self.key}=".encode("ascii"))
+        return self.bus.frames(f"{self.key}=".encode("ascii"), limit=WAITING)
 
 
 class LineActuator(_LineDevice, Actuator[float]):

@@ -35,7 +35,7 @@ import attrs
 from esair.buses import Inbox, SerialBus
 from esair.drivers._silence import heard
 from esair.exceptions import ConfigError, DeviceFaultError
-from esair.framing import Raw
+from esair.framing import Looks, Raw
 from esair.resources import Sensor
 
 __all__ = ["Health", "Info", "RpLidar", "Scan", "ScanDecoder"]
@@ -66,10 +66,26 @@ _INFO = struct.Struct("<BBBB16s")
 _HEALTH = struct.Struct("<BH")
 _NODE = struct.Struct("<BHH")
 
-_FIRST = b"".join(re.escape(bytes([n])) for n in range(256) if n & 3 in {1, 2})
+
+def _firsts(*bits: int) -> bytes:
+    return b"".join(re.escape(bytes([n])) for n in range(256) if n & 3 in bits)
+
+
+# S and its inverse, the check bit, no angle beyond a turn, and a distance.
 _ODD = b"".join(re.escape(bytes([n])) for n in range(1, 256, 2))
-_BEGINNING = re.compile(rb"(?s)[%b](?:[%b][\x00-\xb3]|\x01\xb4).." % (_FIRST, _ODD))
-"""What looks like a measurement, for a search that is quick."""
+_REST = rb"(?:[%b][\x00-\xb3]|\x01\xb4).." % _ODD
+_PIECE = re.compile(
+    rb"(?s)([%b]%b)?+(?:[%b]%b)*+" % (_firsts(1), _REST, _firsts(2), _REST)
+)
+"""Measurements one after the other; the first one may begin a turn."""
+_BEGINNING = re.compile(rb"(?s)[%b]%b" % (_firsts(1, 2), _REST))
+"""What looks like a measurement."""
+
+_QUALITY = bytes(n >> 2 for n in range(256))
+_UNIT = math.radians(1 / 128)
+
+LOOKS = 4.0
+"""What a turn or a gap costs beside its bytes, in looks at a place of a stream."""
 
 _STATUS = ("good", "warning", "error")
 
@@ -171,68 +187,90 @@ class ScanDecoder:
     """Turns the bytes of a running scan into whole turns. No I/O.
 
     What does not look like a measurement is left out byte by byte until it does again;
-    a turn with such a gap is not given.
+    a turn with such a gap is not given. The work for garbage is bounded: after 512
+    gaps and turns of next to no bytes, most of what comes is left out unseen until
+    longer turns have come again.
 
     Attributes:
         discarded: How many bytes were left out.
         bad_turns: How many turns had a gap.
+        looks: Pays for gaps and turns.
     """
 
     def __init__(self) -> None:
         self.discarded = 0
         self.bad_turns = 0
         self._rest = b""
-        self._whole = False
-        self._angles: list[float] = []
-        self._ranges: list[float] = []
-        self._qualities: list[int] = []
+        self._turn = bytearray()
+        self._whole = self._is_lost = False
+        self.looks = Looks()
+        self._paid = self._leave = 0  # places, from the beginning of what is kept
 
     def feed(self, data: bytes) -> list[Scan]:
         """Take bytes; return the turns that they complete."""
         data = self._rest + data
-        end = len(data) - NODE_SIZE
-        begin = 0
+        end = len(data) - NODE_SIZE + 1
+        begin = self._leave
         scans: list[Scan] = []
-        while begin <= end:
-            first, turned, far = _NODE.unpack_from(data, begin)
-            # S and its inverse, the check bit, and no angle beyond a turn.
-            if first & 3 not in {1, 2} or not turned & 1 or turned >> 1 > 360 * 64:
-                found = _BEGINNING.search(data, begin + 1)
-                gap = (found.start() if found else end + 1) - begin
-                begin += gap
-                self.discarded += gap
+        while begin < end:
+            if self._is_lost:
+                found = _BEGINNING.search(data, begin)
+                self._is_lost = found is None
+                after = found.start() if found else end
+                self.discarded += after - begin
+                begin = after
+                continue
+            piece = _PIECE.match(data, begin)
+            assert piece is not None  # it may be empty
+            if piece.start(1) == begin:
+                if self._whole:
+                    scans.append(_decode(self._turn))
+                self._turn.clear()
+                self._whole = True
+                leave = self._pay(begin)
+            elif piece.end() == begin:
+                leave = self._pay(begin) + 1
+            else:
+                leave = 0
+            if leave:
                 self._lose_turn()
+                self._is_lost = True
+                self.discarded += leave
+                begin += leave
                 continue
-            begin += NODE_SIZE
-            if first & 1:
-                if self._whole and self._angles:
-                    scans.append(self._turn())
-                self._begin_turn(whole=True)
-            if not self._whole:
-                continue
-            if len(self._angles) >= MAX_NODES:
-                self._lose_turn()
-                continue
-            angle = -math.radians((turned >> 1) / 64)
-            self._angles.append(angle if angle > -math.pi else angle + math.tau)
-            self._ranges.append(far / 4000 if far else math.inf)
-            self._qualities.append(first >> 2)
-        self._rest = data[begin:]
+            if self._whole:
+                self._turn += data[begin : piece.end()]
+                if len(self._turn) > MAX_NODES * NODE_SIZE:
+                    self._lose_turn()
+            begin = piece.end()
+        kept = min(begin, len(data))
+        self._rest = data[kept:]
+        self._leave, self._paid = begin - kept, self._paid - kept
         return scans
 
-    def _turn(self) -> Scan:
-        return Scan(tuple(self._angles), tuple(self._ranges), tuple(self._qualities))
-
-    def _begin_turn(self, *, whole: bool) -> None:
-        self._whole = whole
-        self._angles.clear()
-        self._ranges.clear()
-        self._qualities.clear()
+    def _pay(self, place: int) -> int:
+        self.looks.earn(place - self._paid)
+        self._paid = place
+        return self.looks.pay(LOOKS)
 
     def _lose_turn(self) -> None:
-        if self._whole:
-            self.bad_turns += 1
-        self._begin_turn(whole=False)
+        self.bad_turns += self._whole
+        self._whole = False
+        self._turn.clear()
+
+
+def _decode(nodes: bytearray) -> Scan:
+    count = len(nodes) // NODE_SIZE
+    words = bytearray(4 * count)
+    for place in range(4):
+        words[place::4] = nodes[place + 1 :: NODE_SIZE]
+    numbers = struct.unpack(f"<{2 * count}H", words)
+    return Scan(
+        # Measured clockwise in 1/64 degree, the lowest bit is for checking.
+        tuple([((46081 - n if n > 23040 else 1 - n) * _UNIT) for n in numbers[::2]]),
+        tuple([far / 4000 if far else math.inf for far in numbers[1::2]]),
+        tuple(nodes[::NODE_SIZE].translate(_QUALITY)),
+    )
 
 
 class RpLidar(Sensor[Scan]):
