@@ -141,3 +141,36 @@ def test_a_file_that_is_none_is_told(verb: str, tmp_path: Path, capsys) -> None:
     assert run(verb, wrong) == 2
     assert capsys.readouterr().err.startswith("esair: ")
     assert run(verb, tmp_path / "nowhere.mcap") == 2
+
+
+@pytest.mark.parametrize("verb", ["log", "plot", "recover", "replay"])
+def test_a_file_that_is_no_recording_is_one_line(verb, tmp_path, capsys) -> None:
+    """Which file, and what is the matter with it; exit code 2."""
+    if verb == "plot":
+        pytest.importorskip("matplotlib", reason="needs esair[sim]")
+    text = tmp_path / "robot.toml"
+    text.write_text("[robot]\n")
+    for file, why in (
+        (tmp_path / "none.mcap", "there is no such file"),
+        (text, "it is no recording of esair"),
+    ):
+        assert run(verb, file) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"{file}: {why}" in line
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["log", "-c", "weels"], "--component: there is no 'weels'; did you mean 'whe"),
+        (["plot", "-c", "gps"], "--component: there is no 'gps'; there are sonar, wh"),
+        (["log", "-k", "refusd"], "--kind: there is no 'refusd'; did you mean 'refus"),
+    ],
+)
+def test_a_name_that_selects_nothing_is_told(words, told, recording, capsys) -> None:
+    """A misspelling is no empty answer."""
+    verb, *options = words
+    assert run(verb, recording, *options) == 2
+    said = capsys.readouterr()
+    assert told in said.err
+    assert said.out == ""

@@ -26,8 +26,8 @@ def check(
     robot: str,
     /,
     *,
-    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
-    strict: Annotated[bool, Parameter(negative=())] = False,
+    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    strict: bool = False,
 ) -> int:
     """Find every mistake of a robot at once, without opening a device.
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from esair.cli._errors import missing_extra
 
 
 def demo(
     *,
-    fast: Annotated[bool, Parameter(negative=())] = False,
+    fast: bool = False,
     seed: int = 0,
     out: Path | None = None,
     record: Path | None = None,
-    kill: Annotated[bool, Parameter(negative=())] = False,
+    kill: bool = False,
 ) -> int:
     """Watch a simulated rover explore, lose a sensor, stop safely and go on.
 

@@ -55,11 +55,11 @@ Chips = dict[str, dict[int, str]]
 
 def devices(
     *,
-    as_toml: Annotated[bool, Parameter(name="--toml", negative=())] = False,
-    scan: Annotated[bool, Parameter(negative=())] = False,
-    watch: Annotated[bool, Parameter(negative=())] = False,
-    find: Annotated[bool, Parameter(negative=())] = False,
-    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    as_toml: Annotated[bool, Parameter(name="--toml")] = False,
+    scan: bool = False,
+    watch: bool = False,
+    find: bool = False,
+    as_json: Annotated[bool, Parameter(name="--json")] = False,
     seconds: Annotated[float | None, Parameter(name="--for")] = None,
     root: Annotated[Path, Parameter(show=False)] = Path("/"),
 ) -> int:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Final
 
 from esair.config import ConfigFileError
-from esair.exceptions import ConfigError
+from esair.exceptions import ConfigError, describe, did_you_mean
+from esair.values import printable
 
 CANNOT_USE: Final = 2
 """The exit code for a command line, file or installation that cannot be used."""
@@ -42,6 +43,29 @@ def show_mistakes(mistakes: Sequence[ConfigError]) -> int:
     words = "1 mistake" if count == 1 else f"{count} mistakes"
     console.print(Text(f"{words}; nothing was opened, nothing moved", "bold red"))
     return CANNOT_USE
+
+
+def cannot_read(error: Exception) -> int:
+    """Say why a recording cannot be used.
+
+    Returns:
+        The exit code.
+    """
+    missing = isinstance(error, FileNotFoundError)
+    tell(f"{error.filename}: there is no such file" if missing else describe(error))
+    return CANNOT_USE
+
+
+def has_unknown(option: str, given: Iterable[str], known: Collection[str]) -> bool:
+    """Say which word after an option names nothing; return whether there is one."""
+    for word in given:
+        if word not in known:
+            hint = (
+                did_you_mean(word, known) or f"; there are {', '.join(sorted(known))}"
+            )
+            tell(printable(f"{option}: there is no {word!r:.80}{hint}"))
+            return True
+    return False
 
 
 def missing_extra(error: ModuleNotFoundError, extra: str) -> int | None:

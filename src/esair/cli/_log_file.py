@@ -10,13 +10,15 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from esair.cli._errors import CANNOT_USE, missing_extra, tell
-from esair.exceptions import (
-    EsairError,
-    RecordingBrokenError,
-    RecordingError,
-    describe,
+from esair.cli._errors import (
+    CANNOT_USE,
+    cannot_read,
+    has_unknown,
+    missing_extra,
+    tell,
 )
+from esair.exceptions import EsairError, RecordingBrokenError, RecordingError
+from esair.journal import Kind
 from esair.seat import NoRobotError, connect
 from esair.values import printable
 
@@ -31,13 +33,13 @@ def log(
     file: Path | None = None,
     /,
     *,
-    follow: Annotated[bool, Parameter(name=["--follow", "-f"], negative=())] = False,
+    follow: Annotated[bool, Parameter(name=["--follow", "-f"])] = False,
     robot: Annotated[str | None, Parameter(name=["--robot", "-r"])] = None,
     component: Annotated[
         list[str] | None, Parameter(name=["--component", "-c"])
     ] = None,
     kind: Annotated[list[str] | None, Parameter(name=["--kind", "-k"])] = None,
-    machine: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    machine: Annotated[bool, Parameter(name="--json")] = False,
 ) -> int:
     """Print what is in a recording, or what a robot does now, a line for each event.
 
@@ -49,16 +51,20 @@ def log(
         kind: Only events of these kinds, such as refused or crashed.
         machine: Lines of JSON, for other programs.
     """
-    if follow or file is None:
-        if not follow or file is not None:
-            tell("log: expected a recording, or -f for a robot that runs")
-            return CANNOT_USE
+    if follow == (file is not None):
+        tell("log: expected a recording, or -f for a robot that runs")
+        return CANNOT_USE
+    if has_unknown("--kind", kind or [], [str(each) for each in Kind]):
+        return CANNOT_USE
+    if file is None:
         return _follow(robot, component or [], kind or [], machine=machine)
+    named: set[str] = set()
     try:
         from esair.recording import events_of, facts_of
 
         offset = float(facts_of(file).get("clock", {}).get("offset", 0.0))
         for event in events_of(file):
+            named |= {event.component, event.peer} - {""}
             if component and not {event.component, event.peer} & set(component):
                 continue
             if kind and event.kind not in kind:
@@ -72,9 +78,8 @@ def log(
     except BrokenPipeError:  # whoever reads, such as ``head``, has seen enough
         raise
     except (RecordingBrokenError, OSError) as error:
-        tell(describe(error))
-        return CANNOT_USE
-    return 0
+        return cannot_read(error)
+    return CANNOT_USE if has_unknown("--component", component or [], named) else 0
 
 
 def _follow(
@@ -147,8 +152,7 @@ def recover(
     except ModuleNotFoundError as error:
         return _missing(error)
     except (RecordingBrokenError, RecordingError, OSError) as error:
-        tell(describe(error))
-        return CANNOT_USE
+        return cannot_read(error)
     state = "it was whole" if found.was_whole else "it was cut"
     print(f"{found.path}: {found.messages} messages; {state}")  # noqa: T201 - the output
     return 0

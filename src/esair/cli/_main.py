@@ -87,7 +87,7 @@ def _leaves(group: BaseExceptionGroup[ConfigError]) -> list[ConfigError]:
 
 def make_app() -> App:
     """Return the command line with all its verbs."""
-    from cyclopts import App
+    from cyclopts import App, Parameter
 
     from esair.cli._check import check
     from esair.cli._demo import demo
@@ -109,6 +109,7 @@ def make_app() -> App:
         name="esair",
         help="Robots that must not hurt anyone, lose data, or stop for a loose cable.",
         version=importlib.metadata.version("esair"),
+        default_parameter=Parameter(negative=()),  # no --no-json, no --empty-page
     )
     for verb in (demo, new, check, devices, sim, run, log, plot, replay, recover):
         app.command(verb)

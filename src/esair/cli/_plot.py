@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from esair.cli._errors import CANNOT_USE, missing_extra, tell
-from esair.exceptions import RecordingBrokenError, describe
+from esair.cli._errors import (
+    CANNOT_USE,
+    cannot_read,
+    has_unknown,
+    missing_extra,
+    tell,
+)
+from esair.exceptions import RecordingBrokenError
 
 if TYPE_CHECKING:
     from esair.recording import Recorded
@@ -53,6 +59,9 @@ def plot(
         if not events:
             tell(f"{file}: there is no event in it")
             return CANNOT_USE
+        named = {event.component for event in events}
+        if has_unknown("--component", component or [], named):
+            return CANNOT_USE
         _draw(events, target, component)
     except ModuleNotFoundError as error:
         extra = "record" if error.name == "mcap" else "sim"
@@ -61,8 +70,7 @@ def plot(
             raise
         return code
     except (RecordingBrokenError, OSError) as error:
-        tell(describe(error))
-        return CANNOT_USE
+        return cannot_read(error)
     print(target)  # noqa: T201 - this is the output
     return 0
 

@@ -13,9 +13,9 @@ from rich.text import Text
 
 import esair
 from esair import config
-from esair.cli._errors import CANNOT_USE, missing_extra, tell
+from esair.cli._errors import CANNOT_USE, cannot_read, missing_extra, tell
 from esair.cli._log_file import shown
-from esair.exceptions import EsairError, describe
+from esair.exceptions import EsairError
 
 if TYPE_CHECKING:
     from esair.recording import Recorded
@@ -33,8 +33,8 @@ def replay(
     /,
     *,
     with_: Annotated[str | None, Parameter(name="--with")] = None,
-    check: Annotated[bool, Parameter(negative=())] = False,
-    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative=())] = False,
+    check: bool = False,
+    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"])] = False,
 ) -> int:
     """Repeat a recorded run with the robot's code of today, and compare.
 
@@ -51,9 +51,6 @@ def replay(
             code is 3 if there is such a thing.
         verbose: Show the log of the replay.
     """
-    if not file.exists():
-        tell(f"{file}: there is no such file")
-        return CANNOT_USE
     try:
         from esair.replay import Replay
 
@@ -84,8 +81,7 @@ def replay(
     except (EsairError, OSError) as error:
         if isinstance(error, config.ConfigFileError):
             raise
-        tell(describe(error))
-        return CANNOT_USE
+        return cannot_read(error)
     return show(outcome, console)
 
 

@@ -19,8 +19,8 @@ def run(
     loop: Literal["asyncio", "uvloop"] = "asyncio",
     record: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
     page: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
-    insecure: Annotated[bool, Parameter(negative=())] = False,
-    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative=())] = False,
+    insecure: bool = False,
+    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"])] = False,
 ) -> int:
     """Run the robot of a robot.toml on its real hardware.
 

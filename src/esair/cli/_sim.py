@@ -17,8 +17,8 @@ def sim(
     seconds: Annotated[float | None, Parameter(name="--for")] = None,
     record: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
     page: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
-    insecure: Annotated[bool, Parameter(negative=())] = False,
-    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative=())] = False,
+    insecure: bool = False,
+    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"])] = False,
 ) -> int:
     """Run the robot of a robot.toml in simulation: the sim tables count.
 

@@ -16,7 +16,7 @@ NOT_DONE = 1
 """The exit code if the robot has not done it."""
 
 Which = Annotated[str | None, Parameter(name=["--robot", "-r"])]
-AsJson = Annotated[bool, Parameter(name="--json", negative=())]
+AsJson = Annotated[bool, Parameter(name="--json")]
 
 
 def why(
@@ -37,7 +37,7 @@ def stop(
     /,
     *,
     robot: Which = None,
-    everyone: Annotated[bool, Parameter(name="--all", negative=())] = False,
+    everyone: Annotated[bool, Parameter(name="--all")] = False,
     machine: AsJson = False,
 ) -> int:
     """Halt a robot: every actuator is safe and stays so until resume.
@@ -50,10 +50,7 @@ def stop(
         everyone: Halt every robot of this user on this computer.
         machine: JSON, for other programs.
     """
-    names: list[str | None] = [*robots()] if everyone else [robot]
-    if not names:
-        tell("no robot runs here with a control socket")
-        return CANNOT_USE
+    names = ([*robots()] or [None]) if everyone else [robot]
     return max(_stop(name, reason, machine=machine) for name in names)
 
 

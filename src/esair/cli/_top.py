@@ -29,7 +29,7 @@ KEPT = 100
 def top(
     *,
     robot: Annotated[str | None, Parameter(name=["--robot", "-r"])] = None,
-    machine: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    machine: Annotated[bool, Parameter(name="--json")] = False,
 ) -> int:
     """Show what a robot is doing: state, holder, rate, age, late, losses, refusals.
 

@@ -32,9 +32,9 @@ def torture(
     *,
     seconds: Annotated[float, Parameter(name="--for")] = 60.0,
     seed: int | None = None,
-    own: Annotated[bool, Parameter(name="--own-devices", negative=())] = False,
+    own: Annotated[bool, Parameter(name="--own-devices")] = False,
     out: Path | None = None,
-    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> int:
     """Do to a robot whatever can go wrong, and see whether it stays safe.
 

@@ -40,6 +40,9 @@ class Recorded(NamedTuple):
     text: str
 
 
+_MAGIC = b"\x89MCAP0\r\n"
+"""What every MCAP file begins with."""
+
 _BEGUN = b"\xff" * 8
 """The length of a chunk that was begun: its writer was killed before its end."""
 
@@ -54,6 +57,9 @@ def records_of(path: Path) -> Iterator[Any]:
     from mcap.stream_reader import StreamReader, breakup_chunk
 
     with path.open("rb") as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            return
+        file.seek(0)
         records = iter(StreamReader(file, emit_chunks=True).records)
         while True:
             begin = file.tell()

@@ -101,6 +101,6 @@ def recover(path: str | Path, target: str | Path | None = None) -> Recovered:
             finish()
     if not begun:
         partial.unlink()
-        raise RecordingBrokenError(str(path), "not even its beginning is there")
+        raise RecordingBrokenError(str(path), "it is no recording of esair")
     partial.replace(new)
     return Recovered(new, messages, is_whole(path))

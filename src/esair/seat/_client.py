@@ -57,7 +57,10 @@ def connect(name: str | None = None) -> Client:
     if name is None:
         told = f"several robots run: {', '.join(found)}; say which: --robot NAME"
         raise NoRobotError(
-            told if found else "no robot runs here with a control socket"
+            told
+            if found
+            else "no robot runs here with a control socket: esair run, esair sim or "
+            "esair.Robot(socket=True) starts one"
         )
     if name not in found:
         hint = did_you_mean(name, found) or f"; there are {', '.join(found) or 'none'}"
