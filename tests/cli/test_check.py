@@ -315,3 +315,13 @@ def test_a_file_that_cannot_be_read_is_exit_code_2(
     assert told.out == ""
     assert "robot.toml" in told.err
     assert "Traceback" not in told.err
+
+
+def test_there_is_no_table_of_safety_of_a_robot_that_was_not_made(
+    robot_file, esair_command, capsys
+) -> None:
+    """A guard that could not be made would be missing there, as if there were none."""
+    path = robot_file(SOUND.replace("{m}:Stop", "{m}:Stpo"))
+
+    assert esair_command("check", path) == 1
+    assert "How each actuator is made safe" not in capsys.readouterr().out

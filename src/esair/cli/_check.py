@@ -45,7 +45,8 @@ def check(
     else:
         if report.findings:
             console.print(_findings(report.findings))
-        if report.actuators:
+        unmade = any(found.rule == "configuration" for found in report.findings)
+        if report.actuators and not unmade:  # else a guard may be what is missing
             console.print(_actuators(report))
         console.print(_summary(report), soft_wrap=True)
     return 1 if report.errors or (strict and report.warnings) else 0

@@ -51,8 +51,10 @@ def cannot_read(error: Exception) -> int:
     Returns:
         The exit code.
     """
-    missing = isinstance(error, FileNotFoundError)
-    tell(f"{error.filename}: there is no such file" if missing else describe(error))
+    if isinstance(error, FileNotFoundError):
+        tell(f"{error.filename}: there is no such file")
+    else:
+        tell(describe(error))
     return CANNOT_USE
 
 

@@ -50,7 +50,8 @@ def stop(
         everyone: Halt every robot of this user on this computer.
         machine: JSON, for other programs.
     """
-    names = ([*robots()] or [None]) if everyone else [robot]
+    names: list[str | None] = [*robots()] if everyone else [robot]
+    names = names or [None]  # which tells that there is none
     return max(_stop(name, reason, machine=machine) for name in names)
 
 

@@ -87,11 +87,12 @@ def find_class(
     }
     if name not in points:
         known = [*built_in, *points]
-        mistakes.add(
-            key,
-            f"{name!r} is not installed{did_you_mean(name, known) or _among(known)} "
-            f"(a class of your own is named 'module:Class')",
-        )
+        hint = did_you_mean(name, known) or _among(known)
+        own = "module:Class"
+        if "." in name:  # as Python would write it
+            hint, own = "", ":".join(name.rsplit(".", 1))
+        told = f"{name!r} is not installed{hint} (a class of your own is named {own!r})"
+        mistakes.add(key, told)
         return None
     try:
         found: object = points[name].load()

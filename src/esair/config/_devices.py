@@ -97,6 +97,8 @@ def _find_bus(
     else:
         bus = given["bus"] = buses[name]
         if bus is not None and kind is not None and (wrong := wrong_bus(kind, bus)):
+            if draft.simulated and not variant.is_simulated:
+                wrong += ": give the device sim = { driver = ... } too"
             mistakes.add(where, wrong)
         return str(name)
     return None

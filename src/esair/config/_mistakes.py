@@ -134,7 +134,7 @@ class Mistakes:
                 self.caught(key, part, doing)
         elif isinstance(error, ConfigError | BadValueError):
             where = f"{key}.{error.field}" if _is_key(error.field) else key
-            self.add(where, _without_prefix(str(error), error))
+            self.add(where, reason_of(error))
         else:
             self.add(key, f"{doing} raised {describe(error)}")
 
@@ -161,6 +161,9 @@ def _is_key(field: str) -> bool:
     return bool(field) and all(_BARE.match(part) for part in field.split("."))
 
 
-def _without_prefix(text: str, error: ConfigError | BadValueError) -> str:
-    text = text.removeprefix(f"{error.component}: ")
+def reason_of(error: Exception) -> str:
+    """Return what an error of esair expected; name any other error."""
+    if not isinstance(error, ConfigError | BadValueError):
+        return describe(error)
+    text = str(error).removeprefix(f"{error.component}: ")
     return text.removeprefix(f"{error.field}: ") if _is_key(error.field) else text

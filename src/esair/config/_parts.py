@@ -102,4 +102,6 @@ def refused_by_robot(draft: Draft, robot_class: type) -> None:
             **draft.robot,
         )
     except (EsairError, ExceptionGroup) as error:
-        draft.source.mistakes.caught("robot", error, "the robot")
+        about = getattr(error, "component", "")
+        key = about if about in OF_ROBOT else "robot"
+        draft.source.mistakes.caught(key, error, "the robot")

@@ -124,7 +124,7 @@ def _access(source: Source, key: str, value: object) -> Access | None:
         else:
             source.mistakes.add(
                 key,
-                "expected read, write, configure or none, with commas between them, "
+                f"expected some of {', '.join(_RIGHTS)}, with commas between them, "
                 f"not {show(right)}{did_you_mean(right, _RIGHTS)}",
             )
             sound = False

@@ -107,6 +107,8 @@ def _bytes_of(path: str | os.PathLike[str], shown: str) -> bytes:
                 raw = file.read(LIMIT + 1)
         finally:
             os.close(number)
+    except ConfigFileError:
+        raise
     except FileNotFoundError:
         raise ConfigFileError(shown, None, "", "there is no such file") from None
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path

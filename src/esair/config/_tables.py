@@ -87,10 +87,9 @@ def class_of(
     """Return the class that a table names, or note why it cannot serve."""
     mistakes = draft.source.mistakes
     if field not in variant.table:
-        expected = "'serial', 'can', 'i2c'" if base is Bus else "'module:Class'"
+        known = ", ".join(map(repr, BUSES)) if base is Bus else "an installed name"
         mistakes.add(
-            key,
-            f"the key {field!r} is missing: expected {expected} or an installed name",
+            key, f"the key {field!r} is missing: expected {known} or 'module:Class'"
         )
         return None
     name = variant.table[field]

@@ -15,10 +15,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from esair.config._mistakes import below, show
+from esair.config._mistakes import below, reason_of, show
 from esair.config._records import fields_of
 from esair.config._words import LISTS, PATHS, unknown, wanted
-from esair.exceptions import describe
 
 Report = Callable[[str, str], None]
 """Called with a key and with what is wrong there."""
@@ -195,7 +194,7 @@ def make_record(
         return base(**arguments)
     except Exception as error:  # a validator of the user's class may raise anything
         where = getattr(error, "field", "")
-        report(f"{key}.{where}" if where in fields else key, describe(error))
+        report(f"{key}.{where}" if where in fields else key, reason_of(error))
         return INVALID
 
 

@@ -122,13 +122,17 @@ def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
 
 def _in_limits(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
     for field, bounds in limits_by_field(actuator.limits).items():
+        moves = actuator.safe is not HOLD
+        try:
+            part = part_of(actuator.safe, field) if moves else None
+        except (AttributeError, LookupError):
+            yield f"limits.{field}", f"{actuator.safe!r:.80} has no such field"
+            continue
         try:
             low, high = bounds
             sound = low <= high
-            fits = actuator.safe is HOLD or (
-                low <= part_of(actuator.safe, field) <= high
-            )
-        except (TypeError, ValueError, AttributeError, LookupError):
+            fits = part is None or low <= part <= high
+        except (TypeError, ValueError):
             sound = False
         if not sound:
             told = f"expected (least, greatest), not {bounds!r:.80}"

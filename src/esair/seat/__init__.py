@@ -4,7 +4,7 @@ One table of acts serves the control socket, ``robot.behaviors.command`` and the
 The operator is a principal with rights of its own; what it does is in the journal.
 """
 
-from esair.seat._acts import ACTS, Act
+from esair.seat._acts import ACTS, Act, check_rights
 from esair.seat._client import Client, NoRobotError, RefusedActError, connect
 from esair.seat._operator import Console, Session
 from esair.seat._place import robots
@@ -29,6 +29,7 @@ __all__ = [
     "Socket",
     "Status",
     "act_of",
+    "check_rights",
     "connect",
     "robots",
     "value_of",

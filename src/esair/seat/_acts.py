@@ -15,6 +15,7 @@ from esair.exceptions import (
     UnknownNameError,
     did_you_mean,
 )
+from esair.messages import OPERATOR, Operator
 from esair.recording import plain
 from esair.seat._leases import SECONDS, answer_of
 from esair.seat._status import settings
@@ -412,3 +413,15 @@ ACTS: dict[str, Act] = {
     )
 }
 """Every act, by its name."""
+
+
+def check_rights(operator: Operator) -> None:
+    """Refuse what allows an act that does not exist.
+
+    Raises:
+        ConfigError: It does; the nearest act is named.
+    """
+    for name in operator.allow:
+        if name != "*" and name not in ACTS:
+            hint = did_you_mean(name, ACTS) or f"; there are {', '.join(ACTS)}"
+            raise ConfigError(OPERATOR, "allow", f"there is no act {name!r:.80}{hint}")

@@ -132,7 +132,7 @@ class Robot:
         """What an operator may do from outside."""
         self.source: tuple[Path, bool] | None = None
         """The file it was made from, and whether simulated; None if from none."""
-        self._seat = Seating(name, socket=socket, page=page)
+        self._seat = Seating(name, socket=socket, page=page, rights=operator)
         self._keeping = Keeping(record)
         self._grace = check_seconds(self._title, "grace", grace)
         # What was written for a microcontroller runs here as well, in an adapter.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from esair.loop import outside
-from esair.messages import Page
+from esair.messages import Operator, Page
 
 if TYPE_CHECKING:
     from esair.seat import Seat
@@ -19,9 +19,19 @@ class Seating:
         name: The name of the robot.
         socket: Whether it has a control socket.
         page: Where its page is served; None for nowhere.
+        rights: What its operator may do; None for everything.
+
+    Raises:
+        ConfigError: The rights name an act that does not exist.
     """
 
-    def __init__(self, name: str, *, socket: bool, page: Page | None) -> None:
+    def __init__(
+        self, name: str, *, socket: bool, page: Page | None, rights: Operator | None
+    ) -> None:
+        if rights is not None:
+            from esair.seat import check_rights
+
+            check_rights(rights)
         self._name = name
         self.socket = socket
         self.page = page
