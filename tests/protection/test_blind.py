@@ -307,6 +307,77 @@ async def test_an_optional_sensor_blinds_nobody() -> None:
 
 
 @pytest.mark.promise("PRO-4")
+@pytest.mark.parametrize("guards", [False, True], ids=["writes", "guards"])
+async def test_an_optional_sensor_that_is_removed_blinds_nobody(guards: bool) -> None:
+    """Nor when what does without it begins anew; added again, it is read again."""
+    seen: list[float | None] = []
+
+    class Extra(esair.Reaction):
+        sonar = esair.reads(float, optional=True)
+        other = esair.reads(float)
+
+        def react(self, sonar: float | None, **given: float) -> float | None:
+            seen.append(sonar)
+            return given.get("wheels")
+
+    extra = (
+        Extra(guards={"wheels": esair.guards(float, latch=True)})
+        if guards
+        else Extra(writes={"wheels": esair.writes(float, priority=9)})
+    )
+    other: FakeSensor[float] = FakeSensor("other", 1.0, type=float, rate=RATE)
+    wheels = Wheels()
+    async with esair.Robot(
+        resources=[ranges(), other, wheels], behaviors=[extra, Drive()]
+    ) as robot:
+        await asyncio.sleep(0.5)
+        assert seen[-1] == 2.0
+        before = len(wheels.commands)
+        await robot.resources.remove("sonar")
+        await asyncio.sleep(0.5)
+        assert seen[-1] is None
+        assert set(wheels.commands[before:]) == {SPEED}
+        await robot.behaviors.restart("extra")
+        await asyncio.sleep(0.5)
+        assert robot.behaviors.query("extra").state is esair.BehaviorState.RUNNING
+        await robot.resources.add(ranges(3.0))
+        if guards:  # it was begun anew, while the wheels turned
+            await asyncio.sleep(0.2)
+            robot.behaviors.reset("extra")
+        await asyncio.sleep(0.5)
+        assert seen[-1] == 3.0
+        assert wheels.commands[-1] == SPEED
+        await robot.resources.remove("other")
+        assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("PRO-4")
+async def test_a_step_goes_on_without_an_optional_sensor() -> None:
+    """It is removed while a behavior performs what reads it."""
+    seen: list[float | None] = []
+
+    class Extra(esair.Reaction):
+        sonar = esair.reads(float, optional=True)
+        other = esair.reads(float)
+
+        def react(self, sonar: float | None, other: float) -> None:
+            seen.append(sonar)
+
+    class Captain(esair.Behavior):
+        async def run(self) -> None:
+            await self.perform(Extra(), until=lambda: len(seen) > 20)
+
+    other: FakeSensor[float] = FakeSensor("other", 1.0, type=float, rate=RATE)
+    async with esair.Robot(resources=[ranges(), other], behaviors=[Captain()]) as robot:
+        await asyncio.sleep(0.2)
+        await robot.resources.remove("sonar")
+        await asyncio.sleep(5.0)
+        assert seen[-1] is None
+        state = robot.behaviors.query("captain").state
+        assert state is esair.BehaviorState.FINISHED
+
+
+@pytest.mark.promise("PRO-4")
 async def test_a_pushing_sensor_says_its_first_value() -> None:
     """By ``initial``, at each opening; without it what needs it is blind."""
 

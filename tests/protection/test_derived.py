@@ -309,11 +309,15 @@ async def test_what_is_optional_may_be_absent() -> None:
     right.unplug()
     async with esair.Robot(
         resources=[Distance(), left, right, wheels], behaviors=[Follow()]
-    ):
+    ) as robot:
         await wheels.until(1.0, timeout=1.0)
         right.plug()
         await wheels.until(2.0, timeout=1.0)
         right.unplug()
+        await wheels.until(1.0, timeout=1.0)
+        right.plug()
+        await wheels.until(2.0, timeout=9.0)
+        await robot.resources.remove("right")
         await wheels.until(1.0, timeout=1.0)
         assert 0.0 not in wheels.commands[1:]
 

@@ -220,7 +220,7 @@ class ReactionRunner:
             )
             for name, terms in inputs.items()
         ]
-        self._is_alone = len(inputs) == 1
+        self._is_alone = len(needs) == 1
         if any(need.every for need in needs.values()):
             self.every = collections.deque()
         self._outputs = {

@@ -90,6 +90,8 @@ class DerivedLife(ResourceLife):
         found: dict[str, Source] = {}
         resources, plan = self._deployment, self._deployment.plan(())
         for attribute, need in self._derived.inputs.items():
+            if need.optional and need.provider not in resources.lives:
+                continue  # it gets None for it
             if misfit := unmet(plan, self._derived, attribute, need):
                 raise misfit.error()
             right = resources.control.grant(self.name, need.resource, need.access)

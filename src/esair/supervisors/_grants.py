@@ -81,6 +81,10 @@ class Grants:
             owned,
         )
 
+    def is_there(self, need: Need) -> bool:
+        """Tell whether what an action declares was added, and not removed."""
+        return need.provider in self._crew.resources.lives
+
     def channel(self, resource: str) -> SensorChannel | ActuatorChannel:
         """Return the way to a resource."""
         sensor = self._crew.resources.sensors.channels.get(resource)
@@ -130,15 +134,18 @@ def bind(
         owned: Where new registrations are noted; in those of the component unless given.
 
     Returns:
-        All registrations that it uses.
+        The registrations that it cannot do without.
     """
     inputs: dict[str, tuple[SensorChannel, Registration, float | None]] = {}
     outputs: dict[str, tuple[ActuatorChannel, Registration]] = {}
     guarded: ActuatorChannel | None = None
     uses: list[Registration] = []
     for attribute, need in reaction.needs.items():
+        if dispensable(need) and not grants.is_there(need):
+            continue  # it gets None for it
         registration = grants.of_need(need, owned)
-        uses.append(registration)
+        if not dispensable(need):
+            uses.append(registration)
         channel = grants.channel(need.resource)
         if isinstance(channel, SensorChannel):
             limit = age_limit(need)
@@ -154,6 +161,11 @@ def bind(
     else:
         runner.start(inputs, outputs)
     return uses
+
+
+def dispensable(need: Need) -> bool:
+    """Tell whether a reaction decides without it as well."""
+    return isinstance(need, Reads) and need.optional
 
 
 def age_limit(need: Need) -> float | None:

@@ -29,7 +29,7 @@ from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._absence import absent, absent_for
 from esair.supervisors._crew import Crew
 from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
-from esair.supervisors._grants import Grants, bind
+from esair.supervisors._grants import Grants, bind, dispensable
 from esair.supervisors._hands import empty, fill
 from esair.supervisors._life import Life, RestartBudget, safe_to_raise
 from esair.supervisors._mailbox import Mailbox
@@ -440,7 +440,7 @@ class Member(Life, Mailbox):
         missing = [
             need.resource
             for need in reaction.needs.values()
-            if need.provider not in self.crew.resources.lives
+            if need.provider not in self.crew.resources.lives and not dispensable(need)
         ]
         if missing:
             self._runs(False, f"{', '.join(missing)} was removed")
@@ -455,8 +455,10 @@ class Member(Life, Mailbox):
                     step.crash(registration.reason())
         if not self.alive or self.state is BehaviorState.RESTARTING:
             return  # it will be bound anew in any case
-        if all(need.provider != resource for need in self.action.needs.values()):
-            return
+        is_gone = resource not in self.crew.resources.lives
+        needs = (n for n in self.action.needs.values() if n.provider == resource)
+        if all(is_gone and dispensable(need) for need in needs):
+            return  # it does not use it, or has had None for it since it went
         misfit = self.crew.misfit(self.action, resource)
         if not isinstance(self.action, Reaction):
             if not misfit:
