@@ -66,6 +66,20 @@ async def test_a_bad_reading_reaches_no_action(bad: Any, user_of: Any) -> None:
 
 
 @pytest.mark.promise("SC-3")
+async def test_a_whole_number_that_no_float_holds_is_bad(user_of: Any) -> None:
+    """It is as little finite as infinity; each computation with it would raise."""
+    sonar, user = (
+        FakeSensor("sonar", 1, type=float),
+        user_of("u", sonar=esair.reads(float)),
+    )
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        assert await user.sonar.read() == 1
+        sonar.feed(10**400)
+        with pytest.raises(esair.DeviceFaultError, match="too large"):
+            await user.sonar.read(fresh=True)
+
+
+@pytest.mark.promise("SC-3")
 async def test_each_number_of_a_structure_is_looked_at(user_of: Any) -> None:
     """Its fields, not what lies deeper: a scan may have seen nothing somewhere."""
     gps = FakeSensor("gps", Fix(0.0, 0.0), type=Fix)

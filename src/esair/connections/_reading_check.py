@@ -71,6 +71,8 @@ class ReadingCheck:
             if not self._limits:
                 return None
         try:
+            if wanted is float:
+                float(value)  # a whole number may be too large for one
             return _not_finite(value, "", _DEPTH) or self._outside(value)
         except Exception as error:  # a value may be an object of any class
             return f"it cannot be checked: {describe(error)}"
