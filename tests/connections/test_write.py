@@ -246,6 +246,24 @@ async def test_after_a_pause_it_ramps_from_the_safe_command(
         assert (await user.wheels.write(5.0)).command == pytest.approx(0.2)
 
 
+@pytest.mark.promise("ROB-4")
+async def test_right_after_a_halt_it_ramps_from_that_moment(
+    fake_actuator: Any, user_of: Any
+) -> None:
+    """From when it was told safe, not from when somebody wrote last."""
+    wheels = fake_actuator("wheels", safe=0.0, slew=1.0)
+    user = user_of("user", wheels=esair.writes(float))
+
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        await asyncio.sleep(1.0)
+        await user.wheels.write(5.0)
+        await asyncio.sleep(0.19)
+        await robot.halt("a cat")
+        robot.resume()
+        await asyncio.sleep(0.01)
+        assert (await user.wheels.write(5.0)).command == pytest.approx(0.01)
+
+
 @pytest.mark.promise("AC-1")
 @pytest.mark.fault("M17")
 @pytest.mark.parametrize("hold", [0, -1.0, math.nan, math.inf, True, "long"])

@@ -7,6 +7,8 @@ import copy
 from collections.abc import Callable, Generator
 from typing import Any
 
+import attrs
+
 from esair.connections._answers import why, withdrawn
 from esair.connections._call import Call, End
 from esair.connections._command_check import CommandCheck
@@ -81,6 +83,7 @@ class ActuatorChannel(HeldDevice):
         "_blocks",
         "_check",
         "_checked",
+        "_copied",
         "_deadline",
         "_slews",
         "_waiting",
@@ -115,6 +118,14 @@ class ActuatorChannel(HeldDevice):
         self._check = CommandCheck(self.actuator)
         self._checked = self._check.checked
         self._slews = self._check.slews
+        self._write = write = self.driver.method("write")
+        self._copied: Callable[[Any], Any] = _as_it_is
+        if self._check.copies:
+            # The driver's and the guards' code may change what is in theirs.
+            self._copied = copy.deepcopy
+            self._write = attrs.evolve(
+                write, function=lambda command: write.function(copy.deepcopy(command))
+            )
 
     @property
     def successes(self) -> int:
@@ -245,7 +256,8 @@ class ActuatorChannel(HeldDevice):
             raise StoppingError(self.name, "made safe by the watchdog")
         if self._slews:
             # After a pause it starts from the safe command, not with a jump.
-            seconds = min(now - self._last_write, self.command_timeout)
+            seconds = now - max(self._last_write, self._told_at)
+            seconds = min(seconds, self.command_timeout)
             command = self._slewed(command, seconds)
         if holder is not registration or now >= self.until:
             self.since = now
@@ -259,7 +271,7 @@ class ActuatorChannel(HeldDevice):
                 self._stay()
                 return self._refuse(registration, stop.refusal())
         # A copy of its own: who has the answer may change what is in it.
-        self._told = copy.deepcopy(command) if self._check.copies else command
+        self._told = self._copied(command)
         self._told_safe = False
         if blind is not None:
             self._keep_still()  # when this one holds it no longer
@@ -455,3 +467,8 @@ class ActuatorChannel(HeldDevice):
     def why(self) -> Why:
         """Tell who holds the actuator, by which rule, and what would free it."""
         return why(self, self._time())
+
+
+def _as_it_is(command: Any) -> Any:
+    """Return a command that nobody can change."""
+    return command

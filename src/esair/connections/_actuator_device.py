@@ -69,6 +69,7 @@ class ActuatorDevice:
         "_stays",
         "_time",
         "_told",
+        "_told_at",
         "_told_error",
         "_told_safe",
         "_write",
@@ -84,6 +85,8 @@ class ActuatorDevice:
         "state",
         "watch",
     )
+
+    _write: Method
 
     def __init__(
         self,
@@ -130,7 +133,6 @@ class ActuatorDevice:
             on_stuck=self._stuck,
             left=self._left,
         )
-        self._write = self.driver.method("write")
         self._again = False
         self._safe_number = 0
         """The number of the newest call with the safe command."""
@@ -139,6 +141,8 @@ class ActuatorDevice:
         self._base: Any = None
         """Where the device is, as far as it has said, while it was told to stay."""
         self._told: Any = None
+        self._told_at = 0.0
+        """When it was told something that nobody wrote: safe, or less by a guard."""
         self._told_safe = False
         self._told_error = "it was never told anything"
         self.configured()
@@ -383,13 +387,12 @@ class ActuatorDevice:
         if command is HOLD and self._told is not HOLD:
             self._base = self._told
         self._told = command
+        self._told_at = self._time()
         self._told_safe = command is actuator.safe
         self._told_error = "it has not answered yet"
         self._safe_number = calls.number + 1
         opening = calls.opening
-        # A copy: a driver that changes what it was given must not change what is safe.
-        given = command if command is HOLD else copy.deepcopy(command)
-        applied = calls.begin("safe", self._write, (given,), actuator.deadline)
+        applied = calls.begin("safe", self._write, (command,), actuator.deadline)
         if type(applied) is Call:
             applied = await self._outcome_of_safe(applied)
         if opening == calls.opening and calls is self.calls:

@@ -34,7 +34,7 @@ class CommandCheck:
         self._fields = _number_fields(actuator.safe)
         get: Any = operator.attrgetter(*self._fields or [""])
         self._get = (lambda command: (get(command),)) if len(self._fields) == 1 else get
-        self.copies = not _is_frozen(self.wanted)
+        self.copies = not (_is_frozen(self.wanted) and _is_fixed(actuator.safe))
         """Whether somebody could change a command after its check."""
         self.slews = bool(self._slew)
         """Whether how fast a command changes is limited."""
@@ -209,6 +209,14 @@ def _is_frozen(wanted: Any) -> bool:
         return bool(options.frozen)
     # A frozen class of attrs, which has no other way to say so.
     return getattr(wanted.__setattr__, "__name__", "") == "_frozen_setattrs"
+
+
+def _is_fixed(value: Any) -> bool:
+    """Whether nobody can change a value, nor a part of it."""
+    if value is HOLD or isinstance(value, _ATOMS_AND_NUMBERS):
+        return True
+    parts = [part for _, part in _parts(value)]
+    return _is_frozen(type(value)) and all(map(_is_fixed, parts))
 
 
 def limits_by_field(value: Any) -> dict[str, Any]:

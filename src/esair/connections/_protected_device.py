@@ -11,7 +11,7 @@ from esair.connections._call import Call, End
 from esair.connections._driver import Guard
 from esair.connections._protection import Protection
 from esair.connections._registrations import Registration
-from esair.connections._weaker import weaker_of
+from esair.connections._weaker import is_same, weaker_of
 from esair.exceptions import BadValueError
 from esair.journal import Kind
 from esair.loop import OneShot, Order, Scheduler
@@ -41,6 +41,7 @@ class ProtectedDevice(ActuatorDevice):
     _accepts: bool
     _blocks: bool
     _checked: Callable[[Any], Any]
+    _copied: Callable[[Any], Any]
     _ended: Callable[[Call, End], None]
     _writer: Registration | None
 
@@ -135,7 +136,7 @@ class ProtectedDevice(ActuatorDevice):
         by: str | None = None
         passed = command
         for guard in self._guards:
-            weighed = guard.weigh(passed, still, now, moving=moving)
+            weighed = guard.weigh(passed, still, now, moving=moving, hand=self._copied)
             if weighed is not passed and weighed is not None:
                 try:
                     weighed = self._checked(weighed)
@@ -167,11 +168,12 @@ class ProtectedDevice(ActuatorDevice):
         if passed is self._told or self._busy:
             return  # a call in flight: it is looked at again when that ends
         less = weaker_of(self._told, passed, self._still)
-        if less == self._told:
+        if is_same(less, self._told):
             return
         if self._journal.heard:
             self._journal.publish(Kind.SENT, self.name, "", less)
         self._told = less
+        self._told_at = self._time()
         try:
             sent = self.calls.begin(
                 "write",

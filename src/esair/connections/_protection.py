@@ -8,11 +8,12 @@ and outlives them all: only the user ends it, by taking the component away.
 from __future__ import annotations
 
 import asyncio
+import copy
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
-from esair.connections._weaker import is_same, is_weaker
+from esair.connections._weaker import is_opaque, is_same, is_weaker
 from esair.exceptions import BadValueError, describe
 from esair.loop import Order, Scheduler, clock_of
 from esair.messages import Refused
@@ -165,7 +166,15 @@ class Protection:
         """Make the answer for a command that does not pass."""
         return Refused(self.component, self.priority, self.rule, self.since, None)
 
-    def weigh(self, command: Any, safe: Any, now: float, *, moving: bool) -> Any:
+    def weigh(
+        self,
+        command: Any,
+        safe: Any,
+        now: float,
+        *,
+        moving: bool,
+        hand: Callable[[Any], Any],
+    ) -> Any:
         """Decide, at the commit point, what of a command a guard lets pass.
 
         The guard is another component's code: whatever it does ends here.
@@ -175,6 +184,7 @@ class Protection:
             safe: The safe command of the actuator.
             now: The moment.
             moving: Whether the actuator was told something else than safe.
+            hand: Makes what it is given: it may change that, and nothing else.
 
         Returns:
             The command, a weaker one, or None.
@@ -185,20 +195,25 @@ class Protection:
             return None
         try:
             passed: Any = BLIND
+            handed: Any = None
             if self.judge is not None and not self.reason:
-                passed = self.judge(command)
+                handed = hand(command)
+                passed = self.judge(handed)
             if passed is BLIND:
                 if moving:
                     self._latch(self.reason or "it was blind", command)
                 passed = None
                 if self.fallback is not None and not self.latch:
-                    passed = self.fallback(command)
+                    handed = hand(command)
+                    passed = self.fallback(handed)
             elif passed is None:
                 self._latch("it has refused a command", command)
             if passed is None or passed is command:
                 return passed
             if passed is HOLD:
                 return None
+            if passed is handed and is_opaque(passed):
+                return command
             if not is_weaker(passed, command, safe):
                 raise BadValueError(
                     self.component,
@@ -236,7 +251,7 @@ class Protection:
         if self.reason or self.judge is None:
             return f"it is blind: {self.reason}"
         try:
-            passed = self.judge(self.refused)
+            passed = self.judge(copy.deepcopy(self.refused))
             if passed is None or passed is BLIND:
                 return f"it still refuses {self.refused!r:.80}"
         except Exception as error:  # contained: one component's failure

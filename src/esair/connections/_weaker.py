@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import types
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import attrs
@@ -59,9 +60,24 @@ def is_same(one: Any, other: Any) -> bool:
     """Tell whether two commands ask for the same."""
     try:
         same = one == other
-        return bool(same.all()) if hasattr(same, "all") else bool(same)
+        same = bool(same.all()) if hasattr(same, "all") else bool(same)
     except Exception:  # a command may be an object of any class
         return False
+    if same or _compares(one):
+        return same
+    parts = _parts(one, other)
+    return parts is not None and all(is_same(*pair) for pair in parts.values())
+
+
+def is_opaque(command: Any) -> bool:
+    """Tell whether nobody can say if two commands of this class ask for the same."""
+    return not _compares(command) and _parts(command, command) is None
+
+
+def _compares(command: Any) -> bool:
+    """Tell whether its class says when two of them are equal."""
+    equal: Any = type(command).__eq__
+    return equal is not object.__eq__
 
 
 def _parts(one: Any, other: Any) -> dict[Any, tuple[Any, Any]] | None:
@@ -78,7 +94,7 @@ def _parts(one: Any, other: Any) -> dict[Any, tuple[Any, Any]] | None:
         if len(one) != len(other):
             return None
         return dict(enumerate(zip(one, other, strict=True)))
-    names = _fields(type(one)) or list(getattr(one, "__dict__", ()))
+    names = _fields(type(one)) or [*getattr(one, "__dict__", ()), *_slots(type(one))]
     if not names:
         return None
     return {
@@ -91,6 +107,13 @@ def _fields(cls: type) -> list[str]:
     if attrs.has(cls):
         return [field.name for field in attrs.fields(cls)]
     return list(getattr(cls, "__dataclass_fields__", ()))
+
+
+def _slots(cls: type) -> Iterator[str]:
+    for each in cls.__mro__:
+        for name, slot in vars(each).items():
+            if isinstance(slot, types.MemberDescriptorType):
+                yield name
 
 
 def _part(whole: Any, key: Any) -> Any:
