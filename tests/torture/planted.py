@@ -110,6 +110,19 @@ class Diary(esair.Behavior):
             await asyncio.sleep(0.5)
 
 
+class Stubborn(esair.Behavior):
+    """Takes its own end for a loss of its sensor."""
+
+    sonar = esair.reads(float)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            try:
+                await self.sonar.read()
+            except (esair.EsairError, asyncio.CancelledError):
+                continue
+
+
 class Endless(esair.Behavior):
     """Never lets anybody else."""
 
@@ -139,3 +152,4 @@ no_word_for_safe = make(ForgetfulWheels(name="wheels"))
 blind = make(guard=False)
 no_bound = make(None, Diary())
 endless = make(None, Endless())
+stubborn = make(None, Stubborn())

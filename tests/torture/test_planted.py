@@ -35,6 +35,7 @@ def rerun(pytester: pytest.Pytester, target: Target, report: Report) -> Path:
         ("no_deadline", "stop", "robot", 1),
         ("blind", "blind", "wheels", 1),
         ("no_bound", "queue", "diary", 0),
+        ("stubborn", "left", "stubborn", 1),
         ("no_safe", "start", "robot", 0),
         ("no_word_for_safe", "ready", "wheels", 0),
     ],

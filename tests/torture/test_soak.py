@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from tests.torture.generated import maker
 
+import esair.demo
 from esair.torture import Step, Story, Target, World, survive, torture
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -65,6 +66,19 @@ def test_the_stop_closes_what_an_addition_in_vain_undoes() -> None:
             Step(0.515, "replace", "arm"),
             Step(0.788, "remove", "arm", lasts=1),
             Step(1.788, "end", how="error"),
+        ],
+    )
+
+
+@pytest.mark.promise("ROB-2")
+def test_the_demo_ends_when_it_is_removed() -> None:
+    """It took its own removal for that of its mapper, and went on."""
+    survive(
+        Path(esair.demo.__file__).with_name("robot.toml"),
+        lasts=4.688,
+        steps=[
+            Step(2.3, "hang", "explore", lasts=1, how="deaf"),
+            Step(2.3, "replace", "explore"),
         ],
     )
 

@@ -121,13 +121,14 @@ class Journey(Behavior):
     async def _look(self, was_seeing: bool) -> Belief | None:
         try:
             await self.ranges.read(timeout=0.1)
-            belief: Belief = await self.get(self.mapper, interval=0.1)
         except _BLIND:
             self.blind += 1
             if was_seeing:  # the rover does not drive on blindly till the time-out
                 await self.wheels.write(Twist(0.0, 0.0))
                 self.wheels.release()
             return None
+        try:
+            belief: Belief = await self.get(self.mapper, interval=0.1)
         except _NO_ANSWER:
             return None
         return belief if belief.settled else None

@@ -50,6 +50,11 @@ class Lever:
         else:
             own["run"] = self._running_in_thread(action.run)
 
+    @property
+    def is_running(self) -> bool:
+        """Whether its ``run`` has not ended, a plain one aside."""
+        return any(not task.done() for task in self._tasks)
+
     def hang(self, seconds: float, *, deaf: bool) -> None:
         """Do not go on for a while."""
         self.hangs = self._loop.time() + seconds

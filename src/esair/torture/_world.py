@@ -326,7 +326,12 @@ class World:
     def _left_behind(self, problems: list[str]) -> None:
         left = [task for task in asyncio.all_tasks(self.loop) if not task.done()]
         name = self.robot.name
-        if left:
+        running = [e.action.name for e in self.levers.values() if e.is_running]
+        for each in running:
+            text = "it goes on when its end has come: it catches CancelledError, or "
+            text += "BehaviorRemovedError, which its ports raise when it was removed"
+            self.judge.say("left", each, text)
+        if left and not running:  # else they may be those that it waits for
             names = ", ".join(sorted(task.get_name() for task in left))
             self.judge.say("left", name, f"tasks are left behind: {names}"[:300])
             for task in left:
