@@ -8,6 +8,7 @@ that its class declares, or a public attribute of its class that holds plain dat
 from __future__ import annotations
 
 import enum
+import functools
 import inspect
 import typing
 from collections.abc import Container, Mapping
@@ -57,7 +58,8 @@ class Accepted:
     setting: Setting | None = None
 
 
-def accepted_by(cls: type) -> dict[str, Accepted]:
+@functools.lru_cache(256)
+def accepted_by(cls: type) -> Mapping[str, Accepted]:
     """Return the keys that a class accepts, by name.
 
     A constructor with ``**keywords`` is taken to hand them on to the next class,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 import os
@@ -53,7 +54,7 @@ class Source:
             found = found.get(part) if isinstance(found, dict) else None
         return found
 
-    @property
+    @functools.cached_property
     def folder(self) -> Path:
         """Where the file lies: relative paths and modules are found there."""
         return self.path.resolve().parent

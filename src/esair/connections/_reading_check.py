@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -124,6 +125,7 @@ def _equal(one: Any, other: Any) -> bool:
 
 
 def _not_finite(value: Any, where: str, depth: int) -> str | None:
+    kind: type = type(value)
     if isinstance(value, _ATOMS) or depth == 0:
         return None
     if isinstance(value, float):
@@ -137,7 +139,7 @@ def _not_finite(value: Any, where: str, depth: int) -> str | None:
         )
     if isinstance(value, Mapping):
         parts = [(str(key), part) for key, part in value.items()]
-    elif names := _fields(type(value)):
+    elif names := _fields(kind):
         parts = [(name, getattr(value, name)) for name in names]
     elif isinstance(value, tuple | list):
         return _not_a_number(value, where, depth)
@@ -168,6 +170,7 @@ def _not_a_number(
         return None
 
 
+@functools.lru_cache(256)
 def _fields(cls: type) -> tuple[str, ...]:
     """The fields of a structured value: attrs, a dataclass, or a named tuple."""
     if attrs.has(cls):

@@ -15,7 +15,6 @@ from esair.plan._signatures import wrong_signatures
 from esair.resources import (
     HOLD,
     Actuator,
-    Resource,
     Sensor,
     bus_kind,
     wrong_operations,
@@ -77,7 +76,7 @@ def blocks_safe(actuator: Actuator[Any], operation: str, limit: object) -> bool:
     return is_positive(limit) and float(str(limit)) > actuator.deadline
 
 
-def wrong_bus(cls: type[Resource], bus: object) -> str | None:
+def wrong_bus(cls: type, bus: object) -> str | None:
     """Say what is wrong with a bus for a class that declares one: ``bus: I2CBus``."""
     kind = bus_kind(cls)
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import itertools
 import typing
@@ -200,6 +201,7 @@ class Resource(abc.Resource):
             listener(None)
 
 
+@functools.lru_cache(256)
 def bus_kind(cls: type[Resource]) -> Any:
     """Return the type of ``bus: SomeBus`` in a class; `typing.Any` if it does not say."""
     narrowed = itertools.takewhile(lambda each: each is not Resource, cls.__mro__)

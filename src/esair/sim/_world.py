@@ -25,6 +25,8 @@ MOTOR_LAG = 0.07
 
 _HIGH, _LOW, _ROVER = 1, 2, 4
 
+_IN_SIGHT = pymunk.ShapeFilter(mask=_HIGH)
+
 
 @attrs.frozen
 class Pose:
@@ -101,12 +103,10 @@ class World:
         Returns:
             Metres; None if there is nothing within reach.
         """
-        begin = self._body.position
+        x, y = self._body.position
         direction = self._body.angle + angle
-        end = begin + pymunk.Vec2d(math.cos(direction), math.sin(direction)) * reach
-        hit = self._space.segment_query_first(
-            begin, end, 0.0, pymunk.ShapeFilter(mask=_HIGH)
-        )
+        end = x + math.cos(direction) * reach, y + math.sin(direction) * reach
+        hit = self._space.segment_query_first((x, y), end, 0.0, _IN_SIGHT)
         return None if hit is None else hit.alpha * reach
 
     def _drive(
