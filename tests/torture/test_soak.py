@@ -111,3 +111,31 @@ def test_a_sleep_of_the_computer_is_not_noticed_within_a_command() -> None:
             Step(2.0, "suspended", much=3600),
         ],
     )
+
+
+@pytest.mark.promise("SC-3", "PRO-1")
+def test_an_initial_value_counts_from_the_end_of_the_opening() -> None:
+    """Its settings were applied 0.3 s after it was open; who looks is not blind yet."""
+    steps = (
+        Step(0.8, "configure", "pushing_0"),
+        Step(1.017, "late", "pushing_0", lasts=0.1, how="before", much=1.5),
+        Step(2.6, "wrong", "pushing_0", lasts=1.0, how="nan"),
+        Step(2.861, "late", "pushing_0", lasts=0.3, how="before", much=0.3),
+    )
+    world = World(Target("robot 266", maker(266)), Story(2011021320, steps, 3.861))
+    assert world.run().violations == ()
+
+
+@pytest.mark.promise("CALL-2", "SUP-3")
+def test_what_lands_on_a_device_that_was_replaced_is_not_its_successors() -> None:
+    """Its last motion landed in the instant in which it was closed."""
+    steps = (
+        Step(1.194, "unplugged", "servo_0", lasts=0.3),
+        Step(1.6, "silent", "servo_0", lasts=1.0),
+        Step(1.6, "late", "servo_0", lasts=4.0, how="after deaf", much=1.5),
+        Step(2.1, "replace", "servo_0"),
+        Step(2.7, "silent", "servo_0", lasts=0.3),
+        Step(3.0, "remove", "servo_0", lasts=0.02),
+    )
+    world = World(Target("robot 260", maker(260)), Story(1508357323, steps, 3.322))
+    assert world.run().violations == ()

@@ -110,7 +110,7 @@ class Gate:
         self.faulty = -1.0
         self.gone = self.silent = self.late = self.fails = -1.0
         self.bad = self.frozen = self.flood = -1.0
-        self.deaf = self.unpowered = False
+        self.deaf = self.unpowered = self._opens = False
         self.was_here = False
         self.in_thread = False
         self.speechless = ""
@@ -275,7 +275,11 @@ class Gate:
 
     def _returns(self, name: str, value: Any) -> None:
         """Take note that the robot gets a value now, if it is a good one."""
-        is_first = name == "open" and hasattr(self.resource, "initial")
+        # The initial value counts when the opening is over, whose last call applies.
+        opened = name == "open" or (name == "apply" and self._opens)
+        if name != "identify":
+            self._opens = name == "open"
+        is_first = opened and hasattr(self.resource, "initial")
         if is_first or (value is not None and value is self._good):
             self.heard = self._loop.time()
 

@@ -227,13 +227,14 @@ class Judge:
             and channel.state is ResourceState.READY
             and any(each.safe and each.landed is not None for each in later)
         ):
-            opening = channel.calls.opening
+            calls, opening = channel.calls, channel.calls.opening
 
             def look() -> None:
                 again = gate.told[place + 1 :]
                 if (
                     world.ends is None
-                    and channel.calls.opening == opening
+                    and channel.calls is calls  # else another device has its place
+                    and calls.opening == opening
                     and all(e.begun < (told.landed or 0.0) for e in again if e.safe)
                 ):
                     text = f"{told.command!r:.60} landed after the safe command that "
