@@ -131,6 +131,51 @@ async def test_a_failing_sensor_is_not_waited_for_longer_than_its_error() -> Non
     )
 
 
+class Same(esair.Derived[float]):
+    """Computed of a sensor, with nothing added."""
+
+    source = esair.reads(float, max_age=10.0)
+
+    def compute(self, source: float) -> float:
+        return source
+
+
+class Optional(Same):
+    """It is there without its source, too."""
+
+    source = esair.reads(float, max_age=10.0, optional=True)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("TURN-3")
+@pytest.mark.parametrize("how", ["added", "replaced"])
+@pytest.mark.parametrize("kind", [Same, Optional])
+async def test_samples_of_a_source_that_has_come_are_waited_for(
+    how: str, kind: type[Same]
+) -> None:
+    """What is computed of it is as new as it was with the source before."""
+    reaction, motor = Ages(), FakeActuator("motor", safe=0.0)
+
+    def source() -> Asked:
+        return Asked("source", RATE, 0.002)
+
+    robot = esair.Robot(
+        resources=[kind(name="sensor"), motor, source()], behaviors=[reaction]
+    )
+    async with robot:
+        if how == "replaced":
+            await robot.resources.replace("source", source())
+        else:
+            await robot.resources.remove("source")
+            await robot.resources.add(source())
+        await asyncio.sleep(1.0)
+        reaction.ages.clear()
+        await asyncio.sleep(5.0)
+
+    assert len(reaction.ages) >= 99
+    assert statistics.median(reaction.ages) < 1e-6
+
+
 @pytest.mark.real_clock
 @pytest.mark.promise("TURN-3")
 @pytest.mark.parametrize("kind", [Asked, InThread])

@@ -191,7 +191,7 @@ class Derivation(ReactionRunner):
 
     def follow(self, sources: Mapping[str, Source]) -> None:
         """Begin to follow the sources; nothing is computed before `begin`."""
-        self._channel.sources = tuple(sources.values())
+        self._channel.computed_of(tuple(sources.values()))
         self._channel.catch_up = self._catch_up
         scheduler = Scheduler.of(self._loop)
         self.job = scheduler.derived(

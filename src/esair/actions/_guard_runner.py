@@ -8,7 +8,6 @@ from typing import Any
 
 from esair.actions._reaction import Reaction
 from esair.actions._reaction_runner import ReactionRunner
-from esair.actions._sampling import polled_for
 from esair.connections import (
     BLIND,
     ActuatorChannel,
@@ -87,8 +86,12 @@ class GuardRunner(ReactionRunner):
         protection.fallback = self._fallback
         protection.on_crash = self._crashed
         self.start(inputs, {})
-        self._sight = Sight(math.inf, polled_for(self._inputs))
-        channel.decision.join(self._sight)
+
+    def _join(self, polled: tuple[SensorChannel, ...]) -> None:
+        for decision, priority in self.moved:
+            decision.leave(self._sight)
+            self._sight = Sight(priority, polled)
+            decision.join(self._sight)
 
     @property
     def moved(self) -> list[tuple[Decision, float]]:

@@ -102,7 +102,9 @@ class Input:
 
     def changed(self, error: EsairError | None) -> None:
         """Park the reaction when the sensor is gone; feeding it wakes it up."""
-        if error is not None:
+        if error is None:
+            self.runner.resample()
+        else:
             self.lose(_in_short(self.name, error))
 
     def limited(self) -> None:
@@ -174,6 +176,7 @@ class Output:
 
     def join(self, sensors: tuple[SensorChannel, ...]) -> None:
         """Have a say in what the actuator does, by what these sensors see."""
+        self.decision.leave(self._sight)
         self._sight = Sight(self.registration.priority, sensors)
         self.decision.join(self._sight)
 

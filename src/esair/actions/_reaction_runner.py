@@ -69,6 +69,7 @@ class ReactionRunner:
         "_clock",
         "_inputs",
         "_is_alone",
+        "_late",
         "_loop",
         "_names",
         "_on_crash",
@@ -78,6 +79,7 @@ class ReactionRunner:
         "_outputs",
         "_overruns_in_row",
         "_owner",
+        "_polled",
         "_react",
         "_sampling",
         "_scheduler",
@@ -168,6 +170,8 @@ class ReactionRunner:
         self.job: Job = self._scheduler.on_demand(self._turn, name=reaction.name)
         self._sampling: Sampling | None = None
         """How its steps wait for their samples, if it has a rate."""
+        self._polled: tuple[SensorChannel, ...] | None = None
+        self._late = 0
         self._react = reaction.react
         self._inputs: list[Input] = []
         self._outputs: dict[str, Output] = {}
@@ -198,7 +202,7 @@ class ReactionRunner:
     @property
     def late(self) -> int:
         """How many steps were left out because they came too late."""
-        return self.job.skipped
+        return self._late + self.job.skipped
 
     def start(
         self,
@@ -226,13 +230,10 @@ class ReactionRunner:
         self._outputs = {
             name: Output(self, name, *terms) for name, terms in outputs.items()
         }
-        for output in self._outputs.values():
-            output.join(polled_for(self._inputs))
         if len(self._outputs) == 1:
             (self._single,) = self._outputs.values()
         self.missing = sum(not each.optional for each in self._inputs)
-        if self.reaction.rate is not None:
-            self._take_rate(self.reaction.rate)
+        self.resample()
         for each in self._inputs:
             each.channel.follow(each)
             newest = each.channel.newest
@@ -252,10 +253,27 @@ class ReactionRunner:
         outputs = self._outputs.values()
         return [(each.decision, each.registration.priority) for each in outputs]
 
-    def _take_rate(self, rate: float) -> None:
+    def resample(self) -> None:
+        """Go by the sensors that are asked now: a source may be another one."""
+        polled = polled_for(self._inputs)
+        if polled == self._polled or self.stopped:
+            return
+        self._polled = polled
+        self._join(polled)
+        if self.reaction.rate is not None:
+            self._take_rate(self.reaction.rate, polled)
+
+    def _join(self, polled: tuple[SensorChannel, ...]) -> None:
+        for output in self._outputs.values():
+            output.join(polled)
+
+    def _take_rate(self, rate: float, polled: tuple[SensorChannel, ...]) -> None:
         """Step on the grid, at the moments at which the sensors are asked."""
         name, scheduler = self.reaction.name, self._scheduler
-        polled = polled_for(self._inputs)
+        self._late += self.job.skipped
+        self.job.stop()
+        if self._sampling is not None:
+            self._sampling.stop()
         names = [each.name for each in polled] or [name]
         phase = max(map(scheduler.phase, names))
         self.job = scheduler.every(1.0 / rate, self._turn, name=name, phase=phase)

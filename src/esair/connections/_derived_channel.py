@@ -50,6 +50,13 @@ class DerivedChannel(SensorChannel):
         self.good_for = math.inf
         self.max_age = getattr(self, "max_age", math.inf)
 
+    def computed_of(self, sources: tuple[Source, ...]) -> None:
+        """Be computed of these from now on; while it is there, who follows hears of it."""
+        self.sources = sources
+        if self.state is ResourceState.READY:
+            for follower in self._followers:
+                follower.changed(None)
+
     @property
     def sampled(self) -> tuple[SensorChannel, ...]:
         """The sensors that are asked for its readings."""
