@@ -17,7 +17,7 @@ from esair.connections import (
     SensorChannel,
     Sight,
 )
-from esair.loop import Owner, clock_beside
+from esair.loop import Owner
 
 
 class GuardRunner(ReactionRunner):
@@ -133,9 +133,8 @@ class GuardRunner(ReactionRunner):
             self.job.soon()  # it is parked in a step of its own
             return BLIND
         self.steps += 1
-        if self._budget is not None:
-            clock = clock_beside(self._loop)
-            first = clock()
+        timed = self._step_time
+        first = timed.begin() if timed is not None else 0.0
         self._clock.step(began)
         stepping = self._stepping
         stepping.owner, before = self._owner, stepping.owner
@@ -143,12 +142,12 @@ class GuardRunner(ReactionRunner):
             passed = self._react(**self.readings(), **{self._port: command})
         finally:
             stepping.owner = before
-        if self._budget is None:
+        if timed is None:
             return passed
-        failed = self.overran(self.took(lambda: clock() - first))
+        failed = timed.end(first)
         if failed is not None:
             raise failed
-        return BLIND if self._overruns_in_row else passed
+        return BLIND if timed.in_row else passed
 
     def _fallback(self, command: Any) -> Any:
         return self.reaction.blind(**{self._port: command})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import collections
-import logging
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, ClassVar
 
@@ -14,10 +13,10 @@ from esair.actions._reaction import EVERY_LIMIT, Reaction
 from esair.actions._reaction_ports import FOR_EVER, Input, Output
 from esair.actions._sampling import Sampling, polled_for
 from esair.actions._step_clock import StepClock
+from esair.actions._step_time import step_time
 from esair.connections import ActuatorChannel, Decision, Registration, SensorChannel
 from esair.exceptions import (
     BadValueError,
-    BehaviorFailedError,
     EsairError,
     StaleReadingError,
 )
@@ -29,12 +28,8 @@ from esair.loop import (
     Scheduler,
     Step,
     Stepping,
-    ask_outside,
-    clock_beside,
     clock_of,
 )
-
-_log = logging.getLogger("esair")
 
 _EARLY = 1e-6  # timers may fire a hair early
 
@@ -64,7 +59,6 @@ class ReactionRunner:
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
-        "_budget",
         "_by_place",
         "_clock",
         "_inputs",
@@ -77,13 +71,13 @@ class ReactionRunner:
         "_on_sight",
         "_on_state",
         "_outputs",
-        "_overruns_in_row",
         "_owner",
         "_polled",
         "_react",
         "_sampling",
         "_scheduler",
         "_single",
+        "_step_time",
         "_stepping",
         "_time",
         "_until",
@@ -97,7 +91,6 @@ class ReactionRunner:
         "missing",
         "on_reading",
         "overflow",
-        "overruns",
         "parked",
         "reaction",
         "refused",
@@ -159,12 +152,7 @@ class ReactionRunner:
         self.parked = True
         self._loop = asyncio.get_running_loop()
         self._time = clock_of(self._loop)
-        self._budget = reaction.budget
-        if self._budget is None and self._loop.get_debug():
-            self._budget = self._loop.slow_callback_duration
-        self.overruns = 0
-        """How many steps have taken longer than their budget."""
-        self._overruns_in_row = 0
+        self._step_time = step_time(reaction, self._loop)
         self._scheduler = Scheduler.of(self._loop)
         self._stepping = Stepping.of(self._loop)
         self.job: Job = self._scheduler.on_demand(self._turn, name=reaction.name)
@@ -198,6 +186,11 @@ class ReactionRunner:
             "overflow": self.overflow,
             "overruns": self.overruns,
         }
+
+    @property
+    def overruns(self) -> int:
+        """How many steps have taken longer than their budget."""
+        return 0 if self._step_time is None else self._step_time.overruns
 
     @property
     def late(self) -> int:
@@ -377,39 +370,17 @@ class ReactionRunner:
 
     @property
     def _turn(self) -> Step:
-        """What the scheduler calls; only who has a budget pays for the clock."""
-        return self._step if self._budget is None else self._timed_step
+        """What the scheduler calls."""
+        return self._step if self._step_time is None else self._timed_step
 
     def _timed_step(self, now: float) -> Awaitable[object] | None:
-        clock = clock_beside(self._loop)
-        begin = clock()
+        assert self._step_time is not None
+        begin = self._step_time.begin()
         rest = self._step(now)
-        failed = self.overran(self.took(lambda: clock() - begin))
+        failed = self._step_time.end(begin)
         if failed is not None and not self.stopped:
             self._crash(failed)
         return rest
-
-    def took(self, measured: Callable[[], float]) -> float:
-        """Return how long a step took, or has taken when it was recorded."""
-        return ask_outside((self.reaction.name, "took"), measured)
-
-    def overran(self, took: float) -> BehaviorFailedError | None:
-        """Count a step that took too long; return an error if there were too many."""
-        assert self._budget is not None
-        if took <= self._budget:
-            self._overruns_in_row = 0
-            return None
-        self.overruns += 1
-        self._overruns_in_row += 1
-        reaction = self.reaction
-        text = f"step took {took:.3g} s, its budget is {self._budget:g} s"
-        if self.overruns == 1 or self.overruns % 1000 == 0:
-            _log.warning("%s: overrun %d: %s", reaction.name, self.overruns, text)
-        limit = reaction.overrun_limit
-        if limit is None or self._overruns_in_row <= limit:
-            return None
-        row = f"overrun {self._overruns_in_row} in a row: {text}"
-        return BehaviorFailedError(reaction.name, row)
 
     def _step(self, now: float) -> Awaitable[object] | None:
         if self.missing:
