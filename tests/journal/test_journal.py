@@ -246,3 +246,17 @@ def test_supervisors_have_no_slot_to_overwrite():
         if name.startswith("on_")
     ]
     assert slots == []
+
+
+@pytest.mark.parametrize("heard", [False, True])
+async def test_a_warning_is_printed_unless_somebody_else_hears_it(
+    fake_sensor, capsys, monkeypatch, heard
+):
+    """As Python does: a script without a set-up of logging is not silent."""
+    root = logging.getLogger()
+    monkeypatch.setattr(root, "handlers", [logging.NullHandler()] if heard else [])
+    async with esair.Robot(resources=[fake_sensor("sonar", 1.0)]):
+        logging.getLogger("esair").warning("sonar is lost")
+        logging.getLogger("esair").info("sonar is back")
+
+    assert capsys.readouterr().err == ("" if heard else "sonar is lost\n")

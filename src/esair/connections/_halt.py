@@ -32,7 +32,7 @@ class LastCommand(NamedTuple):
 
     Attributes:
         resource: The name of the actuator.
-        command: The last command that was handed to its driver.
+        command: The last command that was handed to its driver; None if there was none.
         safe: Whether that was its safe command.
         answered: Whether the driver took it without an error, and no call from before
             is alive that could undo it.
@@ -47,9 +47,10 @@ class LastCommand(NamedTuple):
 
     def __str__(self) -> str:
         answer = "answered" if self.answered else f"NOT ANSWERED ({self.error})"
-        return (
-            f"{self.resource}: {'safe ' if self.safe else ''}{self.command!r}: {answer}"
-        )
+        told = f"{'safe ' if self.safe else ''}{self.command!r}"
+        if self.command is None:
+            told = "nothing was sent"
+        return f"{self.resource}: {told}: {answer}"
 
 
 class Halting:

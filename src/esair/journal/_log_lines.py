@@ -15,6 +15,7 @@ class LogLines(logging.Handler):
     """Publishes each line of esair's log in the journals of the robots that run.
 
     A line that another thread writes is published in the loop, not in that thread.
+    Python prints warnings that no handler takes; this one takes them from nobody.
     """
 
     def __init__(self, journal: Journal) -> None:
@@ -34,6 +35,9 @@ class LogLines(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Publish a line; one that the journal itself causes is left out."""
+        resort = logging.lastResort
+        if resort and record.levelno >= resort.level and self._is_alone(record.name):
+            resort.handle(record)
         if self._inside or not self._journal.heard:
             return
         try:
@@ -46,6 +50,15 @@ class LogLines(logging.Handler):
             return
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._publish, record.name, level, text)
+
+    def _is_alone(self, name: str) -> bool:
+        """Whether this is the first handler of a logger, and all others are its like."""
+        heard: list[logging.Handler] = []
+        logger: logging.Logger | None = logging.getLogger(name)
+        while logger is not None:
+            heard += logger.handlers
+            logger = logger.parent if logger.propagate else None
+        return heard[0] is self and all(isinstance(each, LogLines) for each in heard)
 
     def _publish(self, name: str, level: str, text: str) -> None:
         self._inside = True
