@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import collections
 import compileall
+import contextlib
+import importlib.util
 import os
 import shutil
 import signal
@@ -39,6 +41,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if sys.dont_write_bytecode and not hasattr(config, "workerinput"):
         # Each of hundreds of children would compile the package anew.
         compileall.compile_dir(Path(esair.__file__).parent, quiet=2)
+    _keep_what_is_rewritten(config)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -79,6 +82,27 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     terminalreporter.section(f"{reasons.total()} skipped")
     for reason, number in reasons.most_common():
         terminalreporter.write_line(f"{number:4} {reason}")
+
+
+def _keep_what_is_rewritten(config: pytest.Config) -> None:
+    """Rewrite the assertions of each file once, and not once in each worker.
+
+    A worker begins with its own share, so that it finds most of the others' done when
+    it collects.
+    """
+    sys.dont_write_bytecode = False  # of this process; its children read their own
+    worker = getattr(config, "workerinput", None)
+    if worker is None:
+        return
+    rewriting = config.pluginmanager.rewrite_hook
+    number, workers = int(worker["workerid"][2:]), worker["workercount"]
+    for path in sorted(Path(__file__).parent.rglob("test_*.py"))[number::workers]:
+        spec = importlib.util.spec_from_file_location(path.stem, path, loader=rewriting)
+        assert spec is not None
+        module = importlib.util.module_from_spec(spec)
+        module.__builtins__ = {}  # it ends at its first import: only its code is wanted
+        with contextlib.suppress(ImportError):
+            rewriting.exec_module(module)
 
 
 def _let_children_hear_signals() -> None:
