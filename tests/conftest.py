@@ -30,8 +30,15 @@ def pytest_configure(config: pytest.Config) -> None:
         "markers", "fault(*ids): proves the right behavior on faults"
     )
     config.addinivalue_line("markers", "xdist_group(name): kept on one worker")
+    config.addinivalue_line("markers", "long: too long for every run (--esair-long)")
+    config.addinivalue_line("markers", "longer: does more with --esair-long")
     # The same examples in every run; --esair-soak looks for new ones.
-    hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
+    hypothesis.settings.register_profile(
+        "same",
+        derandomize=True,
+        deadline=None,
+        max_examples=100 if config.getoption("--esair-long") else 25,
+    )
     if not config.getoption("--esair-soak"):
         hypothesis.settings.load_profile("same")
     _let_children_hear_signals()
@@ -45,15 +52,32 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep what a file does in real time on one worker, one test after the other.
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
+    """Leave what is long to its own run; keep what a file does in real time together.
 
-    Most of them wait: for a process to start, for a time-out. Those of other files run
-    meanwhile.
+    Most of what needs real time waits: for a process to start, for a time-out. It runs
+    on one worker, one test after the other, and those of other files meanwhile.
     """
+    if config.getoption("--esair-long"):
+        config.hook.pytest_deselected(items=[i for i in items if not _is_longer(i)])
+        items[:] = [item for item in items if _is_longer(item)]
+    elif not config.getoption("--esair-soak"):
+        too_long = pytest.mark.skip(reason="too long for every run: --esair-long")
+        for item in items:
+            if item.get_closest_marker("long") is not None:
+                item.add_marker(too_long)
     for item in items:
         if item.get_closest_marker("real_clock") is not None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+
+
+def _is_longer(item: pytest.Item) -> bool:
+    """Whether --esair-long does more of it than every run does."""
+    return any(
+        item.get_closest_marker(marker) is not None for marker in ("long", "longer")
+    ) or getattr(getattr(item, "obj", None), "is_hypothesis_test", False)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -116,7 +140,12 @@ def _let_children_hear_signals() -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option for long runs of the random tests."""
+    """Add the options for long runs."""
     parser.addoption(
         "--esair-soak", action="store_true", help="many more random examples"
+    )
+    parser.addoption(
+        "--esair-long",
+        action="store_true",
+        help="just what is too long for every run; minutes",
     )

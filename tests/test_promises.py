@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+# One worker reads all files, once.
+pytestmark = pytest.mark.xdist_group("promises")
+
 TESTS = Path(__file__).parent
 
 PROMISE_GROUPS = {

@@ -28,7 +28,7 @@ from esair.supervisors._requests import Outcome
 from esair.testing import FakeActuator, FakeSensor, VirtualLoop
 
 NAMES = st.sampled_from(["a", "b", "c"])
-EXAMPLES, STEPS = 120, 40
+EXAMPLES, LONG_EXAMPLES, STEPS = 40, 120, 40
 SOAK_EXAMPLES, SOAK_STEPS = 5_000, 60
 SAFE = 0.0
 PENDING = 24
@@ -581,15 +581,17 @@ class SupervisorMachine(RuleBasedStateMachine):
             self.loop.close()
 
 
+@pytest.mark.longer
 @pytest.mark.promise("BS-4", "SUP-1", "SUP-2", "SUP-3", "SUP-4", "RS-3")
 @pytest.mark.fault("L01", "L03", "L05", "B19", "M04", "M13", "M14", "M15", "R12")
 def test_the_supervisors_follow_their_model(request: pytest.FixtureRequest) -> None:
     """Whatever is done in whatever order, the invariants hold after every step."""
-    soak = request.config.getoption("--esair-soak")
+    option = request.config.getoption
+    soak, long = option("--esair-soak"), option("--esair-long")
     run_state_machine_as_test(
         SupervisorMachine,
         settings=settings(
-            max_examples=SOAK_EXAMPLES if soak else EXAMPLES,
+            max_examples=SOAK_EXAMPLES if soak else LONG_EXAMPLES if long else EXAMPLES,
             stateful_step_count=SOAK_STEPS if soak else STEPS,
             deadline=None,
             suppress_health_check=list(HealthCheck),

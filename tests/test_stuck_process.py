@@ -100,8 +100,14 @@ def repeats(config: pytest.Config) -> int:
 
 @pytest.mark.promise("ROB-6", "ROB-2")
 @pytest.mark.fault("O01", "O02", "O03", "B07")
-@pytest.mark.parametrize("stuck", STUCK)
-@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize(
+    ("stuck", "count"),
+    [
+        *((stuck, 3) for stuck in STUCK),
+        ("loop", 1),
+        *(pytest.param(s, 1, marks=pytest.mark.long) for s in STUCK if s != "loop"),
+    ],
+)
 async def test_the_ladder_of_exits_with_a_stuck_loop(
     tmp_path: Path, stuck: str, count: int, request: pytest.FixtureRequest
 ) -> None:
@@ -155,7 +161,14 @@ async def test_a_slow_import_is_nobodys_reason_to_interrupt(tmp_path: Path) -> N
 
 @pytest.mark.promise("ROB-6")
 @pytest.mark.parametrize(
-    "stuck", ["loop", "sleep", "swallow", "deaf", "tight", "thread"]
+    "stuck",
+    [
+        *("loop", "deaf"),
+        *(
+            pytest.param(each, marks=pytest.mark.long)
+            for each in ("sleep", "swallow", "tight", "thread")
+        ),
+    ],
 )
 async def test_run_ends_after_its_duration_whatever_is_stuck(
     tmp_path: Path, stuck: str
@@ -203,7 +216,9 @@ async def test_each_of_two_robots_ends_safe_on_a_signal(
 
 @pytest.mark.promise("ROB-5", "SUP-3")
 @pytest.mark.parametrize("runner", ["asyncio", "anyio"])
-@pytest.mark.parametrize("stuck", ["swallow", "deaf"])
+@pytest.mark.parametrize(
+    "stuck", [pytest.param("swallow", marks=pytest.mark.long), "deaf"]
+)
 async def test_no_runner_waits_for_what_would_not_end(
     tmp_path: Path, stuck: str, runner: str
 ) -> None:

@@ -111,7 +111,14 @@ def test_closed_output_is_no_error(start, tmp_path) -> None:
 
 
 @pytest.mark.real_clock
-@pytest.mark.parametrize("words", [["--help"], ["devices"], ["devices", "--json"]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--help"],
+        pytest.param(["devices"], marks=pytest.mark.long),
+        pytest.param(["devices", "--json"], marks=pytest.mark.long),
+    ],
+)
 def test_a_full_disk_is_told_in_one_line(start, tmp_path, words) -> None:
     """``esair devices > file`` where there is no room."""
     process = start(*words, cwd=tmp_path, code=FULL)

@@ -207,7 +207,14 @@ def test_a_loop_that_is_not_installed_is_exit_code_2(
 
 
 @pytest.mark.promise("ROB-2")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGINT,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.long),
+        pytest.param(signal.SIGHUP, marks=pytest.mark.long),
+    ],
+)
 def test_a_signal_makes_the_motor_safe(folder, start, number) -> None:
     """Exit code 128 plus the number, no traceback."""
     where = folder("Always")

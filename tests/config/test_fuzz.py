@@ -191,7 +191,6 @@ def loads_or_tells(project, text, *, simulated) -> None:
 
 
 FUZZ = settings(
-    max_examples=100,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],

@@ -36,7 +36,11 @@ def commands(record: Path) -> list[tuple[int, bool]]:
     [
         pytest.param(signal.SIGINT, 130, 5, id="ctrl-c-while-it-drives"),
         pytest.param(signal.SIGINT, 130, 0, id="ctrl-c-before-it-drives"),
-        pytest.param(signal.SIGTERM, 143, 5, id="sigterm-while-it-drives"),
+        pytest.param(
+            *(signal.SIGTERM, 143, 5),
+            id="sigterm-while-it-drives",
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_a_signal_stops_the_wheels(

@@ -34,6 +34,9 @@ from esair.testing._clock import VirtualLoop
 
 ROBOT = Path(esair.demo.__file__).with_name("robot.toml")
 
+# One worker plays the show, once.
+pytestmark = pytest.mark.xdist_group("show")
+
 DURATION = 16.0
 """How long the show is here, in seconds."""
 
@@ -265,6 +268,7 @@ def digest(folder: Path, hash_seed: str) -> str:
     return hashlib.sha256(record.read_bytes()).hexdigest()
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_run_in_another_process(tmp_path: Path) -> None:
     """Nothing depends on the order of sets, addresses or threads."""
     assert digest(tmp_path, "1") == digest(tmp_path, "2")
@@ -282,6 +286,7 @@ def test_the_robot_is_described_by_one_file(simulated: bool) -> None:
 
 
 @pytest.mark.promise("REC-1", "REC-6")
+@pytest.mark.long
 def test_a_recording_of_the_show_can_be_looked_at(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
+import pytest
 
+
+@pytest.mark.xdist_group("pages")
 def test_builds_without_a_warning(built: tuple[Path, str]) -> None:
     """Every reference leads somewhere, every included file is there."""
     pages, said = built

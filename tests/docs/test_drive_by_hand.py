@@ -20,7 +20,11 @@ from esair.recording import Recorded, events_of
 CODE = Path(__file__).parents[2] / "docs" / "code"
 ESAIR = [sys.executable, "-m", "esair"]
 
-pytestmark = [pytest.mark.real_clock, pytest.mark.promise("OPS-4")]
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.real_clock,
+    pytest.mark.promise("OPS-4"),
+]
 
 
 def eventually(condition: Callable[[], object]) -> None:

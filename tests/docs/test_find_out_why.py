@@ -43,6 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.promise("REP-2")
 def test_the_first_wrong_decision_is_found(folder: Path) -> None:
     """Equal with the mistake; without it the first difference is the missed echo."""

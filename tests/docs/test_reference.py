@@ -139,6 +139,7 @@ def test_every_public_class_and_function_has_a_docstring(module) -> None:
     assert missing == []
 
 
+@pytest.mark.xdist_group("pages")
 def test_every_public_class_and_function_can_be_looked_up(built) -> None:
     """By its own name; what Sphinx has left out is not in its inventory."""
     pages, _ = built

@@ -39,6 +39,7 @@ def scout(tmp_path_factory) -> Path:
     return scout
 
 
+@pytest.mark.long
 def test_its_tests_pass(scout) -> None:
     """Those of the project, and those that the tutorial adds."""
     out = run("-m", "pytest", "-q", "-p", "no:cacheprovider", folder=scout)

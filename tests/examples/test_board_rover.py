@@ -20,7 +20,7 @@ from esair import firmware
 from esair.boards import stand_in
 from esair.config import build, load
 
-pytestmark = [pytest.mark.real_clock, pytest.mark.promise("MIN-4")]
+pytestmark = [pytest.mark.long, pytest.mark.real_clock, pytest.mark.promise("MIN-4")]
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "board_rover"
 

@@ -1,6 +1,5 @@
 """What holds for each example: it is short, is typed, and says how it is protected."""
 
-import os
 import re
 import subprocess
 import sys
@@ -24,24 +23,23 @@ def test_it_can_be_read_at_once(path) -> None:
 
 @pytest.mark.promise("PRO-13")
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
-def test_esair_check_prints_its_table_of_protection(path) -> None:
+def test_esair_check_prints_its_table_of_protection(path, monkeypatch, capsys) -> None:
     """No errors; each actuator with who writes it, who guards it, and what is safe."""
     pytest.importorskip("cyclopts")
-    done = subprocess.run(
-        [sys.executable, "-m", "esair", "check", f"{path.name}:robot"],
-        cwd=EXAMPLES,
-        env={**os.environ, "COLUMNS": "200", "PYTHONDONTWRITEBYTECODE": "1"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    from esair.cli import main
 
-    assert done.returncode == 0, done.stdout + done.stderr
+    monkeypatch.chdir(EXAMPLES)
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit) as ended:
+        main(["check", f"{path.name}:robot"])
+    told = capsys.readouterr()
+
+    assert ended.value.code == 0, told
     for head in ("How each actuator is made safe", "guarded by", "safe command"):
-        assert head in done.stdout
+        assert head in told.out
 
 
+@pytest.mark.long
 def test_pyright_finds_nothing() -> None:
     """As mypy, which looks at them with the rest."""
     pytest.importorskip("pyright")

@@ -151,6 +151,7 @@ def test_every_driver_runs_on_micropython(micropython, board) -> None:
     assert printed == SAID
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-1")
 def test_every_driver_runs_on_a_small_board(board) -> None:

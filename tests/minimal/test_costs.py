@@ -5,7 +5,7 @@ import json
 import pytest
 from tests.minimal.hw.board import Board, why_not
 
-pytestmark = [pytest.mark.real_clock, pytest.mark.promise("MIN-1")]
+pytestmark = [pytest.mark.long, pytest.mark.real_clock, pytest.mark.promise("MIN-1")]
 
 MEASURE = """
 import gc, json, time

@@ -31,6 +31,7 @@ def pins(monkeypatch) -> Any:
     return stand_in
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-2")
 def test_the_test_of_the_page_passes(tmp_path) -> None:
@@ -160,6 +161,7 @@ def commands(page: str) -> list[list[str]]:
     return [shlex.split(line)[1:] for line in lines if line.startswith("esair ")]
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-5")
 def test_the_page_is_followed_to_its_end(machine: Machine, tmp_path) -> None:
@@ -184,6 +186,7 @@ def test_the_page_is_followed_to_its_end(machine: Machine, tmp_path) -> None:
     assert done == ["build", "run", "deploy", "monitor"]
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-4", "MIN-5")
 async def test_the_page_is_followed_with_the_board_on_a_link(

@@ -259,6 +259,7 @@ def test_micropython_decides_as_cpython(worlds, micropython, board) -> None:
     assert differ == {}, f"of seed {seed}"
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-1", "MIN-2")
 def test_a_small_board_decides_as_cpython(worlds, board) -> None:

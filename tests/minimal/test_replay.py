@@ -279,7 +279,6 @@ def make_journal(rng: random.Random, losses: list[float]) -> list[list[int | Non
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-2", "AC-2", "REA-1")
 @hypothesis.given(st.randoms(use_true_random=False))
-@hypothesis.settings(max_examples=60)
 def test_any_world_is_the_same_in_std_and_min(rng) -> None:
     """Whatever the wiring and the readings, each actuator is told the same."""
     world = make_world(rng, blind=False)
@@ -305,7 +304,7 @@ def seed_and_count(request) -> tuple[int, int]:
     """The worlds that all of them run: the same each time, or with --esair-soak new ones."""
     if request.config.getoption("--esair-soak"):
         return random.randrange(2**32), 1000
-    return 4, 100
+    return 4, 100 if request.config.getoption("--esair-long") else 25
 
 
 def some_worlds(seed: int, count: int, **options: bool) -> list[World]:
@@ -313,6 +312,7 @@ def some_worlds(seed: int, count: int, **options: bool) -> list[World]:
     return [make_world(rng, **options) for _ in range(count)]
 
 
+@pytest.mark.longer
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-2")
 @pytest.mark.parametrize("play", [play_in_std, play_on_threads])

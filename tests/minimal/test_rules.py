@@ -43,6 +43,7 @@ def test_on_micropython(micropython, board) -> None:
     assert printed.splitlines() == rules.rules()
 
 
+@pytest.mark.long
 def test_on_a_small_board(board) -> None:
     """All rules hold on a 32-bit board with single floats."""
     reason = why_not()

@@ -13,7 +13,7 @@ from esair.testing import FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
 
-HISTORIES, SOAK = 40, 1_000
+HISTORIES, LONG, SOAK = 10, 40, 1_000
 STEPS = 25
 
 
@@ -163,13 +163,15 @@ async def history(seed: int, kind: type[Seeing]) -> Truth:
     return truth
 
 
+@pytest.mark.longer
 @pytest.mark.promise("PRO-2")
 @pytest.mark.parametrize("kind", [Stop, Guard])
 async def test_not_one_command_slips_through(
     kind: type[Seeing], request: pytest.FixtureRequest
 ) -> None:
     """Taken away and added, lost, replaced, crashed: no motion without a decision."""
-    soak = request.config.getoption("--esair-soak")
-    for seed in range(SOAK // 2 if soak else HISTORIES // 2):
+    option = request.config.getoption
+    soak, long = option("--esair-soak"), option("--esair-long")
+    for seed in range((SOAK if soak else LONG if long else HISTORIES) // 2):
         truth = await history(seed, kind)
         assert truth.slipped == [], f"history {seed}"

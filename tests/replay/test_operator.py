@@ -151,6 +151,7 @@ def test_every_act_is_repeated(running: Running) -> None:
     running.repeats()
 
 
+@pytest.mark.long
 def test_a_lease_that_lapses_is_repeated(running: Running) -> None:
     """By want of input, and by input that answers an old beat."""
     with connect("beacon") as client:
@@ -166,6 +167,7 @@ def test_a_lease_that_lapses_is_repeated(running: Running) -> None:
     running.repeats()
 
 
+@pytest.mark.long
 def test_a_file_that_was_killed_is_repeated_up_to_there(running: Running) -> None:
     """The acts are in it as the readings are."""
     with connect("beacon") as client:

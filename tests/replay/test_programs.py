@@ -75,7 +75,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("made_of", ["rover.py", "rover.py:robot", "rover:make"])
+@pytest.mark.parametrize(
+    "made_of",
+    [
+        pytest.param("rover.py", marks=pytest.mark.long),
+        pytest.param("rover.py:robot", marks=pytest.mark.long),
+        "rover:make",
+    ],
+)
 def test_the_program_is_named_in_any_form(folder: Path, made_of: str) -> None:
     """Its own classes come back, nothing is recorded again, nothing is run to the end."""
     code, said = verbs(folder, "replay", "run.mcap", "--with", made_of)
@@ -132,6 +139,7 @@ def test_calls_that_cannot_repeat_are_named_in_a_program(folder: Path) -> None:
     assert (code, said) == (0, "nothing was found that could not be repeated\n")
 
 
+@pytest.mark.long
 def test_a_fast_demo_is_repeated_with_its_world(tmp_path: Path) -> None:
     """On the virtual clock all happens again, in another process too."""
     words = ("demo", "--fast", "--seed", "5", "--record", "fast.mcap")
@@ -143,6 +151,7 @@ def test_a_fast_demo_is_repeated_with_its_world(tmp_path: Path) -> None:
     assert said.startswith("equal")
 
 
+@pytest.mark.long
 def test_a_run_of_a_test_says_what_repeats_it(tmp_path: Path) -> None:
     """Its virtual time was made by the test: only that can make it again."""
     program = PROGRAM.replace(

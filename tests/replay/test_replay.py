@@ -260,6 +260,7 @@ def test_random_numbers_are_those_of_the_run(recording: Path) -> None:
     assert len(asked) > 2
 
 
+@pytest.mark.long
 @pytest.mark.promise("REP-2")
 def test_a_run_that_a_signal_has_ended_is_repeated(tmp_path: Path) -> None:
     """Most runs end so; the stop is compared too."""

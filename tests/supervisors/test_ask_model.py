@@ -25,7 +25,7 @@ import esair
 from esair.supervisors._requests import Outcome
 from esair.testing import VirtualLoop
 
-EXAMPLES, STEPS = 200, 40
+EXAMPLES, LONG_EXAMPLES, STEPS = 50, 200, 40
 SOAK_EXAMPLES, SOAK_STEPS = 10_000, 50
 PENDING = 12
 
@@ -311,22 +311,26 @@ class AskMachine(RuleBasedStateMachine):
             self.loop.close()
 
 
+@pytest.mark.longer
 @pytest.mark.promise("BS-10", "BS-11", "BS-4")
 def test_every_order_has_its_one_outcome(request: pytest.FixtureRequest) -> None:
     """Whatever becomes of askers and workers, in whatever order."""
-    soak = request.config.getoption("--esair-soak")
+    option = request.config.getoption
+    soak, long = option("--esair-soak"), option("--esair-long")
+    examples = SOAK_EXAMPLES if soak else LONG_EXAMPLES if long else EXAMPLES
+    enough = min(examples, LONG_EXAMPLES) // 2
     AskMachine.answered = 0
     for number in range(5):  # how many are answered differs much between seeds
         run_state_machine_as_test(
             seed(number)(AskMachine),
             settings=settings(
-                max_examples=SOAK_EXAMPLES if soak else EXAMPLES,
+                max_examples=examples,
                 stateful_step_count=SOAK_STEPS if soak else STEPS,
                 deadline=None,
                 suppress_health_check=list(HealthCheck),
                 database=None,
             ),
         )
-        if AskMachine.answered > 100:
+        if AskMachine.answered > enough:
             break
-    assert AskMachine.answered > 100
+    assert AskMachine.answered > enough

@@ -23,6 +23,7 @@ def tortured(robot: str, *, own: bool = True) -> tuple[Target, Report]:
 def rerun(pytester: pytest.Pytester, target: Target, report: Report) -> Path:
     """Write the test of the first finding, and see it fail."""
     (finding, *_) = report.findings
+    pytester.makeini("[pytest]\nasyncio_default_fixture_loop_scope = function\n")
     folder = pytester.path / "tests"
     file = write_test(target, finding.violation, finding.story, SEED, folder)
     pytester.runpytest("-q", "-p", "no:cacheprovider", file).assert_outcomes(failed=1)
@@ -33,11 +34,11 @@ def rerun(pytester: pytest.Pytester, target: Target, report: Report) -> Path:
     ("robot", "rule", "component", "steps"),
     [
         ("no_deadline", "stop", "robot", 1),
-        ("blind", "blind", "wheels", 1),
-        ("no_bound", "queue", "diary", 0),
-        ("stubborn", "left", "stubborn", 1),
+        pytest.param("blind", "blind", "wheels", 1, marks=pytest.mark.long),
+        pytest.param("no_bound", "queue", "diary", 0, marks=pytest.mark.long),
+        pytest.param("stubborn", "left", "stubborn", 1, marks=pytest.mark.long),
         ("no_safe", "start", "robot", 0),
-        ("no_word_for_safe", "ready", "wheels", 0),
+        pytest.param("no_word_for_safe", "ready", "wheels", 0, marks=pytest.mark.long),
     ],
 )
 def test_a_planted_fault_is_found_and_written_as_a_test(

@@ -12,18 +12,22 @@ from esair.torture import Step, Story, Target, World, survive, torture
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-FAULTS, SOAK = 1_500, 100_000
+FAULTS, LONG, SOAK = 500, 1_500, 100_000
 EACH = 500
 """How many faults one robot gets."""
 
 SEED = 100
 
 
+@pytest.mark.longer
 @pytest.mark.promise("CALL-2", "PRO-1", "ROB-2", "ROB-4", "BS-10", "AC-4")
 @pytest.mark.fault("D21", "D22", "R09", "R11", "X06", "B10")
 def test_soak(request: pytest.FixtureRequest) -> None:
     """No order, no fault and no end breaks what must hold."""
-    left = SOAK if request.config.getoption("--esair-soak") else FAULTS
+    option = request.config.getoption
+    left = (
+        SOAK if option("--esair-soak") else LONG if option("--esair-long") else FAULTS
+    )
     seed = SEED
     while left > 0:
         report = torture(

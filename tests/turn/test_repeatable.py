@@ -31,6 +31,7 @@ def played(seeds: range, hash_seed: int) -> list[str]:
     return run.stdout.splitlines()
 
 
+@pytest.mark.long
 @pytest.mark.promise("TURN-6")
 def test_any_robot_repeats_in_another_process(request: pytest.FixtureRequest) -> None:
     """With threads, plain drivers and random timing, and with another hash seed."""

@@ -20,6 +20,7 @@ def expected() -> set[int]:
     return {number for number, line in enumerate(lines, 1) if "type: ignore" in line}
 
 
+@pytest.mark.long
 @pytest.mark.promise("BEH-4", "BS-8")
 def test_mypy_finds_what_is_wrong_and_no_more() -> None:
     """Strict; an ignore that hides nothing is an error too."""
@@ -33,6 +34,7 @@ def test_mypy_finds_what_is_wrong_and_no_more() -> None:
     assert len(expected()) == 8
 
 
+@pytest.mark.long
 @pytest.mark.promise("BEH-4", "BS-8")
 def test_pyright_finds_what_is_wrong_and_no_more(tmp_path: Path) -> None:
     """The same lines, and none of the example."""
