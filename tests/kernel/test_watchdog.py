@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import fcntl
 import os
 import select
 import signal
 import socket
+import statistics
 import struct
 import subprocess
 import sys
 import termios
 import time
+import traceback
 import tty
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from tests.kernel.test_gpio import Chip
+from tests.watchdog import victim
+from tests.watchdog.test_watchdog import DEAD, STUCK
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("GRD-1")]
 
@@ -112,21 +117,50 @@ def test_safe_is_the_last_command_on_the_bus(vcan: str, way: str) -> None:
 
 
 @pytest.mark.promise("GRD-3")
-def test_two_hundred_times(vcan: str, request: pytest.FixtureRequest) -> None:
-    """Killed while it drives: always safe."""
+@pytest.mark.parametrize("way", [*DEAD, *STUCK])
+def test_the_time_it_takes(vcan: str, way: str, request: pytest.FixtureRequest) -> None:
+    """Two hundred times: always safe; the times are printed, not judged: the guest is slow."""
     if not request.config.getoption("--esair-soak"):
-        pytest.skip("two hundred processes: --esair-soak")
-    safe = 0
-    for _ in range(200):
-        with listen(vcan) as can:
-            robot = Robot("can", vcan, "kill", "kill")
+        pytest.skip("two hundred processes each: --esair-soak")
+    times = [died_on(vcan, way) for _ in range(200)]
+    times.sort()
+    middle, slow = statistics.median(times), times[197]
+    sys.stderr.write(
+        f"CAN, {way}: p50 {middle:.1f} ms, p99 {slow:.1f} ms, max {times[-1]:.1f} ms\n"
+    )
+
+
+def died_on(channel: str, way: str) -> float:
+    """Let a process die while it drives; return what its last motion stood for, in ms."""
+    with listen(channel) as can:
+        child = os.fork()  # to start another interpreter takes the guest seconds
+        if child == 0:
             try:
-                heard = all_heard(can, robot, quiet=0.3)
-            finally:
-                robot.end()
-        safe += bool(heard) and not moves(heard[-1])
-    sys.stderr.write(f"CAN: {safe} of 200 ended safe\n")
-    assert safe == 200
+                asyncio.run(victim.main(channel, way, "kill"))
+            except BaseException:
+                traceback.print_exc()
+            os._exit(1)
+        heard: list[tuple[float, bytes]] = []
+        dead = os.pidfd_open(child)
+        end, over = time.monotonic() + PATIENCE, False
+        while (
+            not (over and heard and heard[-1][1] == victim.STOP)
+            and time.monotonic() < end
+        ):
+            waits = [can.fileno()] if over else [can.fileno(), dead]
+            ready = select.select(waits, [], [], 0.3)[0]
+            over = over or dead in ready
+            if can.fileno() in ready:
+                heard.append((time.monotonic(), can.recv(16)))
+            elif over and not ready:
+                break
+        os.close(dead)
+        os.waitpid(child, 0)
+        while select.select([can], [], [], 0.05)[0]:  # nothing comes after it
+            heard.append((time.monotonic(), can.recv(16)))
+    (safe, last), (moved, motion) = heard[-1], heard[-2]
+    assert (motion, last) == (victim.GO, victim.STOP)
+    return (safe - moved) * 1000
 
 
 class SlowLine:

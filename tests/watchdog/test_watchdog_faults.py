@@ -7,6 +7,7 @@ import errno
 import os
 import resource
 import signal
+import socket
 import sys
 import time
 import tty
@@ -18,7 +19,7 @@ import pytest
 
 import esair
 from esair.buses import SerialBus
-from esair.watchdog import Outlet, SafeFrames, Watchdog
+from esair.watchdog import Outlet, SafeFrames, Watchdog, _watchdog
 
 pytestmark = pytest.mark.real_clock
 
@@ -155,14 +156,48 @@ async def test_a_line_that_hangs_up_is_let_go(dog: Watchdog, line: Line) -> None
     assert port not in lines_of(dog)
 
 
+@pytest.mark.promise("GRD-2")
+async def test_what_is_armed_too_late_is_let_go(
+    dog: Watchdog, line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was told as not watched: the watchdog must not keep its port."""
+    monkeypatch.setattr(_watchdog, "ANSWER_WITHIN", 0.1)
+    outlet = Outlet("serial", descriptor=line.near)
+    os.kill(pid_of(dog), signal.SIGSTOP)
+    assert "has not answered" in await dog.arm("wheels", SAFE, outlet)
+    monkeypatch.undo()
+    os.kill(pid_of(dog), signal.SIGCONT)
+    assert not await dog.arm("lamp", SAFE, outlet)
+    assert lines_of(dog) == [line.port]
+
+
 async def test_too_many_descriptors_are_told(dog: Watchdog, line: Line) -> None:
     """The actuator is not watched, with the reason; the watchdog goes on."""
-    await asyncio.sleep(0.1)  # it has loaded what it needs
-    resource.prlimit(pid_of(dog), resource.RLIMIT_NOFILE, (3, 64))
     outlet = Outlet("serial", descriptor=line.near)
+    assert not await dog.arm("wheels", SAFE, outlet)  # it has loaded what it needs
+    await dog.drop("wheels")
+    resource.prlimit(pid_of(dog), resource.RLIMIT_NOFILE, (3, 64))
     why = await dog.arm("wheels", SAFE, outlet)
     assert why == "its descriptor did not arrive: too many are open"
     resource.prlimit(pid_of(dog), resource.RLIMIT_NOFILE, (64, 64))
+    assert not await dog.arm("wheels", SAFE, outlet)
+
+
+async def test_descriptors_that_cannot_be_sent_are_told(
+    dog: Watchdog, line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the system hands none on, the actuator is not watched; the dog goes on."""
+
+    def send_fds(*_: object) -> int:
+        raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
+
+    outlet = Outlet("serial", descriptor=line.near)
+    with monkeypatch.context() as patch:
+        patch.setattr(socket, "send_fds", send_fds)
+        why = await dog.arm("wheels", SAFE, outlet)
+    assert why.startswith("the watchdog cannot be told: ")
+    assert os.strerror(errno.EOPNOTSUPP) in why
+    assert not dog.watches("wheels")
     assert not await dog.arm("wheels", SAFE, outlet)
 
 

@@ -128,9 +128,8 @@ class Watchdog:
         process = self._process
         if process is None:
             return
-        if self._channel is not None:
-            with contextlib.suppress(OSError):
-                self._channel.send(b'{"op": "bye"}')
+        with contextlib.suppress(OSError):
+            self._send({"op": "bye"})
         self._forget()
         try:
             await asyncio.to_thread(process.wait, GONE_WITHIN)
@@ -196,6 +195,8 @@ class Watchdog:
         why = await self._ask(place, told, outlet.descriptor)
         if why:
             self._places.pop(name, None)
+            with contextlib.suppress(OSError):  # it may still do what it was told
+                self._send({"op": "drop", "place": place})
         return why
 
     async def drop(self, name: str) -> None:
@@ -216,12 +217,8 @@ class Watchdog:
             return "there is no watchdog process"
         answer: asyncio.Future[str] = self._loop.create_future()
         self._answers[place] = answer
-        data = json.dumps(told).encode()
         try:
-            if descriptor is None:
-                self._channel.send(data)
-            else:
-                socket.send_fds(self._channel, [data], [descriptor])
+            self._send(told, descriptor)
             return await asyncio.wait_for(answer, ANSWER_WITHIN)
         except TimeoutError:
             return f"the watchdog has not answered for {ANSWER_WITHIN:g} s"
@@ -229,6 +226,15 @@ class Watchdog:
             return f"the watchdog cannot be told: {error}"
         finally:
             self._answers.pop(place, None)
+
+    def _send(self, told: dict[str, object], descriptor: int | None = None) -> None:
+        data = json.dumps(told).encode()
+        if self._channel is None:
+            return
+        if descriptor is None:
+            self._channel.send(data)
+        else:
+            socket.send_fds(self._channel, [data], [descriptor])
 
     def _hear(self) -> None:
         assert self._channel is not None

@@ -1,0 +1,143 @@
+"""A robot is killed while its lines come and go: what the other ends were told."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.real_clock, pytest.mark.promise("GRD-1")]
+
+LINES = Path(__file__).with_name("lines.py")
+PATIENCE = 20.0
+
+
+class Wire:
+    """A line, as far as a watchdog can tell: it can be full, and be pulled."""
+
+    def __init__(self) -> None:
+        self.far, self.near = os.pipe()
+        os.set_blocking(self.near, False)
+        os.set_blocking(self.far, False)
+
+    def fill(self) -> None:
+        for size in (3000, 1):  # what is written at once must fit at once
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    os.write(self.near, b"\n" * size)
+
+    def pull(self) -> None:
+        os.close(self.far)
+        self.far = -1
+
+    def heard(self) -> bytes:
+        """Wait until something comes, and return it."""
+        assert select.select([self.far], [], [], PATIENCE)[0]
+        return os.read(self.far, 4096)
+
+    def close(self) -> None:
+        for end in (self.far, self.near):
+            if end >= 0:
+                os.close(end)
+
+
+class Robot:
+    """A process that holds some lines."""
+
+    def __init__(self, *wires: Wire) -> None:
+        lines = [wire.near for wire in wires]
+        self.process = subprocess.Popen(
+            [sys.executable, str(LINES), *map(str, lines)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            pass_fds=lines,
+        )
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline() == "armed\n"
+
+    def kill(self) -> str:
+        """End it, and return what its watchdog says when it has ended, too."""
+        self.process.kill()
+        return self.process.communicate(timeout=PATIENCE)[1]
+
+    @property
+    def dog(self) -> int:
+        tasks = Path(f"/proc/{self.process.pid}/task").glob("*/children")
+        (dog,) = "".join(each.read_text("ascii") for each in tasks).split()
+        return int(dog)
+
+
+@pytest.fixture
+def wires() -> Iterator[list[Wire]]:
+    both = [Wire(), Wire()]
+    yield both
+    for each in both:
+        each.close()
+
+
+@pytest.mark.fault("O04", "D01")
+def test_a_device_is_pulled_and_then_the_robot_is_killed(wires: list[Wire]) -> None:
+    """The other one is made safe, and of the pulled one nothing is said any more."""
+    pulled, other = wires
+    robot = Robot(pulled, other)
+    held = Path(f"/proc/{robot.dog}/fd")
+    before = len(list(held.iterdir()))
+    pulled.pull()
+    end = time.monotonic() + PATIENCE
+    while len(list(held.iterdir())) == before and time.monotonic() < end:
+        time.sleep(0.01)
+    said = robot.kill()
+    assert other.heard() == b"STOP\n"
+    assert re.fullmatch(
+        r"esair watchdog: its process died: line 1 safe, after .*\n", said
+    )
+
+
+@pytest.mark.fault("O04", "D02")
+def test_a_line_hangs_up_while_the_watchdog_writes(wires: list[Wire]) -> None:
+    """It is full, so it is tried again: the other one first; then it is not there."""
+    full, other = wires
+    full.fill()
+    robot = Robot(full, other)
+    robot.process.kill()
+    assert other.heard() == b"STOP\n"
+    full.pull()
+    said = robot.kill()
+    assert "line 0 NOT SAFE (" in said
+    assert "line 1 safe" in said
+
+
+@pytest.mark.fault("O04")
+def test_a_line_that_is_full_is_tried_again(wires: list[Wire]) -> None:
+    """What waits in it goes first; safe comes last."""
+    full, other = wires
+    full.fill()
+    robot = Robot(full, other)
+    robot.process.kill()
+    assert other.heard() == b"STOP\n"
+    heard = b""
+    while not heard.endswith(b"STOP\n"):
+        heard += full.heard()
+    assert "line 0 safe, line 1 safe" in robot.kill()
+
+
+@pytest.mark.fault("O04")
+def test_a_robot_without_actuators() -> None:
+    """Its watchdog has nothing to do, says so, and ends with it."""
+    robot = Robot()
+    dog = robot.dog
+    said = robot.kill()
+    assert "esair watchdog: its process died: nothing is watched" in said
+    end = time.monotonic() + PATIENCE
+    while Path(f"/proc/{dog}").exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not Path(f"/proc/{dog}").exists()
