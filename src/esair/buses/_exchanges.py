@@ -11,6 +11,7 @@ from esair.buses._bus import Bus
 from esair.buses._inbox import within
 from esair.buses._turns import Turns
 from esair.exceptions import BusyError, DeviceLostError, DriverStuckError, describe
+from esair.loop import arrive
 
 LATE_LIMIT = 0.4
 """How long after its request was given up an answer may still come, in seconds."""
@@ -109,9 +110,10 @@ class Exchanges:
 
     def offer(self, message: bytes) -> bool:
         """Take a message that came; tells whether somebody waited for it."""
-        self._forget_old()
         now = self._now
         mine = now is not None and now.takes(message)
+        if self._owed:
+            self._forget_old()
         for owed in self._owed:  # oldest first, as a device answers
             if owed.takes(message):
                 if mine and now is not None:  # they cannot be told apart
@@ -148,9 +150,11 @@ class Exchanges:
         self._waiting += 1
         try:
             while True:
-                await self._wait_for_owed(exchange)
-                await self._turns.take(exchange.left)
-                if self._owed_to(exchange) is None:
+                if self._owed:
+                    await self._wait_for_owed(exchange)
+                if not self._turns.take_if_free():
+                    await self._turns.take(exchange.left)
+                if not self._owed or self._owed_to(exchange) is None:
                     self._now = exchange
                     return
                 self._turns.give()
@@ -186,9 +190,8 @@ class Exchanges:
         return next((each for each in self._owed if each.is_like(exchange)), None)
 
     def _forget_old(self) -> None:
-        if self._owed:
-            now = _time()
-            self._owed = [each for each in self._owed if each.until - now > 1e-9]
+        now = _time()
+        self._owed = [each for each in self._owed if each.until - now > 1e-9]
 
     def _tell_settled(self) -> None:
         for future in self._settled:
@@ -225,16 +228,20 @@ class Exchange:
         self.until = 0.0
         self._exchanges = exchanges
         self._kinds = kinds
+        prefixes = kinds or (b"",)
+        self._prefixes = tuple(each for each in prefixes if isinstance(each, bytes))
         self._seconds = seconds
-        self._deadline = _time() + seconds
+        loop = asyncio.get_running_loop()
+        self._time = loop.time
+        self._deadline = loop.time() + seconds
         self._is_sent = False
         self._is_answered = False
-        self._answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        self._answer: asyncio.Future[bytes] = loop.create_future()
 
     @property
     def left(self) -> float:
         """How many seconds are left of its time."""
-        return self._deadline - _time()
+        return self._deadline - self._time()
 
     @property
     def is_owed(self) -> bool:
@@ -255,12 +262,9 @@ class Exchange:
 
     def takes(self, message: bytes) -> bool:
         """Tell whether a message can be its answer."""
-        if not self.is_owed:
+        if not self._is_sent or self._is_answered:
             return False
-        kinds = self._kinds
-        fits = not kinds or any(
-            isinstance(kind, bytes) and message.startswith(kind) for kind in kinds
-        )
+        fits = message.startswith(self._prefixes)
         return fits and (self.answers is None or self.answers(message))
 
     def is_like(self, other: Exchange) -> bool:
@@ -278,8 +282,7 @@ class Exchange:
     def settle(self, message: bytes) -> None:
         """Be answered."""
         self._is_answered = True
-        if not self._answer.done():
-            self._answer.set_result(message)
+        arrive(self._answer, message)
 
     def fail(self, error: BaseException) -> None:
         """Have no answer, and an error instead."""

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Generic, TypeVar
 
 from esair.exceptions import BadValueError
-from esair.loop import Deadlines
+from esair.loop import Deadlines, arrive
 
 T = TypeVar("T")
 
@@ -104,8 +104,9 @@ class Inbox(Generic[T]):
         return await self.take()
 
     def _wake(self) -> None:
-        if self._waiter is not None and not self._waiter.done():
-            self._waiter.set_result(None)
+        waiter, self._waiter = self._waiter, None
+        if waiter is not None:
+            arrive(waiter, None)
 
 
 async def within(future: asyncio.Future[T], seconds: float | None) -> T:

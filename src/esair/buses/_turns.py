@@ -19,6 +19,13 @@ class Turns:
         self.waiting = 0
         self._queue: collections.deque[asyncio.Future[None]] = collections.deque()
 
+    def take_if_free(self) -> bool:
+        """Have the turn at once if nobody has it; tells whether it was so."""
+        if self.waiting:
+            return False
+        self.waiting = 1
+        return True
+
     async def take(self, seconds: float) -> None:
         """Wait for the turn; `give` it back afterwards.
 

@@ -1,5 +1,6 @@
 """What the one event loop needs: a scheduler for time, threads for blocking code."""
 
+from esair.loop._arrivals import Arrivals, arrive
 from esair.loop._budget import PUT_COST, SPENDABLE, WRITE_COST, Budget
 from esair.loop._dead_man import DeadMan
 from esair.loop._deadlines import Deadline, Deadlines
@@ -44,6 +45,7 @@ __all__ = [
     "SPOILED",
     "WAITS",
     "WRITE_COST",
+    "Arrivals",
     "Budget",
     "CallRefused",
     "ComponentRandom",
@@ -79,6 +81,7 @@ __all__ = [
     "SuspendWatch",
     "TapeWriter",
     "TurnLoop",
+    "arrive",
     "ask_outside",
     "clock_beside",
     "clock_of",

@@ -8,7 +8,7 @@ import itertools
 from collections.abc import Callable
 from typing import Protocol
 
-from esair.loop._deadlines import contained
+from esair.loop._contained import contained
 from esair.loop._of_loop import of_loop
 from esair.loop._rate_group import REACHED, OneShot, Order
 from esair.loop._scheduler import Scheduler

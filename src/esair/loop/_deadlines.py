@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from esair.loop._contained import contained
 from esair.loop._of_loop import of_loop
 from esair.loop._rate_group import REACHED, Order
 from esair.loop._scheduler import Scheduler
@@ -142,15 +143,6 @@ class _DeadlinesBeside(Deadlines):
     """The deadlines of what is outside of the robot."""
 
     _scheduler_of = Scheduler.beside
-
-
-def contained(loop: asyncio.AbstractEventLoop, function: Callable[[], object]) -> None:
-    """Call a function; what it raises is told to the loop, as of any timer."""
-    try:
-        function()
-    except Exception as error:
-        message = f"{function!r:.200} raised at its moment"
-        loop.call_exception_handler({"message": message, "exception": error})
 
 
 def _set(future: asyncio.Future[None]) -> None:

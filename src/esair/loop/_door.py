@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from esair.loop._arrivals import Arrivals
 from esair.loop._entry import Entry, Tag
 from esair.loop._of_loop import of_loop
 from esair.loop._tape import Player, TapeWriter
@@ -235,14 +236,15 @@ class Door:
             with self._lock:
                 entries = collections.deque(sorted(entries, key=_by_work))
                 self._entries.clear()
-        while entries:
-            entry = entries.popleft()
-            if entry.tag[0] == "thread" and isinstance(self.tape, TapeWriter):
-                self.tape.arrived(entry.tag, number=1)
-            try:
-                entry.function(*entry.arguments)
-            except Exception:
-                _log.exception("what came in from %s raised", " ".join(entry.tag))
+        with Arrivals.of(self._loop):
+            while entries:
+                entry = entries.popleft()
+                if entry.tag[0] == "thread" and isinstance(self.tape, TapeWriter):
+                    self.tape.arrived(entry.tag, number=1)
+                try:
+                    entry.function(*entry.arguments)
+                except Exception:
+                    _log.exception("what came in from %s raised", " ".join(entry.tag))
 
 
 def _by_work(entry: Entry) -> tuple[int, Tag, int]:

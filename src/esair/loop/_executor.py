@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 from esair.exceptions import BusyError, DriverStuckError
+from esair.loop._arrivals import arrive
 from esair.loop._deadlines import Deadlines
 from esair.loop._door import Door
 from esair.loop._now import works_for
@@ -271,6 +272,8 @@ class Results:
             future.set_exception(wrapped)
         elif error is not None:
             future.set_exception(error)
+        elif isinstance(future, asyncio.Future):
+            arrive(future, result)
         else:
             future.set_result(result)
 

@@ -19,8 +19,19 @@ def of_loop(loop: asyncio.AbstractEventLoop, kind: type[T]) -> T:
         kind: Its class, which is made with the loop.
     """
     attributes: dict[str, Any] = vars(loop)
-    key = f"_esair_{kind.__name__}"
+    key = _KEYS[kind]
     found: T | None = attributes.get(key)
     if found is None:
         found = attributes[key] = kind(loop)  # type: ignore[call-arg]
     return found
+
+
+class _Keys(dict[type, str]):
+    """The names of the attributes: to make one takes as long as all the rest."""
+
+    def __missing__(self, kind: type) -> str:
+        key = self[kind] = f"_esair_{kind.__name__}"
+        return key
+
+
+_KEYS = _Keys()

@@ -45,9 +45,7 @@ class FrameInbox(Inbox[Frame]):
             self.dropped += 1
             self._stats.dropped += 1
         items.append(item)
-        waiter = self._waiter
-        if waiter is not None and not waiter.done():
-            waiter.set_result(None)
+        self._wake()
 
     def _refuse(self) -> None:
         self.bad_frames += 1

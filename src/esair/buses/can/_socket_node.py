@@ -20,7 +20,7 @@ from esair.exceptions import (
     DriverStuckError,
     describe,
 )
-from esair.loop import Executor, clock_of
+from esair.loop import Arrivals, Executor, clock_of
 
 BATCH = 64
 """How many frames are read at once: a flood must not keep the event loop."""
@@ -84,6 +84,7 @@ class SocketNode:
         self._closed = False
         self._set_up()
         self._fd = self._socket.fileno()
+        self._arrivals = Arrivals.of(self._loop)
         self._loop.add_reader(self._fd, self._readable)
 
     def _set_up(self) -> None:
@@ -141,6 +142,10 @@ class SocketNode:
             await self._executor.call(shut_bus, self._bus, timeout=1.0)
 
     def _readable(self) -> None:
+        with self._arrivals:
+            self._read()
+
+    def _read(self) -> None:
         now = self._time()
         read, size, received = self._socket.recv, self._mtu, self._received
         batch = BATCH

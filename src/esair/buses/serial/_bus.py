@@ -25,7 +25,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.framing import Framing
-from esair.loop import spawn
+from esair.loop import Arrivals, spawn
 from esair.watchdog import Outlet
 
 ASK_LIMIT = 32
@@ -236,7 +236,7 @@ class SerialBus(Bus):
         async with exchange:
             self._connected()
             exchange.begin()
-            await self.send(payload, timeout=exchange.left)
+            await self.write(self.framing.encode(payload), timeout=exchange.left)
             return await exchange.answer()
 
     async def _sent(self, line: Line, seconds: float) -> None:
@@ -326,7 +326,8 @@ class SerialBus(Bus):
         bad_before = framing.bad_frames
         messages = framing.feed(data)
         if messages:
-            self._deliver(messages)
+            with Arrivals.of(asyncio.get_running_loop()):
+                self._deliver(messages)
         bad = framing.bad_frames - bad_before
         self.stats.bad_frames += bad
         self._bad_in_row = 0 if messages else self._bad_in_row + bad
