@@ -16,6 +16,7 @@ from typing import Any
 
 import can
 import pytest
+from tests.buses.can.asked import ANSWER, QUESTION, Asked
 
 from esair.buses import CanBus, CanState
 from esair.buses.can import ALL, Mask
@@ -114,6 +115,7 @@ class Answers:
 
     def __init__(self, channel: str) -> None:
         self.silent = False
+        self.latency = 0.0
         self._ended = False
         self._node = can.Bus(channel, interface="socketcan")
         self._thread = threading.Thread(target=self._serve, daemon=True)
@@ -125,15 +127,26 @@ class Answers:
         self._node.shutdown()
 
     def _serve(self) -> None:
-        reply = can.Message(arbitration_id=0x181, data=b"pong", is_extended_id=False)
         while not self._ended:
             with contextlib.suppress(can.CanError):
                 message = self._node.recv(0.05)
-                if message and message.arbitration_id == 0x101 and not self.silent:
-                    self._node.send(reply)
+                if message is None or self.silent:
+                    continue
+                if message.arbitration_id == 0x101:
+                    self._send(0x181, b"pong")
+                elif message.arbitration_id == QUESTION:
+                    threading.Timer(
+                        self.latency, self._send, (ANSWER, message.data)
+                    ).start()
+
+    def _send(self, number: int, data: bytes) -> None:
+        with contextlib.suppress(can.CanError):  # it is unplugged
+            self._node.send(
+                can.Message(arbitration_id=number, data=data, is_extended_id=False)
+            )
 
 
-class TestContract(BusContract):
+class TestContract(Asked, BusContract):
     """The contract of buses, on an interface that goes and comes."""
 
     longest_stall = 3.0  # one slow processor has the kernel and all processes
@@ -169,6 +182,9 @@ class TestContract(BusContract):
 
     async def resume(self, bus: Any) -> None:
         self.answers.silent = False
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        self.answers.latency = seconds
 
 
 async def test_frames_go_both_ways(vcan: str) -> None:

@@ -96,6 +96,8 @@ def channel(interface: str) -> Iterator[str]:
 class OnCan:
     """A suite whose devices are on the bus; ``parts`` are stopped at its end."""
 
+    silent_for = 2.0
+
     @pytest_asyncio.fixture(autouse=True)
     async def _far(self, channel: str) -> AsyncIterator[None]:
         self.far: Any = FarEnd()
@@ -118,19 +120,43 @@ class OnCan:
         await asyncio.to_thread(ip, f"set {CHANNEL} down")
         await asyncio.sleep(0.1)
 
+    async def silence(self, _device: Any) -> None:
+        self.parts[-1].stop()
 
-class TestDbcSensor(OnCan, SensorContract):
+    async def speak(self, _device: Any) -> None:
+        self.parts[-1].start()
+
+    async def power_cycle(self, _device: Any) -> None:
+        self.parts[-1].power_cycle()
+
+
+class OnDbc(OnCan):
+    keeps_nothing = "each frame says all that the node needs"
+
+    def dbc_node(self) -> FakeDbcNode:
+        self.parts.append(FakeDbcNode(self.far, FILES / "rover.dbc"))
+        return self.parts[-1]  # type: ignore[no-any-return]
+
+    async def speak(self, _device: Any) -> None:
+        self.parts[-1].send_every(0.01, "WheelFeedback", speed=1.5, mode=1, current=3)
+
+
+class TestDbcSensor(OnDbc, SensorContract):
     def make(self) -> Any:
-        node = FakeDbcNode(self.far, FILES / "rover.dbc")
-        node.send_every(0.01, "WheelFeedback", speed=1.5, mode=1, current=-3.0)
-        self.parts.append(node)
+        self.dbc_node().send_every(0.01, "WheelFeedback", speed=1.5, mode=1, current=3)
         return DbcSensor(
-            bus=self.bus(), database=FILES / "rover.dbc", message="WheelFeedback"
+            bus=self.bus(),
+            database=FILES / "rover.dbc",
+            message="WheelFeedback",
+            silent_after=1.0,
         )
 
 
-class TestDbcActuator(OnCan, ActuatorContract):
+class TestDbcActuator(OnDbc, ActuatorContract):
+    is_heard = False  # nothing answers a frame
+
     def make(self) -> Any:
+        self.dbc_node()
         return DbcActuator(
             bus=self.bus(),
             database=FILES / "rover.dbc",
@@ -147,7 +173,7 @@ class TestDbcActuator(OnCan, ActuatorContract):
 
 class TestOdriveAxis(OnCan, ActuatorContract):
     def make(self) -> Any:
-        self.parts.append(FakeOdrive(self.far, node=3))
+        self.parts.append(FakeOdrive(self.far, node=3, boot_time=3.0))
         return OdriveAxis(bus=self.bus(), node=3, heartbeat_timeout=2.0)
 
     def commands(self) -> list[Any]:
@@ -155,19 +181,31 @@ class TestOdriveAxis(OnCan, ActuatorContract):
 
 
 class TestOdriveState(OnCan, SensorContract):
+    keeps_nothing = "it is told nothing"
+
     def make(self) -> Any:
         self.parts.append(FakeOdrive(self.far, node=3))
         return OdriveState(bus=self.bus(), node=3, heartbeat_timeout=2.0)
 
 
-class TestCanopenSensor(OnCan, SensorContract):
+class OnCanopen(OnCan):
+    async def silence(self, device: Any) -> None:
+        device.sdo_timeout = 0.1
+        await super().silence(device)
+
+    async def speak(self, device: Any) -> None:
+        device.sdo_timeout = 5.0
+        self.parts[-1].boot()
+
+
+class TestCanopenSensor(OnCanopen, SensorContract):
     def make(self) -> Any:
         made = CanopenSensor(object="Position actual value", **self.node())
         made.deadline = 10.0
         return made
 
 
-class TestCanopenActuator(OnCan, ActuatorContract):
+class TestCanopenActuator(OnCanopen, ActuatorContract):
     def make(self) -> Any:
         made = CanopenActuator(object="Target velocity", safe=0, **self.node())
         made.deadline = 10.0

@@ -95,15 +95,26 @@ class Simulated:
     def _chip(self, chip: Chip) -> None:
         self.chip = chip
 
+    silent_for = 2.0
+
     async def unplug(self, _device: Any) -> None:
         self.chip.unplug()
+
+    silence = unplug
+
+    async def speak(self, _device: Any) -> None:
+        self.chip.plug()
+
+    async def power_cycle(self, _device: Any) -> None:
+        self.chip.unplug()
+        self.chip.plug()
 
 
 class TestInput(Simulated, SensorContract):
     pytestmark: ClassVar[list[Any]] = [pytest.mark.asyncio]
 
     def make(self) -> DigitalInput:
-        return DigitalInput(chip=self.chip.path, line="BUTTON")
+        return DigitalInput(chip=self.chip.label, line="BUTTON")
 
 
 class TestOutput(Simulated, ActuatorContract):

@@ -66,6 +66,13 @@ class TestStub(BusContract):
         await bus.write(0x50, 0x10, b"abcd")
         assert await bus.transfer(0x50, b"\x10", read=4) == b"abcd"
 
+    async def ask(self, bus: Any, number: int) -> int:
+        await bus.write(0x50, number, bytes([number]))
+        return int((await bus.read(0x50, number))[0])
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        assert await self.ask(bus, 1) == 1, "nothing can be late in the kernel itself"
+
 
 @pytest.fixture
 async def stub_bus() -> Any:
@@ -223,6 +230,12 @@ class TestUsbAdapter(BusContract):
 
     async def resume(self, bus: Any) -> None:
         await asyncio.to_thread(self.adapter.tell, "slow", 0.0)
+
+    async def ask(self, bus: Any, number: int) -> int:
+        return int((await bus.transfer(0x50, bytes([number]), read=1))[0])
+
+    async def delay(self, bus: Any, seconds: float) -> None:
+        await asyncio.to_thread(self.adapter.tell, "slow", seconds)
 
 
 @with_usb

@@ -146,7 +146,8 @@ class ResourceContract(abc.ABC):
         async with _robot_with(device) as robot:
             status = functools.partial(robot.resources.query, device.name)
             if not self.is_heard:
-                await _until_ready(robot, device)
+                async with asyncio.timeout(LONGEST_PAUSE):
+                    await _until_ready(robot, device)
             for _ in range(12):
                 await asyncio.sleep(self.silent_for / 12)
                 assert (status().state in absent) is self.is_heard

@@ -21,9 +21,6 @@ from esair.drivers.odrive import (
     frame_id,
 )
 
-BOOT_TIME = 1.0
-"""How long it is silent when it starts anew, in seconds."""
-
 
 class FakeOdrive:
     """One axis. It begins to tell how it is when it is made, until `stop`.
@@ -34,6 +31,7 @@ class FakeOdrive:
         watchdog: After how many seconds without an input it stops by itself.
         heartbeat_period: Between two heartbeats, in seconds.
         estimate_period: Between two estimates of its encoder, in seconds.
+        boot_time: How long it is silent when it starts anew, in seconds.
 
     Attributes:
         state: What it does.
@@ -57,11 +55,13 @@ class FakeOdrive:
         watchdog: float | None = None,
         heartbeat_period: float = 0.1,
         estimate_period: float = 0.01,
+        boot_time: float = 1.0,
     ) -> None:
         self.node = node
         self.watchdog = watchdog
         self.heartbeat_period = heartbeat_period
         self.estimate_period = estimate_period
+        self.boot_time = boot_time
         self.state = AxisState.IDLE
         self.mode = ControlMode.POSITION
         self.errors = AxisError(0)
@@ -102,12 +102,12 @@ class FakeOdrive:
                 timer.cancel()
 
     def power_cycle(self) -> None:
-        """Lose the power for a moment: it starts anew, which takes a second."""
+        """Lose the power for a moment: it starts anew, which takes its time."""
         self.stop()
         self.state, self.mode = AxisState.IDLE, ControlMode.POSITION
         self.errors = self.permanent
         self.velocity = 0.0
-        self._timers["boot"] = self._loop.call_later(BOOT_TIME, self.start)
+        self._timers["boot"] = self._loop.call_later(self.boot_time, self.start)
 
     def fail(self, errors: AxisError, *, permanent: bool = False) -> None:
         """Let it disarm itself because of errors."""
