@@ -707,20 +707,6 @@ def test_no_packets_make_more_than_they_announce(frames: list[Any]) -> None:
     assert sum(len(each.data) for each in together._begun.values()) <= 4 * 1785
 
 
-def test_a_command_of_more_than_a_frame_is_refused(
-    fake_can: Any, tmp_path: Path
-) -> None:
-    """It would have to be sent in packets."""
-    (database := tmp_path / "engine.dbc").write_text(J1939)
-    with pytest.raises(ConfigError, match="Hours has 10 bytes: in packets it is only"):
-        DbcActuator(
-            bus=fake_can("drive"),
-            database=database,
-            message="Hours",
-            safe={"hours": 0.0, "turns": 0.0},
-        )
-
-
 async def test_a_command_of_j1939_has_both_addresses(
     fake_can: Any, tmp_path: Path
 ) -> None:

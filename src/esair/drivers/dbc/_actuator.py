@@ -12,6 +12,7 @@ from cantools.database.can import Signal
 
 from esair.buses import CanBus
 from esair.drivers._on_can import can_bus
+from esair.drivers.dbc._claim import Claim, checked_name, claim_of
 from esair.drivers.dbc._codec import (
     NUMBERS,
     FrameError,
@@ -22,16 +23,21 @@ from esair.drivers.dbc._codec import (
     choices_of,
 )
 from esair.drivers.dbc._file import among, find_message, find_signal, modulus_of
-from esair.drivers.dbc._j1939 import id_to, is_j1939
+from esair.drivers.dbc._j1939 import SOURCE, id_to, is_j1939
+from esair.drivers.dbc._packets import seconds_for, send_in_packets
 from esair.exceptions import (
     BadValueError,
     BusyError,
     ConfigError,
+    DeviceLostError,
     did_you_mean,
 )
 from esair.resources import Actuator
 from esair.values import check_seconds
 from esair.watchdog import SafeFrames, can_frame
+
+CLAIM_TIME = 2.0
+"""How long claiming an address may take, in seconds."""
 
 SAFE_FRAMES = 16
 """How many numbered safe frames the watchdog sends at most."""
@@ -59,12 +65,19 @@ class DbcActuator(Actuator[Any]):
         fixed: Signals that are the same in every frame, and are not in commands.
         sequence: The name of a signal that counts the frames; it is not in commands.
         source: Of a message of J1939, the address that this robot has; that of the file
-            unless given. It is not claimed: no other node may have it.
+            unless given. Without a ``j1939_name`` it is not claimed: no other node may
+            have it.
         destination: Of a message of J1939 for one node, the address of that node.
+        j1939_name: The NAME by which the address is claimed, which all devices of this
+            robot on the bus share: 64 bits, as a number or 16 hexadecimal digits. Lost
+            to a lesser NAME, the actuator is lost, and gets no frame, not even its safe
+            one, until an address is claimed: say with ``own_timeout`` when the node
+            stops by itself. A NAME with its highest bit set takes another address.
         cycle: How often the last command is repeated, in seconds; it is not if None.
         limits: Narrower limits than those of the file.
         slew: The fastest change, in units per second: of the only signal, or of signals
             by name that are not multiplexed.
+        own_timeout: After how many seconds without a command the node itself stops.
     """
 
     bus: CanBus
@@ -80,20 +93,25 @@ class DbcActuator(Actuator[Any]):
         sequence: str | None = None,
         source: int | None = None,
         destination: int | None = None,
+        j1939_name: int | str | None = None,
         cycle: float | None = None,
         limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
         slew: float | Mapping[str, float] | None = None,
+        own_timeout: float | None = None,
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
         self.codec = codec = MessageCodec(find_message(self.name, database, message))
         self._id = id_to(self.name, codec.message, source, destination)
-        if codec.size > 8 and is_j1939(codec.message):
-            raise ConfigError(
-                self.name,
-                "message",
-                f"{message} has {codec.size} bytes: in packets it is only heard",
-            )
+        self._in_packets = codec.size > 8 and is_j1939(codec.message)
+        if self._in_packets:
+            self.deadline = max(self.deadline, seconds_for(codec.size, self._id) + 0.5)
+        self._claim: Claim | None = None
+        self._own_name: int | None = None
+        if j1939_name is not None:
+            id_to(self.name, codec.message, self._id & SOURCE, None)  # or it has none
+            self._own_name = checked_name(self.name, j1939_name)
+            self.deadline = max(self.deadline, CLAIM_TIME)
         if not codec.message.is_multiplexed():  # else others may have a share of it
             kind = "extended frame" if codec.message.is_extended_frame else "frame"
             self.claim = f"the {kind} {self._id:#x}"
@@ -106,6 +124,7 @@ class DbcActuator(Actuator[Any]):
         self._modulus = modulus_of(self.name, codec, sequence)
         if signal is not None:
             find_signal(self.name, "signal", codec, signal)
+        self.own_timeout = own_timeout
         self._count = 0
         self._last: Signals | None = None
         self._last_is_safe = True
@@ -153,8 +172,13 @@ class DbcActuator(Actuator[Any]):
             self._check_alone(command)
         self._check_encoded(command)
 
-    def safe_frames(self) -> SafeFrames:
-        """The safe command; with ``sequence`` once for each number that a node expects."""
+    def safe_frames(self) -> SafeFrames | None:
+        """The safe command; with ``sequence`` once for each number that a node expects.
+
+        None of a message that goes in packets, which takes its time.
+        """
+        if self._in_packets:
+            return None
         message, values = self.codec.message, self._values(self.safe)
         numbered = [values]
         if self.sequence is not None:
@@ -174,16 +198,27 @@ class DbcActuator(Actuator[Any]):
         )
 
     async def open(self) -> None:
-        """Begin to repeat, if that is asked for."""
-        can_bus(self)
+        """Claim the address and begin to repeat, if that is asked for.
+
+        Raises:
+            DeviceLostError: The address belongs to another node.
+        """
+        bus = can_bus(self)
         self._last = None
+        if self._own_name is not None:
+            source = self._id & SOURCE if self._claim is None else self._claim.preferred
+            claim = self._claim = claim_of(self.name, bus, self._own_name, source)
+            address = await claim.join(self.report_lost)
+            self._id = self._id & ~SOURCE | address
         if self.cycle is not None:
             self._repeating = asyncio.get_running_loop().create_task(
                 self._repeat(self.cycle), name=f"{self.name} cycle"
             )
 
     async def close(self) -> None:
-        """Repeat no more."""
+        """Repeat no more, and let the address go."""
+        if self._claim is not None:
+            await self._claim.leave(self.report_lost)
         task, self._repeating = self._repeating, None
         if task is not None:
             task.cancel()
@@ -210,6 +245,11 @@ class DbcActuator(Actuator[Any]):
             data = self.codec.encode(values)
         except FrameError as error:
             raise BadValueError(self.name, "command", str(error)) from error
+        if self._claim is not None and self._claim.address is None:
+            raise DeviceLostError(self.name, "another node has its address")
+        if self._in_packets:
+            await send_in_packets(can_bus(self), self._id, data)
+            return
         await can_bus(self).send(
             self._id,
             data,

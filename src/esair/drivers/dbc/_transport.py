@@ -22,7 +22,7 @@ PACKETS: Final = 0xEB
 TRANSPORT: Final = Mask(0x00E8_0000, 0x03F8_0000)
 """The ids of both, and of some that are left alone."""
 
-RTS, BAM, ABORT = 16, 32, 255
+RTS, CTS, DONE, BAM, ABORT = 16, 17, 19, 32, 255
 
 MOST: Final = 1785
 """The bytes of the longest message: 255 packets."""
