@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
+import threading
+import time
 
 import pytest
+
+from esair.testing import Leaks
 
 SCOPES = ["function", "class", "module", "package", "session"]
 
@@ -182,3 +187,26 @@ def test_pytest_works_without_pytest_asyncio(pytester, monkeypatch) -> None:
     )
     assert result.ret == 0
     result.assert_outcomes(passed=1)
+
+
+@pytest.mark.real_clock
+async def test_what_a_thread_begins_at_its_end_may_end_too() -> None:
+    """It told the loop of its end; the task that came of it needs some turns."""
+    leaks, loop = Leaks(), asyncio.get_running_loop()
+    begun: list[asyncio.Task[None]] = []
+
+    async def take_turns() -> None:
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+    def begin() -> None:
+        begun.append(loop.create_task(take_turns()))
+
+    def ends_late() -> None:
+        time.sleep(0.05)
+        loop.call_soon_threadsafe(begin)
+
+    threading.Thread(target=ends_late).start()
+
+    assert await leaks.check() == []
+    assert begun[0].done()

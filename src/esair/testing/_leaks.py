@@ -22,13 +22,11 @@ class Leaks:
         Args:
             patience: How long to wait for threads to end, in real seconds.
         """
-        for _ in range(20):
-            if not self._new_tasks():
-                break
-            await asyncio.sleep(0)
+        await self._let_tasks_end()
         for thread in self._new_threads():
             thread.join(patience)
-            await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        await self._let_tasks_end()  # those that a thread began at its end
         found = [f"task {task!r}" for task in self._new_tasks()]
         found += [f"thread {thread.name!r}" for thread in self._new_threads()]
         found += [
@@ -37,6 +35,12 @@ class Leaks:
             if self._descriptors.get(number) != target
         ]
         return found
+
+    async def _let_tasks_end(self) -> None:
+        for _ in range(20):
+            if not self._new_tasks():
+                break
+            await asyncio.sleep(0)
 
     def _new_tasks(self) -> Iterable[asyncio.Task[object]]:
         mine = asyncio.current_task()
