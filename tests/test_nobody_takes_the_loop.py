@@ -114,13 +114,15 @@ async def test_a_beat_is_in_time_beside_twenty_loops_without_end(
         if len(turns) < 1000:
             loop.call_soon(turn, now)
 
+    begun = time.thread_time()
     async with robot:
         loop = asyncio.get_running_loop()
         await asyncio.sleep(0.5)
         turn(time.thread_time())
         await asyncio.sleep(1.5)
-        assert all(each.rounds > 100 for each in behaviors)
-        assert len(beat.late) > 100
+        enough = 50 * (time.thread_time() - begun)  # 100 if nobody else is busy
+        assert all(each.rounds > enough for each in behaviors)
+        assert len(beat.late) > enough
     # A beat wakes in the third turn after its timer, so three are its lateness.
     assert 3 * statistics.quantiles(turns, n=100)[-1] <= 0.005
 
@@ -155,9 +157,9 @@ class ReadDecideWrite(esair.Behavior):
 async def test_a_duration_ends_read_decide_write() -> None:
     """What never waits for anything still gives way to a deadline."""
     robot = esair.Robot(resources=[Push(), Instant()], behaviors=[ReadDecideWrite()])
-    began = time.monotonic()
+    began = time.process_time()  # it is busy: on a computer with other work, too
     await asyncio.to_thread(esair.run, robot, duration=0.3)
-    assert time.monotonic() - began < 2.0
+    assert time.process_time() - began < 2.0
     assert robot.stopped[0].safe
     assert robot.stopped.reason == "it has run for 0.3 s"
 

