@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import compileall
 import contextlib
+import importlib.abc
 import importlib.util
 import os
 import shutil
@@ -116,16 +117,16 @@ def _keep_what_is_rewritten(config: pytest.Config) -> None:
     """
     sys.dont_write_bytecode = False  # of this process; its children read their own
     worker = getattr(config, "workerinput", None)
-    if worker is None:
-        return
     rewriting = config.pluginmanager.rewrite_hook
+    if worker is None or not isinstance(rewriting, importlib.abc.Loader):
+        return
     number, workers = int(worker["workerid"][2:]), worker["workercount"]
     for path in sorted(Path(__file__).parent.rglob("test_*.py"))[number::workers]:
         spec = importlib.util.spec_from_file_location(path.stem, path, loader=rewriting)
         assert spec is not None
         module = importlib.util.module_from_spec(spec)
         module.__builtins__ = {}  # it ends at its first import: only its code is wanted
-        with contextlib.suppress(ImportError):
+        with contextlib.suppress(Exception):  # a mistake shows when it is collected
             rewriting.exec_module(module)
 
 
