@@ -45,6 +45,7 @@ TESTS = [
     *(f"tests/{room}" for room in ("actions", "resources", "journal", "recording")),
     *(f"tests/{room}" for room in ("replay", "seat", "plan", "testing")),
     *(f"tests/test_{it}.py" for it in ("robot", "halt", "cancellation", "one_owner")),
+    "tests/watchdog/test_robots.py",
 ]
 IN_REAL_TIME = 3
 """The exit code of a child in which a test in real time has failed; and how often it must."""
@@ -65,7 +66,7 @@ class Baseline:
 
     def reached_by(self, mutant: Mutant) -> set[str]:
         """Return who reaches a mistake."""
-        reached = self.lines.get(str(mutant.file), {})
+        reached = self.lines.get(_short(mutant.file), {})
         found = set(reached.get(mutant.line, ()))
         if not found:  # a default, an attribute: its line ran at the import
             first, last = mutant.scope or (0, sys.maxsize)
@@ -77,7 +78,7 @@ class Baseline:
     def keep_up(self) -> None:
         """Find the lines of files that have changed since."""
         for file, before in self.sources.items():
-            now = Path(file).read_text(encoding="utf-8").splitlines()
+            now = (SOURCE / file).read_text(encoding="utf-8").splitlines()
             match = difflib.SequenceMatcher(None, before, now, autojunk=False)
             moved = {
                 old + n + 1: new + n + 1
@@ -117,7 +118,7 @@ class Runner:
             print("".join(f"{self.score[name, end]:18}" for end in ends), name)
         print(f"\n{len(self.survivors)} survived:")
         for mutant in sorted(self.survivors, key=lambda each: (each.file, each.line)):
-            print(f"  {mutant.file.relative_to(SOURCE)}:{mutant.line}: {mutant}")
+            print(f"  {_short(mutant.file)}:{mutant.line}: {mutant}")
         print(f"\n{self.killed:.1f} % of {self.score.total()} killed")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -213,7 +214,7 @@ class Runner:
         self.score[mutant.file.name, how] += 1
         if how == "survived":
             self.survivors.append(mutant)
-        place = f"{mutant.file.relative_to(SOURCE)}:{mutant.line}"
+        place = f"{_short(mutant.file)}:{mutant.line}"
         print(f"{how:17} {place}: {mutant}  [{why}]", flush=True)
 
     def _fork(self, work: Callable[..., int], *terms: Any) -> int:
@@ -274,12 +275,12 @@ class Runner:
         reach.stop()
         data = reach.get_data()
         for file in data.measured_files():
-            lines = baseline.lines.setdefault(file, {})
+            lines = baseline.lines.setdefault(_short(file), {})
             for line, contexts in data.contexts_by_lineno(file).items():
                 there = baseline.seconds.keys() & contexts
                 lines.setdefault(line, set()).update(there)
             text = Path(file).read_text(encoding="utf-8")
-            baseline.sources[file] = text.splitlines()
+            baseline.sources[_short(file)] = text.splitlines()
         self.options.baseline.write_bytes(pickle.dumps(baseline))
         return 0
 
@@ -290,6 +291,10 @@ class Runner:
         except Exception:
             return 1  # it cannot even be imported
         return self._run(tests, before=lambda _: None)
+
+
+def _short(file: Path | str) -> str:
+    return str(Path(file).relative_to(SOURCE))
 
 
 def main() -> int:
