@@ -45,7 +45,6 @@ TESTS = [
     *(f"tests/{room}" for room in ("actions", "resources", "journal", "recording")),
     *(f"tests/{room}" for room in ("replay", "seat", "plan", "testing")),
     *(f"tests/test_{it}.py" for it in ("robot", "halt", "cancellation", "one_owner")),
-    "tests/watchdog/test_robots.py",
 ]
 IN_REAL_TIME = 3
 """The exit code of a child in which a test in real time has failed; and how often it must."""
