@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import inspect
 import numbers
 import os
@@ -9,7 +11,8 @@ import re
 import sys
 import types
 import typing
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from esair.exceptions import BadValueError, ConfigError
 from esair.exceptions import printable as printable
@@ -17,9 +20,31 @@ from esair.exceptions import printable as printable
 if TYPE_CHECKING:
     from pathlib import Path
 
+T = TypeVar("T")
+
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,62}\Z")
 
 _NUMBERS: dict[type, type] = {int: numbers.Integral, float: numbers.Real}
+
+
+def once_for_class(function: Callable[[type], T]) -> Callable[[type], T]:
+    """Have a function compute once for each class; the class itself keeps what it gave.
+
+    In a table beside it a class that was swapped out would be kept for ever.
+    """
+    key = f"_esair_{function.__name__}"
+
+    @functools.wraps(function)
+    def known(cls: type) -> T:
+        attributes = vars(cls)
+        if key in attributes:
+            return attributes[key]  # type: ignore[no-any-return]
+        found = function(cls)
+        with contextlib.suppress(TypeError):  # a built-in class
+            setattr(cls, key, found)
+        return found
+
+    return known
 
 
 def check_name(kind: str, name: object) -> str:

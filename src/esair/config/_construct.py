@@ -8,7 +8,6 @@ that its class declares, or a public attribute of its class that holds plain dat
 from __future__ import annotations
 
 import enum
-import functools
 import inspect
 import typing
 from collections.abc import Container, Mapping
@@ -26,6 +25,7 @@ from esair.config._values import INVALID, convert
 from esair.config._words import unknown, wanted
 from esair.exceptions import BadValueError
 from esair.resources import Resource, Setting, settings_of
+from esair.values import once_for_class
 
 _PLAIN: Final = (bool, int, float, str, tuple, frozenset, enum.Enum)
 
@@ -58,7 +58,7 @@ class Accepted:
     setting: Setting | None = None
 
 
-@functools.lru_cache(256)
+@once_for_class
 def accepted_by(cls: type) -> Mapping[str, Accepted]:
     """Return the keys that a class accepts, by name.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,7 +10,7 @@ import attrs
 
 from esair.exceptions import describe
 from esair.resources import Sensor
-from esair.values import checked_class, passes_as, type_name
+from esair.values import checked_class, once_for_class, passes_as, type_name
 
 _DEPTH = 4
 """How deeply a value is looked into."""
@@ -170,7 +169,7 @@ def _not_a_number(
         return None
 
 
-@functools.lru_cache(256)
+@once_for_class
 def _fields(cls: type) -> tuple[str, ...]:
     """The fields of a structured value: attrs, a dataclass, or a named tuple."""
     if attrs.has(cls):

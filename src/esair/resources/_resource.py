@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 import itertools
 import typing
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from esair import abc
 from esair.resources._operation import Operation, operations_of
 from esair.resources._setting import Setting, check_settings, setting, settings_of
+from esair.values import once_for_class
 
 if TYPE_CHECKING:
     from esair.buses import Bus
@@ -201,7 +201,7 @@ class Resource(abc.Resource):
             listener(None)
 
 
-@functools.lru_cache(256)
+@once_for_class
 def bus_kind(cls: type[Resource]) -> Any:
     """Return the type of ``bus: SomeBus`` in a class; `typing.Any` if it does not say."""
     narrowed = itertools.takewhile(lambda each: each is not Resource, cls.__mro__)
