@@ -17,9 +17,10 @@ from typing import Any
 
 import hypothesis
 import pytest
+from tests.leaks import OwnLeaks
 
 import esair
-from esair.testing import ActuatorContract, SensorContract
+from esair.testing import ActuatorContract, SensorContract, _asyncio_plugin
 
 pytest_plugins = ["pytester"]
 
@@ -43,6 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if not config.getoption("--esair-soak"):
         hypothesis.settings.load_profile("same")
     _let_children_hear_signals()
+    _asyncio_plugin.Leaks = OwnLeaks
     # The control sockets of the robots in the tests, of children too.
     sockets = os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="esair-sockets-")
     config.add_cleanup(lambda: shutil.rmtree(sockets, ignore_errors=True))

@@ -67,6 +67,8 @@ async def test_remove_takes_its_grace_at_most(hangs: tuple[str, ...]) -> None:
         assert robot.resources.abandoned()
         deaf.go.set()
         await asyncio.wait({writing})
+        error = writing.exception()
+        assert isinstance(error, esair.DeviceLostError) is ("write" in hangs)
         await asyncio.sleep(0.1)
         assert robot.resources.abandoned() == ()
 
