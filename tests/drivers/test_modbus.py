@@ -277,3 +277,27 @@ def test_mistakes_are_told_when_the_device_is_made(
     """With the field."""
     with pytest.raises(ConfigError, match=told):
         kind(**{"register": 1, "bus": FakeSerial("plc", framing=RTU), **keywords})
+
+
+@pytest.mark.promise("BUS-3")
+@pytest.mark.parametrize(
+    ("register", "type_", "answer"),
+    [
+        (8, "int16", b"\x03\x06\x00\x09\x00\x05"),
+        (8, "int16", b"\x03\x06\x00\x08\x00\x07"),
+        (8, "int32", b"\x03\x10\x00\x08\x00\x01"),
+    ],
+)
+async def test_what_was_not_told_is_not_confirmed(
+    register: int, type_: Any, answer: bytes
+) -> None:
+    """An answer names its register and value: that of another request is no answer."""
+    line, _ = make()
+    device = ModbusActuator(unit=3, register=register, type=type_, safe=0, bus=line)
+    await line.open()
+    await device.open()
+    line.on_frame = lambda _request: answer
+
+    with pytest.raises(DeviceFaultError, match="it confirms what it was not told"):
+        await device.write(5)
+    await line.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Callable
 from typing import Any
@@ -295,6 +296,27 @@ async def test_closed_loop_that_does_not_come_or_stay_is_a_fault(
         told = {"refuses": "not armed in 0.5 s", "leaves": "has left closed loop"}[how]
         assert told in caplog.text
         assert not axis.is_armed
+
+
+@pytest.mark.promise("RES-3", "RES-4")
+async def test_an_axis_that_restarts_again_and_again_is_never_given_up(
+    rig: Any,
+) -> None:
+    """More quickly than its silence is noticed: that it says nothing wrong is enough."""
+    _, fake, axis = rig()
+    fake.boot_time = 0.2
+    async with robot_with(axis) as robot:
+        for _ in range(10):
+            with contextlib.suppress(DeviceLostError, DeviceFaultError):
+                await write(robot, 3.0)
+            await asyncio.sleep(1.0)
+            fake.power_cycle()
+            await asyncio.sleep(0.5)
+            assert not fake.is_armed
+            assert state_of(robot) is not esair.ResourceState.FAILED
+        await asyncio.sleep(10.0)
+        assert state_of(robot) is esair.ResourceState.READY
+        assert not fake.is_armed
 
 
 @pytest.mark.fault("D04")

@@ -290,8 +290,18 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
                 raise
 
     async def write(self, command: Any) -> None:
-        """Tell the value, and wait until the unit has confirmed it."""
-        await self._ask(self._request(command))
+        """Tell the value, and wait until the unit has confirmed it.
+
+        Raises:
+            DeviceFaultError: It refuses, or confirms another value or register.
+            DriverStuckError: It does not answer.
+        """
+        request = self._request(command)
+        answer = await self._ask(request)
+        if answer.encode() != request.encode()[:4]:  # where, and what or how many
+            raise DeviceFaultError(
+                self.name, f"it confirms what it was not told: {answer.encode().hex()}"
+            )
 
     def _request(self, command: Any) -> ModbusPDU:
         if self.is_bit:

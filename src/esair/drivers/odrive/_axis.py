@@ -35,7 +35,12 @@ from esair.drivers.odrive._codec import (
     encode_state,
     frame_id,
 )
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    EsairError,
+)
 from esair.resources import HOLD, Actuator, Sensor
 from esair.values import check_seconds
 from esair.watchdog import SafeFrames, can_frame
@@ -308,24 +313,28 @@ class OdriveAxis(Actuator[float]):
         except (OSError, StopAsyncIteration) as error:
             self.report_lost(error if isinstance(error, OSError) else None)
         else:
-            self.report_lost(DeviceFaultError(self.name, problem))
+            self.report_lost(problem)
         finally:
             self._armed_at = None
             inbox.close()
 
-    def _problem(self, heartbeat: Heartbeat) -> str | None:
+    def _problem(self, heartbeat: Heartbeat) -> EsairError | None:
         if heartbeat.errors:
-            return ", ".join(heartbeat.error_names)
+            return DeviceFaultError(self.name, ", ".join(heartbeat.error_names))
         if self._armed_at is None:
             return None
         if heartbeat.state is AxisState.CLOSED_LOOP_CONTROL:
             self._confirmed = True
             return None
         if self._confirmed:
-            return f"it has left closed loop control for {heartbeat.state.name}"
+            return DeviceLostError(  # which is nothing wrong: it may have restarted
+                self.name,
+                f"it has left closed loop control for {heartbeat.state.name}",
+            )
         if asyncio.get_running_loop().time() - self._armed_at > ARM_TIMEOUT:
-            return (
-                f"it was not armed in {ARM_TIMEOUT:g} s: it is {heartbeat.state.name}"
+            return DeviceFaultError(
+                self.name,
+                f"it was not armed in {ARM_TIMEOUT:g} s: it is {heartbeat.state.name}",
             )
         return None
 
