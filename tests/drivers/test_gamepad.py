@@ -75,6 +75,34 @@ async def test_sticks_triggers_and_buttons_in_the_hands_words() -> None:
 
 
 @pytest.mark.promise("RES-1")
+async def test_a_hand_that_does_not_move_at_all_holds_nothing() -> None:
+    """A pad by radio stays as it was for ever; then the dead man is pressed anew."""
+    far = FakeGamepad()
+    device = Gamepad(opener=far.open, dead_man="tl", still_after=1.0)
+    clock = asyncio.get_running_loop().time
+    async with followed(device) as stream:
+        await anext(stream)
+        far.press("tl")
+        far.move("y", 1.0)
+        while not (pad := await anext(stream)).axis("y"):
+            pass
+        begin = clock()
+        while (pad := await anext(stream)).held:
+            assert pad.axis("y") == 1.0
+        assert clock() - begin == pytest.approx(1.0, abs=0.06)
+        assert set(pad.axes.values()) == {0.0}
+        far.move("y", 0.9)
+        for _ in range(30):
+            assert not (await anext(stream)).held
+        far.release("tl")
+        far.press("tl")
+        held = [(await anext(stream)).held for _ in range(3)]
+        assert held[-1]
+    with pytest.raises(ConfigError, match="still_after: expected a dead_man"):
+        Gamepad(opener=far.open, still_after=1.0)
+
+
+@pytest.mark.promise("RES-1")
 async def test_nothing_moves_unless_the_dead_man_is_held() -> None:
     """Also what was moved before; at once when it is let go."""
     far = FakeGamepad()

@@ -13,7 +13,9 @@ The package evdev is built from its source, which needs a compiler and the heade
 and Linux (``apt install python3-dev linux-libc-dev gcc``).
 
 A pad that loses its radio link says nothing for seconds, until the kernel gives it up:
-its sticks and buttons stay as they were. Where that matters it needs a cable.
+its sticks and buttons stay as they were; one with a dongle of its own may never say that it
+is gone. Where that matters it needs a cable, or ``still_after = 1.0``: a hand that has not
+moved at all for so long holds nothing any more.
 
 Source: the kernel's ``Documentation/input/gamepad.rst`` and ``linux/input-event-codes.h``.
 """

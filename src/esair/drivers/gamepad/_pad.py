@@ -97,11 +97,18 @@ class PadState:
             and axis.value <= axis.least + (axis.most - axis.least) / 8
         }
         self._pressed = set(pressed)
+        self._must_let_go = False
 
     def renew(self, axes: Mapping[int, Axis], pressed: Iterable[int]) -> None:
         """Be as the kernel says now: events were lost."""
         self._axes.update({code: axes[code] for code in self._axes if code in axes})
         self._pressed = set(pressed)
+        self._look_at_dead_man()
+
+    def be_still(self) -> None:
+        """Count the dead man's button as let go, until it is let go and pressed anew."""
+        self._must_let_go = True
+        self._look_at_dead_man()
 
     def take(self, kind: int, code: int, value: int) -> None:
         """Take an event that is a change."""
@@ -109,13 +116,17 @@ class PadState:
             self._axes[code] = attrs.evolve(self._axes[code], value=value)
         elif kind == KEY:
             (self._pressed.add if value else self._pressed.discard)(code)
+            self._look_at_dead_man()
+
+    def _look_at_dead_man(self) -> None:
+        if _names(self._pressed).isdisjoint({self._dead_man}):
+            self._must_let_go = False
 
     def pad(self) -> Pad:
         """Return what it is now."""
-        buttons = frozenset(
-            BUTTONS.get(code, f"button_{code:#x}") for code in self._pressed
-        )
+        buttons = _names(self._pressed)
         held = self._dead_man is None or self._dead_man in buttons
+        held = held and not self._must_let_go
         axes = {
             AXES[code]: self._scaled(code, axis) if held else 0.0
             for code, axis in self._axes.items()
@@ -135,3 +146,7 @@ class PadState:
         if beyond <= 0:
             return 0.0
         return min(1.0, beyond) if share > 0 else -min(1.0, beyond)
+
+
+def _names(codes: Iterable[int]) -> frozenset[str]:
+    return frozenset(BUTTONS.get(code, f"button_{code:#x}") for code in codes)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from typing import Any, Protocol
@@ -22,6 +21,7 @@ from esair.drivers.gamepad._pad import (
 )
 from esair.exceptions import ConfigError, DeviceLostError, describe, did_you_mean
 from esair.resources import Sensor, setting
+from esair.values import check_seconds
 
 
 class PadLink(Protocol):
@@ -59,6 +59,10 @@ class Gamepad(Sensor[Pad]):
             pad that is there if empty.
         dead_man: The name of the dead man's button, such as ``"tl"``; None for none.
         dead_zone: How far from its middle a stick counts as in it, 0 to 0.9.
+        still_after: After how many seconds without any move of a hand the dead man's
+            button counts as let go, until it is pressed anew: for a pad by radio, whose
+            sticks and buttons stay as they were when its battery is empty. It may be
+            held for ever if None.
         opener: Opens something else than a pad of the kernel, such as a fake; gets
             ``device``, may block.
     """
@@ -73,6 +77,7 @@ class Gamepad(Sensor[Pad]):
         device: str = "",
         dead_man: str | None = None,
         dead_zone: float = 0.1,
+        still_after: float | None = None,
         opener: Callable[[str], PadLink] | None = None,
         **settings: Any,
     ) -> None:
@@ -89,6 +94,13 @@ class Gamepad(Sensor[Pad]):
             raise ConfigError(
                 self.name, "dead_zone", f"expected 0 to 0.9, not {dead_zone!r:.80}"
             )
+        if still_after is not None:
+            check_seconds(self.name, "still_after", still_after)
+            if dead_man is None:
+                raise ConfigError(
+                    self.name, "still_after", "expected a dead_man, which it is about"
+                )
+        self.still_after = still_after
         self.device = device
         self.dead_man = dead_man
         self.dead_zone = dead_zone
@@ -151,11 +163,18 @@ class Gamepad(Sensor[Pad]):
 
         loop.add_reader(descriptor, readable)
         pad = state.pad()
+        moved = loop.time()
         try:
             while True:
                 yield pad
-                with contextlib.suppress(TimeoutError):
+                try:
                     pad = await changes.take(timeout=1.0 / self.repeat)
+                    moved = loop.time()
+                except TimeoutError:
+                    still = loop.time() - moved
+                    if self.still_after is not None and still >= self.still_after:
+                        state.be_still()
+                        pad = state.pad()
         finally:
             loop.remove_reader(descriptor)
             os.close(descriptor)
