@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
     from typing import Any, Literal
 
+_NOTHING: "dict[str, Any]" = {}
 _ENDLESS = (-float("inf"), float("inf"))
-_EMPTY: "dict[str, Any]" = {}
 
 # Moments are whole milliseconds that wrap, on boards at this or a multiple of it.
 _MASK = const(0x3FFFFFFF)
@@ -201,29 +201,14 @@ class _Input:
         time: When that was; negative before the first.
     """
 
+    time: int
+
     def __init__(self, loop: "Any", part: "Any") -> None:
-        self.time, self.due = _NEVER, True
+        self.due = True
         self.value: "Any" = None
+        self.known: "Any" = None
         self.name, self.read = part.name, part.read
         loop.pace(self, part.rate)
-
-
-class _Port:
-    """What one reaction may do with one actuator, and what it has asked for.
-
-    Attributes:
-        time: When it has asked for its command.
-        command: What it has asked for; checked when it is sent.
-        bars: Whether it holds the actuator safe while its reaction is blind.
-    """
-
-    def __init__(self, task: "Any", key: str, need: "Any", output: "Any") -> None:
-        self.time = -1
-        self.command: "Any" = None
-        self.task, self.key, self.output, self.name = task, key, output, task.name
-        self.priority = need.priority
-        self.hold = _ms(need.hold) if need.hold else output.timeout
-        self.bars = need.blind != "release"
 
 
 class _Task:
@@ -231,97 +216,149 @@ class _Task:
 
     Attributes:
         due: Whether it is its turn in this step; None to run whenever there is news.
-        ports: What it writes, by attribute.
+        ports: What it writes or guards, by attribute.
         values: What it reads, by attribute.
-        need: Of a guard: what it declares; `key` is its attribute, `output` what it
-            guards, `command` what it lets pass.
     """
+
+    blind: bool
+    now_ms = 0
 
     def __init__(self, loop: "Any", reaction: "Any") -> None:
         self.due: "bool | None" = None if reaction.rate is None else True
-        self.blind = self.first = True
-        self.loop, self.reaction, self.name = loop, reaction, reaction.name
-        self.latched, self.saw = False, -1
+        self.reaction, self.name = reaction, reaction.name
         self.ports: "Any" = {}
         self.values: "Any" = {}
-        self.need: "Any" = None
-        self.output: "Any" = None
-        self.now_ms = self.priority = 0
-        self.key = ""
         loop.pace(self, reaction.rate)
+        timed, react, terms, port = reaction, reaction.react, [], None
+        for key, need in declared(reaction):
+            name = need.name or key
+            if hasattr(need, "max_age"):
+                source = loop.inputs[name]
+                age = need.max_age or 3000 / min(source.pace, loop.every)
+                terms.append((key, source, _ms(age), need.optional))
+                self.values[key] = None
+            else:
+                port = self.ports[key] = _Port(self, key, need, loop.outputs[name])
+                if hasattr(need, "latch"):
+                    timed, react = self, self.wake
+        if len(self.ports) != 1:
+            port = None
+        wired = self, timed, terms, react, port, self.values
+        place = len(loop.tasks) if timed is self else 0  # guards last
+        loop.tasks.insert(place, wired)
 
     def lose_sight(self) -> None:
         """Be blind: whatever it moves, or bars, is safe until it sees again."""
-        self.blind = True
-        for port in self.ports.values():
-            port.time = -1
-            port.output.lose(port)
-        if self.output:
-            self.output.review()
+        if not self.blind:
+            self.blind = True
+            self.wake()
 
     def wake(self, **readings: "Any") -> None:
-        """Hear, as a guard, that there is news: it decides on what stands."""
-        self.output.news = True
+        """Let what it writes or guards be looked at closely."""
+        for port in self.ports.values():
+            port.output.news, port.output.steady, port.time = True, None, -1
 
     def share(self, command: "Any", now: int) -> None:
         """Ask for what a reaction has decided for each of its ports."""
         if command is None:
-            command = _EMPTY
+            command = _NOTHING
         for key in command:
             self.ports[key]  # it raises for what is none of its ports
         for key in self.ports:
-            port = self.ports[key]
-            port.command = command.get(key)
-            if port.command is not None:
-                port.time = now
-            elif port.output.holder is port:  # it gives it back at once
-                port.output.holder = port.output.steady = None
+            self.ports[key].ask(command.get(key), now)
 
-    def passes(self, command: "Any", moving: "Any") -> "Any":
+
+class _Port:
+    """What one reaction may do with one actuator, and what it has asked for.
+
+    Attributes:
+        time: When it has asked for its command.
+        said: What it has asked for, as it has said it.
+        command: The same as it may be sent: it was checked, and cannot change.
+        bar: Whom it keeps away while its reaction is blind: that priority, and less.
+        latch: As a guard: whether it lets nothing pass after it has stopped all.
+    """
+
+    time: int
+    command: "Any"
+
+    def __init__(self, task: "Any", key: str, need: "Any", output: "Any") -> None:
+        self.said: "Any" = self
+        self.task, self.key, self.output = task, key, output
+        self.priority = need.priority
+        if hasattr(need, "latch"):
+            self.latch, self.latched, beside = need.latch, False, output.guards
+        else:
+            self.hold = _ms(need.hold) if need.hold else output.timeout
+            self.bar = need.priority if need.blind == "safe" else _ENDLESS[0]
+            beside = output.ports
+        beside.append(self)
+        beside.sort(key=_rank)
+
+    def ask(self, said: "Any", now: int) -> None:
+        """Ask for a command, if it is one; None gives the actuator back at once."""
+        if said is None:
+            if self.output.holder is self:
+                self.output.holder = self.output.steady = None
+        elif type(said) is dict:
+            self.task.share(said, now)
+        else:
+            command = self.output.checked(said, self.task.name)
+            if command is not None:
+                self.said, self.command, self.time = said, command, now
+
+    def passes(self, command: "Any") -> "Any":
         """Return what a guard lets pass of a command: None, or never more than it."""
-        reaction, now = self.reaction, self.loop.now_ms
-        if self.latched:
-            return None
+        task, output = self.task, self.output
+        reaction, now = task.reaction, output.loop.now_ms
+        passed = None
         try:
-            if self.blind:
-                self.latched = self.need.latch and moving is not None
-                self.command = None if self.need.latch else reaction.blind(command)
-            else:
-                reaction.elapsed_ms = 0 if self.first else now - reaction.now_ms
-                reaction.now_ms, self.first = now, False
-                self.values[self.key] = command
-                self.command = reaction.react(**self.values)
-                self.latched = self.need.latch and self.command is None
-            if self.command is None or self.command is command:
-                return self.command
-            passed = self.output.checked(self)
-            if passed is None or _less(passed, command, self.output.safe) == passed:
-                return passed
-            raise ValueError("more than asked", passed)
+            if self.latched:
+                return None
+            if not task.blind:
+                if reaction.now_ms < 0:
+                    reaction.now_ms = now
+                reaction.elapsed_ms = now - reaction.now_ms
+                reaction.now_ms = now
+                task.values[self.key] = command
+                passed = reaction.react(**task.values)
+            elif not self.latch:
+                passed = reaction.blind(command)
+            if passed is None:
+                self.latched = self.latch and not (task.blind and output.writer is None)
+            elif passed is not command:
+                passed = output.checked(passed, task.name)
+                if passed is not None and passed != _less(passed, command, output.safe):
+                    raise ValueError("too much", passed)
+            return passed
         except Exception as error:
-            self.loop.note(self.name, error)
-            return None
+            output.loop.note(task.name, error)
 
 
 class _Output:
     """An actuator, and whose will it does.
 
     Attributes:
-        steady: The port that holds it, if its next write has no questions.
-        last: What was sent last: it was checked, and cannot change.
+        steady: Its only port, if that moves it and nothing can be in its way.
+        last: What was sent last; None if that was the safe command.
         limits: Of each limited field, or of the whole: its least and greatest value.
         ports: Of the highest priority first, as the guards.
         holder: The port that keeps lower priorities away.
         writer: The port whose command stands; None if it is safe.
-        asked: The command that stands, as it was before the guards.
+        written: When that command was sent.
         news: Whether a guard sees something new.
         bad: Whether it has not taken its safe command.
     """
 
+    steady: "Any"
+    last: "Any"
+    writer: "Any"
+    bad: bool
+    holder: "Any" = None
+    written = 0
+    news = False
+
     def __init__(self, loop: "Any", part: "Any") -> None:
-        self.steady = self.last = self.writer = self.asked = None
-        self.holder: "Any" = None
-        self.written = 0
         self.loop, self.name, self.send = loop, part.name, part.write
         self.safe, self.type = part.safe, type(part.safe)
         self.timeout = _ms(part.command_timeout)
@@ -329,143 +366,136 @@ class _Output:
         self.limits = limits if isinstance(limits, dict) else {"": limits}
         self.ports: "Any" = []
         self.guards: "Any" = []
-        self.single: "Any" = [0]
-        self.news = self.bad = False
+        self.single: "Any" = None if isinstance(part.safe, tuple) else [0]
 
-    def settle(self, now: int) -> None:
-        """Do the will of the best who asks, if nobody holds it against them."""
+    def checked(self, command: "Any", name: str) -> "Any":
+        """Return a command of somebody as it may be sent; None if it is a fault."""
+        # With one more name, or a `try`, its frame would be taken from the heap.
+        if type(command) is not self.type or self.limits:
+            command = self.fitted(command, name)
+        parts = self.single or command or ()
+        if parts is self.single:
+            parts[0] = command
+        for each in parts:
+            if each != each or each in _ENDLESS:
+                break
+        else:
+            return command
+        self.loop.note(name, ValueError("not finite", command))
+        return None
+
+    def fitted(self, command: "Any", name: str) -> "Any":
+        """Return a command in the type and the limits of the actuator, or None."""
+        kind = self.type
+        try:
+            if kind is float and type(command) is int:
+                command = float(command)
+            elif not isinstance(command, kind) or (
+                type(command) is bool and kind is int
+            ):
+                raise ValueError("wrong type", command)
+            for field in self.limits:
+                low, high = self.limits[field]
+                each = getattr(command, field) if field else command
+                if not low <= each <= high:
+                    if not self.clamp or each - each != 0:  # no clamp is for NaN
+                        raise ValueError("over limits", command)
+                    command = kind(low if each < low else high)
+            return command
+        except Exception as error:
+            self.loop.note(name, error)
+
+    def settle(self, now: int, early: int = 0) -> None:
+        """Do the will of the best who asks, if nobody holds it against them.
+
+        Args:
+            now: The moment of this step.
+            early: By how much the moment is before it that is looked at.
+        """
         if self.bad:
-            self.make_safe(self.holder)
+            self.make_safe()
             if self.bad:
                 return
-        loop, bar = self.loop, _ENDLESS[not self.loop.armed]
+        loop, holder, since = self.loop, self.holder, now - early - self.written
         best: "Any" = None
-        still = False
-        holder, since = self.holder, now - self.written
-        if holder and since >= holder.hold:
-            holder = None
+        bar = _ENDLESS[not loop.armed]
+        over = holder is None or since >= holder.hold
         for port in self.ports:
-            if port.time == now and (
-                not best or (port is holder and port.priority == best.priority)
+            if port.task.blind:
+                bar = max(bar, port.bar)
+                if port is self.writer:
+                    self.writer = None
+                if port is holder:
+                    holder = None
+            elif port.time == now and (
+                best is None
+                or (port is holder and not over and port.priority == best.priority)
             ):
                 best = port
-            if port.bars and (port.task.blind or port.task.saw == now):
-                still = True
-                if port.task.blind and port.priority > bar:
-                    bar = port.priority
-        if best and (
-            best.priority <= bar
-            or (holder and best is not holder and best.priority <= holder.priority)
-        ):
-            loop.refused += 1
-            best = None
-        if best:
-            command = self.checked(best)
-            if command is None:
-                self.settle(now)
-                return
-            self.holder, self.written, self.asked = best, now, command
+        lost = holder is None or since > holder.hold or holder.priority <= bar
+        if lost and bar > _ENDLESS[0] and self.writer is not None:
+            holder = self.writer = None
+        if over:
+            holder = None
+        elif holder is not None and best is not holder:
+            bar = max(bar, holder.priority)
+        self.holder = holder
+        if holder is None:
+            self.steady = None
+        if best is not None and best.priority > bar:
+            self.holder, self.written, since = best, now, 0
+            self.steady = None if self.guards else best
             self.review(best)
-            if self.writer and not self.guards:
-                self.steady = best
-        elif self.writer and (
-            since >= self.timeout
-            or (self.holder.priority <= bar if self.holder else bar > _ENDLESS[0])
-            or (still and not holder and self.holder)
-        ):
-            self.make_safe(holder)
-        elif self.news and self.writer:
-            self.review()
+        else:
+            loop.refused += best is not None
+            if self.news:
+                self.review()
+        if self.last is not None and (self.writer is None or since >= self.timeout):
+            self.make_safe()
 
     def review(self, best: "Any" = None) -> None:
         """Send what the guards let pass: of a new command, or less of what stands."""
         self.news = False
-        writer = self.writer
-        if not (best or writer):
+        port = self.writer if best is None else best
+        if port is None:
             return
-        command = self.asked
+        command = port.command
         for guard in self.guards:
             if command is not None:
-                command = guard.passes(command, writer)
+                command = guard.passes(command)
         if command is None:
             self.loop.refused += best is not None
-            if writer:
-                self.make_safe(self.holder)
+            self.writer = None
             return
-        if best:
-            self.writer = best
-        else:
+        if best is None:
             command = _less(command, self.last, self.safe)
             if command == self.last:
                 return
-        self.last = command
+        self.tell(command, port)
+
+    def make_safe(self) -> None:
+        """Send the safe command."""
+        self.steady = None
+        self.tell(self.safe)
+
+    def tell(self, command: "Any", writer: "Any" = None) -> None:
+        """Send a command of somebody, or the safe one."""
+        # Safe is tried again at each step, and no other command goes before it.
+        self.writer, self.bad = writer, writer is None
+        self.last = None if self.bad else command
         try:
             self.send(command)
-        except Exception as error:
-            self.loop.note(self.name, error)
-            self.make_safe()
-
-    def lose(self, port: "Any") -> None:
-        """Be safe if a port that is blind now has moved it, or bars who has."""
-        writer, self.steady = self.writer, None
-        if writer is port or (
-            port.bars
-            and writer
-            and (writer.priority <= port.priority or not self.holder)
-        ):
-            self.make_safe()
-        elif self.holder is port:
-            self.holder = None
-
-    def make_safe(self, holder: "Any" = None) -> None:
-        """Send the safe command."""
-        self.holder = holder
-        self.writer = self.steady = None
-        self.last = self.safe
-        self.bad = True  # tried again at each step; no other command goes before it
-        try:
-            self.send(self.safe)
             self.bad = False
         except Exception as error:
             self.loop.note(self.name, error)
+            if writer is not None:
+                self.holder = None
+                self.make_safe()
 
     def close(self) -> None:
         """Send the safe command, unless it has taken it already."""
         if self.bad:
             self.make_safe()
-
-    def checked(self, port: "Any") -> "Any":
-        """Return what may be sent; None for what is no good, as if it was never said."""
-        command, kind = port.command, self.type
-        try:
-            if type(command) is not kind:
-                if type(command) is dict:
-                    port.time = -1
-                    port.task.share(command, self.loop.now_ms)
-                    return None if port.time < 0 else self.checked(port)
-                if kind is float and type(command) is int:
-                    command = float(command)
-                elif not isinstance(command, kind) or type(command) is bool:
-                    raise ValueError("wrong type", command)
-            parts, endless = command, _ENDLESS
-            if not isinstance(command, tuple):
-                parts = self.single
-                parts[0] = command
-            for each in parts:
-                if each != each or each in endless:
-                    raise ValueError("not finite", command)
-            for field in self.limits:
-                low, high = self.limits[field]
-                value = getattr(command, field) if field else command
-                if not low <= value <= high:
-                    if not self.clamp:
-                        raise ValueError("over limits", command)
-                    command = kind(low if value < low else high)
-        except Exception as error:
-            self.loop.note(port.name, error)
-            port.time = -1
-            return None
-        return command
 
 
 class Loop:
@@ -510,50 +540,29 @@ class Loop:
         self.inputs: "Any" = {}
         self.outputs: "Any" = {}
         self._debt, self._said = 0, -1000
-        self._every = _ms(rate)  # steps in 1000 s
+        self.every = _ms(rate)  # steps in 1000 s
         self._turns: "Any" = None
         self._paced: "Any" = []
-        parts = list(sensors), list(actuators)
-        self._parts = [one for one in parts[0] + parts[1] if isinstance(one, _Part)]
-        for part in parts[0]:
-            self.inputs[give_name(part)] = _Input(self, part)
-        for part in parts[1]:
-            self.outputs[give_name(part)] = _Output(self, part)
-        self._tasks: "Any" = []
+        self._parts: "Any" = []
+        self.tasks: "Any" = []
+        for part in sensors:
+            self._take(part, self.inputs, _Input)
+        for part in actuators:
+            self._take(part, self.outputs, _Output)
         for reaction in reactions:
-            self._wire(reaction)
+            give_name(reaction)
+            _Task(self, reaction)
 
-    def _wire(self, reaction: "Any") -> None:
-        give_name(reaction)
-        task = _Task(self, reaction)
-        timed, react, terms, port = reaction, reaction.react, [], None
-        for key, need in declared(reaction):
-            is_read = hasattr(need, "max_age")
-            node = (self.inputs if is_read else self.outputs)[need.name or key]
-            if is_read:
-                age = need.max_age or 3000 / min(node.pace, self._every)
-                terms.append((key, node, _ms(age), need.optional))
-                task.values[key] = None
-            elif hasattr(need, "latch"):
-                task.key, task.need, task.output = key, need, node
-                task.priority = need.priority
-                node.guards.append(task)
-                node.guards.sort(key=_rank)
-                timed, react = task, task.wake
-            else:
-                port = task.ports[key] = _Port(task, key, need, node)
-                node.ports.append(port)
-                node.ports.sort(key=_rank)
-        if len(task.ports) != 1:
-            port = None
-        wired = task, timed, terms, react, port, task.values
-        self._tasks.insert(len(self._tasks) if task.output else 0, wired)  # guards last
+    def _take(self, part: "Any", nodes: "Any", kind: "Any") -> None:
+        nodes[give_name(part)] = kind(self, part)
+        if isinstance(part, _Part):
+            self._parts.append(part)
 
     def pace(self, part: "Any", rate: "float | None") -> None:
         """Give a sensor or a reaction its turns, if it is slower than the loop."""
-        part.pace = self._every if rate is None else _ms(rate)
-        if part.pace < self._every:
-            part.phase = self._every
+        part.pace = self.every if rate is None else _ms(rate)
+        if part.pace < self.every:
+            part.phase = self.every
             self._paced.append(part)
 
     def step(self) -> None:
@@ -568,24 +577,32 @@ class Loop:
 
     def _steps(self) -> "Generator[None]":
         """Make a step each time: a generator has at hand what it works with."""
-        gap, odd = divmod(1000000, self._every)
+        paced, every = self._paced, self.every
+        gap, odd = divmod(1000000, every)
         inputs, outputs = list(self.inputs.values()), list(self.outputs.values())
-        odd += len(self._paced)
-        doomed: "Any" = []
+        odd += len(paced)
+        dark: "Any" = []  # who is blind, or will be before the next step
         while True:
             now = self.now_ms
-            while doomed:  # a reading got too old since the last step
-                for node in doomed:
-                    node.blind = True
-                doomed.pop(0).lose_sight()
+            for node in paced:
+                node.due = node.phase >= every
+                node.phase %= every
+            if dark:  # as it was since the last step, before anybody sees again
+                for node in dark:
+                    node.lose_sight()
+                dark.clear()
+                for node in outputs:
+                    node.settle(now, 1)
             for node in inputs:
                 if node.due:
                     try:
-                        node.value = node.read()
-                        node.time = now
+                        value = node.read()
+                        if value is not node.known:
+                            node.known = _known(value)
+                        node.value, node.time = value, now
                     except Exception as error:
                         self.note(node.name, error)
-            for node, timed, terms, react, port, values in self._tasks:
+            for node, timed, terms, react, port, values in self.tasks:
                 news = node.due
                 for key, source, age, optional in terms:
                     value = source.value
@@ -594,14 +611,14 @@ class Loop:
                             news = True
                     elif now - source.time > age:
                         if not optional:
-                            if not node.blind:
-                                node.lose_sight()
+                            node.lose_sight()
+                            dark.append(node)
                             break
                         value = None
                         if values[key] is not None:
                             news = True
                     elif now - source.time > age - gap and not optional:
-                        doomed.append(node)
+                        dark.append(node)
                     values[key] = value
                 else:
                     if timed is node and node.blind:
@@ -609,21 +626,22 @@ class Loop:
                     if news:
                         try:
                             if node.blind:
-                                node.blind, node.saw = False, now
-                                if node.first:
-                                    node.first = False
+                                node.blind = False
+                                if timed.now_ms < 0:
                                     timed.now_ms = now
                             timed.elapsed_ms = now - timed.now_ms
                             timed.now_ms = now
                             command = react(**values)
-                            if port is None or command is None:
+                            if port is None:
                                 node.share(command, now)
-                            else:
-                                port.command = command
+                            elif command is port.said:
                                 port.time = now
+                            else:
+                                port.ask(command, now)
                         except Exception as error:
                             self.note(node.name, error)
                             node.lose_sight()
+                            dark.append(node)
             for node in outputs:
                 best = node
                 for port in node.ports:
@@ -633,22 +651,18 @@ class Loop:
                         else:
                             self.refused += 1
                 if best is node.steady:
-                    command = best.command
-                    if command is not node.last:
-                        command = node.last = node.checked(best)
-                    if command is not None:
-                        node.written = now
-                        try:
-                            node.send(command)
-                        except Exception as error:
-                            self.note(node.name, error)
-                            node.make_safe()
-                        continue
-                node.settle(now)
+                    command = node.last = best.command
+                    node.written = now
+                    try:
+                        node.send(command)
+                    except Exception as error:
+                        self.note(node.name, error)
+                        node.holder = None
+                        node.make_safe()
+                else:
+                    node.settle(now)
             self.steps += 1
             if odd:
-                for node in self._paced:
-                    node.phase %= self._every
                 self.skip(1)
                 self.late -= 1  # it was not left out
             else:
@@ -659,11 +673,10 @@ class Loop:
         """Leave out steps that come too late."""
         self.late += steps
         self._debt += 1000000 * steps
-        self.now_ms += self._debt // self._every
-        self._debt %= self._every
+        self.now_ms += self._debt // self.every
+        self._debt %= self.every
         for node in self._paced:
             node.phase += node.pace * steps
-            node.due = node.phase >= self._every
 
     def run(
         self, steps: "int | None" = None, feed: "Callable[[], Any] | None" = None
@@ -684,7 +697,7 @@ class Loop:
                     feed()
                 left = ((begin + self.now_ms - _ticks() + _HALF) & _MASK) - _HALF
                 if left < 0:
-                    self.skip(-left * self._every // 1000000)
+                    self.skip(-left * self.every // 1000000)
                 elif self.steps != last:
                     _sleep(left)
         finally:
@@ -698,12 +711,14 @@ class Loop:
         self.now_ms = self._debt = 0
         for node in self.inputs.values():
             node.time = _NEVER
-        for wired in self._tasks:
-            wired[0].first = True
+        for wired in self.tasks:
+            wired[0].reaction.now_ms = -1
+            wired[0].blind = False
             wired[0].lose_sight()
         for part in self._parts:
             part.open()
         for output in self.outputs.values():
+            output.holder = None
             output.make_safe()
         self._turns = self._steps()
         self.step = self._turns.__next__  # type: ignore[method-assign]
@@ -734,11 +749,11 @@ class Loop:
 
     def reset(self, name: str) -> bool:
         """Let a guard that has latched decide again; tell whether it does."""
-        for wired in self._tasks:
-            task = wired[0]
-            if task.name == name:
-                task.latched = task.latched and task.blind
-                return not task.latched
+        for output in self.outputs.values():
+            for port in output.guards:
+                if port.task.name == name:
+                    port.latched = port.latched and port.task.blind
+                    return not port.latched
         return False
 
     def note(self, name: str, fault: BaseException) -> None:
@@ -749,6 +764,21 @@ class Loop:
         if (now - self._said) & _MASK >= 1000:
             self._said = now  # a serial line is slow
             print("esair: %s: %r, fault %d" % (name, fault, self.faults))
+
+
+def _known(reading: "Any") -> "Any":
+    """Return a finite reading, None for a row, which may change; raise for all else.
+
+    In a row, such as a scan, infinity stands for "nothing in reach".
+    """
+    row = isinstance(reading, (tuple, list))
+    if row:
+        for each in reading:
+            if each != each:
+                reading = each
+    if reading != reading or reading in _ENDLESS:
+        raise ValueError("not finite", reading)
+    return None if row else reading
 
 
 def _less(value: "Any", most: "Any", safe: "Any") -> "Any":
@@ -764,7 +794,7 @@ def _less(value: "Any", most: "Any", safe: "Any") -> "Any":
 
 
 def _rank(port: "Any") -> "Any":
-    return -port.priority, port.name
+    return -port.priority, port.task.name
 
 
 def _ms(value: float) -> int:
@@ -773,14 +803,13 @@ def _ms(value: float) -> int:
 
 def declared(reaction: "Any") -> "Iterable[tuple[str, Any]]":
     """Return what a reaction declares to use, by attribute."""
-    needs = getattr(reaction, "needs", None)  # of STD
-    if not isinstance(needs, dict):
-        needs = {}
-        for key in dir(reaction):
-            need = getattr(type(reaction), key, None)
-            if isinstance(need, Need):
-                needs[key] = need
-    return needs.items()
+    needs: "Any" = getattr(reaction, "needs", {})  # of STD
+    for key in dir(reaction):
+        need = getattr(type(reaction), key, None)
+        if isinstance(need, Need):
+            needs[key] = need
+    found: "Iterable[tuple[str, Any]]" = needs.items()
+    return found
 
 
 def give_name(part: "Any") -> str:

@@ -699,6 +699,66 @@ def rule_a_latching_guard_waits_for_its_first_sight():
     assert motor.told == [0.0, 1, 1, 1, 0.0], motor.told
 
 
+def rule_a_reading_that_is_no_number_never_reaches_a_reaction():
+    """NaN is not less than anything: a reaction would take it for "nothing is near"."""
+
+    class Away(Reaction):
+        sonar = reads(None)
+        motor = writes(float)
+        seen: tuple = ()
+
+        def react(self, sonar):
+            self.seen += (sonar,)
+            return 0.5
+
+    nan, inf = float("nan"), float("inf")
+    values = [0.25, nan, inf, -inf, (0.5, nan), [nan, 0.5]]
+    away = Away()
+    loop, motor = told_by(values, 6, away)
+    assert away.seen == (0.25,), away.seen
+    assert motor.told == [0.0, 0.5, 0.0], motor.told  # too old after three periods
+    assert loop.faults == 5
+    assert loop.fault[0] == "sonar"
+
+
+def rule_infinity_in_a_row_is_nothing_in_reach():
+    row = [0.5, float("inf")]
+
+    class Scan(Go):
+        def react(self, sonar):
+            return min(sonar)
+
+    loop, motor = told_by([row], 2, Scan())
+    assert motor.told == [0.0, 0.5, 0.5], motor.told
+    sonar = Sonar(row)
+    motor = Motor()
+    loop = Loop([Scan()], [sonar], [motor], rate=50)
+    loop.step()
+    row[0] = float("nan")  # the same list, filled anew
+    loop.step()
+    assert loop.faults == 1, loop.fault
+
+
+def rule_a_number_is_no_dictionary_of_commands():
+    for wrong in (0.0, False, "", ()):
+
+        class Two(Reaction):
+            sonar = reads(float)
+            left = writes(float)
+            right = writes(float)
+            answer = wrong
+
+            def react(self, sonar):
+                return {"left": 0.5, "right": 0.5} if sonar else self.answer
+
+        left, right = Motor("left"), Motor("right")
+        loop = Loop([Two()], [Sonar(1, 0)], [left, right], rate=50)
+        loop.step()
+        loop.step()
+        assert left.told == right.told == [0.0, 0.5, 0.0], (wrong, left.told)
+        assert loop.faults == 1, (wrong, loop.fault)
+
+
 def rule_nothing_moves_before_it_is_armed():
     motor = Motor()
     loop = Loop([Go()], [Sonar(1)], [motor], rate=50, armed=False)

@@ -222,6 +222,80 @@ def test_std_decides_as_min(worlds) -> None:
     assert differ == {}, f"of seed {seed}"
 
 
+GONE = [None] * 8
+
+
+def a_hold_ends_as_somebody_sees(
+    rate: float, values: list[float | None], *reactions: dict[str, Any]
+) -> World:
+    """The reading is back before, and the turn of the blind one is when the hold ends."""
+    return {
+        "steps": 32,
+        "sensors": [{"rate": rate, "values": values}],
+        "actuators": [
+            {"kind": "number", "timeout": 0.3, "clamp": False},
+            {"kind": "number", "timeout": 0.5, "clamp": False},
+        ],
+        "reactions": reactions,
+    }
+
+
+def reaction(
+    kind: str, rate: float, max_age: float, *outputs: list[Any]
+) -> dict[str, Any]:
+    return {"kind": kind, "rate": rate, "inputs": [[0, max_age]], "outputs": outputs}
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("MIN-2", "MIN-3", "PRO-1")
+@pytest.mark.parametrize(
+    ("world", "moment"),
+    [
+        pytest.param(
+            a_hold_ends_as_somebody_sees(
+                25,
+                [1.0, 1.0, None, None, None, None, *[1.0] * 14],
+                reaction("Back", 10, 0.1, [0, 0, None, "safe", False]),
+                reaction(
+                    *("Both", 5, 0.2, [0, 3, 0.1, "safe", False]),
+                    [1, 1, None, "safe", False],
+                ),
+            ),
+            300,
+            id="no sensor is asked then",
+        ),
+        pytest.param(
+            a_hold_ends_as_somebody_sees(
+                50,
+                [
+                    1.0,
+                    *GONE,
+                    1.0,
+                    0.2,
+                    *[1.0] * 4,
+                    0.665,
+                    *[1.0] * 4,
+                    0.797,
+                    *GONE,
+                    1.0,
+                ],
+                reaction("Avoid", 25, 0.06, [0, 0, None, "safe", False]),
+                reaction("Avoid", 10, 0.2, [0, 1, 0.1, "release", False]),
+            ),
+            600,
+            id="the sensor is asked then",
+        ),
+    ],
+)
+def test_who_sees_at_the_end_of_a_hold_sees(world, moment) -> None:
+    """At that very moment: the command stands, whether a sensor is asked then or not."""
+    there = natural.play(world)
+    stands = steps_of(there, world)["m0"]
+
+    assert differs(in_std(world), there, world) == []
+    assert stands[moment // PERIOD_MS] == stands[moment // PERIOD_MS - 1] != 0.0
+
+
 def folder_with(board: Path, many: list[World]) -> Path:
     shutil.copy(natural.__file__, board / "natural.py")
     lines = [json.dumps(world) + "\n" for world in many]

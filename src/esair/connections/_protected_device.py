@@ -19,6 +19,7 @@ from esair.messages import ResourceState
 from esair.resources import HOLD
 
 _EARLY = 1e-6  # timers may fire a hair early
+_GRACE = 1e-5  # more than that
 
 
 class ProtectedDevice(ActuatorDevice):
@@ -106,8 +107,9 @@ class ProtectedDevice(ActuatorDevice):
             )
         ):
             if self._blind_look is None:
+                # A hair later: who sees again at that very moment, sees.
                 self._blind_look = Scheduler.of(self._loop).at(
-                    self.until, self._look_at_blind, order=Order.STALE
+                    self.until + _GRACE, self._look_at_blind, order=Order.STALE
                 )
             return
         self.make_safe(stay=True)

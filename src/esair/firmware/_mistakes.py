@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import inspect
 import io
-import types
 from collections.abc import Sequence
 from typing import Any
 
@@ -122,9 +121,8 @@ def _actuator(part: Any, rate: float) -> list[str]:
     if not found:
         try:
             loop = minimal.Loop(actuators=[part], rate=rate)
-            asked = types.SimpleNamespace(command=part.safe, name=name, time=0)
             with contextlib.redirect_stdout(io.StringIO()):
-                loop.outputs[name].checked(asked)
+                loop.outputs[name].checked(part.safe, name)
             error = loop.fault and loop.fault[1]
         except Exception as raised:
             error = raised

@@ -62,7 +62,7 @@ def run_a_while(
     gc.collect()
     used = gc.mem_alloc() - before
     loop.arm()  # or nothing would be told to an actuator
-    run(loop, steps=max(2, int(float(seconds) * loop._every / 1000)), feed=feed)
+    run(loop, steps=max(2, int(float(seconds) * loop.every / 1000)), feed=feed)
 
 
 minimal.Loop.note = noted
