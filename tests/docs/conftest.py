@@ -24,7 +24,7 @@ def built(tmp_path_factory) -> tuple[Path, str]:
         [*command, "-d", str(folder / "trees"), *map(str, places)],
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=900,
         check=False,
     )
     return folder / "html", done.stderr

@@ -13,6 +13,10 @@ import esair
 import esair.boards
 import esair.buses
 import esair.drivers
+from esair.config import fields_of
+from esair.config._boards import KEYS as BOARD
+from esair.config._construct import accepted_by
+from esair.config._parts import OF_ROBOT, TABLES
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
 
@@ -154,3 +158,35 @@ def test_every_public_class_and_function_can_be_looked_up(built) -> None:
     shown = {id(value) for name, value in wanted.items() if name in listed}
 
     assert {name for name in wanted if id(wanted[name]) not in shown} == HIDDEN
+
+
+def quoted(page: str) -> set[str]:
+    """The words of a page that stand as code."""
+    text = (REFERENCE / page).read_text(encoding="utf-8")
+    return set(re.findall(r"[\w-]+", " ".join(re.findall(r"`([^`]+)`", text))))
+
+
+def test_every_verb_is_on_the_page_of_the_command_line() -> None:
+    """A new one has to be written down there."""
+    pytest.importorskip("cyclopts")
+    from esair.cli._main import make_app
+
+    app = make_app()
+    verbs = {*app, *app["min"]} - {"--help", "-h", "--version"}
+
+    assert len(verbs) > 25
+    assert verbs - quoted("command-line.md") == set()
+
+
+def test_every_key_of_a_robot_toml_is_on_its_page() -> None:
+    """Tables, and the keys that every component of a kind has."""
+    parts = {"self", "name", "resources", "behaviors", "policies", *OF_ROBOT}
+    kinds = (esair.Recording, esair.Operator, esair.Page, esair.Restart)
+    keys = {*TABLES, *BOARD} | {*inspect.signature(esair.Robot).parameters} - parts
+    for kind in kinds:
+        keys |= {*fields_of(kind)}
+    for base in (esair.Sensor, esair.Actuator, esair.Behavior, esair.Reaction):
+        keys |= {*accepted_by(base)}
+
+    assert len(keys) > 60
+    assert keys - quoted("configuration.md") == set()
