@@ -1,4 +1,4 @@
-"""The page of the architecture names rooms that are there, and all of them."""
+"""The page of the architecture names places that are there, and all of them."""
 
 import re
 from pathlib import Path
@@ -25,21 +25,21 @@ def test_the_tree_is_the_tree() -> None:
     assert named == there
 
 
-def test_every_room_that_is_named_is_there() -> None:
+def test_every_place_that_is_named_is_there() -> None:
     """Files and folders of the tables and of the mechanisms."""
-    rooms = re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.py)?)`", PAGE)
+    places = re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.py)?)`", PAGE)
     missing = [
-        room
-        for room in rooms
-        if not any((base / room).exists() for base in (SOURCE, ROOT))
+        place
+        for place in places
+        if not any((base / place).exists() for base in (SOURCE, ROOT))
     ]
 
-    assert len(rooms) > 30
+    assert len(places) > 30
     assert missing == []
 
 
-def test_each_of_fifteen_changes_has_its_room() -> None:
+def test_each_of_fifteen_changes_has_its_place() -> None:
     """One line for each."""
-    table = PAGE.split("## Fifteen changes, one room each")[1].split("\n## ")[0]
+    table = PAGE.split("## Fifteen changes, and where each is made")[1].split("\n## ")[0]
 
     assert len(re.findall(r"^\| [a-z].* \| .*`", table, re.M)) == 15
