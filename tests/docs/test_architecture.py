@@ -40,6 +40,8 @@ def test_every_place_that_is_named_is_there() -> None:
 
 def test_each_of_fifteen_changes_has_its_place() -> None:
     """One line for each."""
-    table = PAGE.split("## Fifteen changes, and where each is made")[1].split("\n## ")[0]
+    table = PAGE.split("## Fifteen changes, and where each is made")[1].split("\n## ")[
+        0
+    ]
 
     assert len(re.findall(r"^\| [a-z].* \| .*`", table, re.M)) == 15

@@ -7,13 +7,13 @@ import re
 import zlib
 from pathlib import Path
 
+import attrs
 import pytest
 
 import esair
 import esair.boards
 import esair.buses
 import esair.drivers
-from esair.config import fields_of
 from esair.config._boards import KEYS as BOARD
 from esair.config._construct import accepted_by
 from esair.config._parts import OF_ROBOT, TABLES
@@ -170,9 +170,9 @@ def test_every_verb_is_on_the_page_of_the_command_line() -> None:
     """A new one has to be written down there."""
     pytest.importorskip("cyclopts")
     from esair.cli._main import make_app
+    from esair.cli._min import minimal
 
-    app = make_app()
-    verbs = {*app, *app["min"]} - {"--help", "-h", "--version"}
+    verbs = {*make_app(), *minimal} - {"--help", "-h", "--version"}
 
     assert len(verbs) > 25
     assert verbs - quoted("command-line.md") == set()
@@ -184,7 +184,7 @@ def test_every_key_of_a_robot_toml_is_on_its_page() -> None:
     kinds = (esair.Recording, esair.Operator, esair.Page, esair.Restart)
     keys = {*TABLES, *BOARD} | {*inspect.signature(esair.Robot).parameters} - parts
     for kind in kinds:
-        keys |= {*fields_of(kind)}
+        keys |= {*attrs.fields_dict(kind)}
     for base in (esair.Sensor, esair.Actuator, esair.Behavior, esair.Reaction):
         keys |= {*accepted_by(base)}
 
