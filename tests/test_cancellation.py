@@ -228,7 +228,7 @@ class World:
             assert member.senders.count == member.askers.count == 0
             assert member.provider is None
             assert member.takers is None
-            assert member.steps.now == []
+            assert not member.steps.now
             assert member.state in {
                 esair.BehaviorState.RUNNING,
                 esair.BehaviorState.PARKED,

@@ -260,10 +260,11 @@ class BehaviorDeployment:
         """Wait until a removal of that name that runs is over; others do not wait."""
         while True:
             member = self.members.get(name)
-            if member is None or not member.is_leaving or member.over.done():
+            over = None if member is None else member.over
+            if over is None or over.done():
                 return
             self.commands.changed()
-            await asyncio.wait({member.over})
+            await asyncio.wait({over})
 
     async def begin(self, member: Member) -> None:
         """Start a member, and wait for its setup outside of the command queue."""
@@ -299,17 +300,22 @@ class BehaviorDeployment:
             c for name, c in self.resources.actuators.channels.items() if name in uses
         ]
         self.ending.append(member)
-        await member.stop(self.grace)
+        over = member.over = member.over or loop.create_future()
+        undead = await member.stop(self.grace)
+        zombies = [
+            *(task.get_name() for task in undead),
+            *(thread.name for thread in member.owner.threads),
+        ]
         member.state = BehaviorState.REMOVED
         if wrote:
             await self._until_safe(wrote, deadline)
         self.ending.remove(member)
-        if not member.over.done():  # the stop may end what a command was ending
-            member.over.set_result(None)
-        self.undead.update(member.undead)
-        for task in member.undead:
+        if not over.done():  # the stop may end what a command was ending
+            over.set_result(None)
+        self.undead.update(undead)
+        for task in undead:
             task.add_done_callback(self.undead.discard)
-        for name in member.zombies:
+        for name in zombies:
             self.zombie_count += 1
             self.zombies.append(Zombie(member.name, name, loop.time()))
             del self.zombies[:-ZOMBIE_LIMIT]

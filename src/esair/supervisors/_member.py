@@ -63,8 +63,6 @@ class Member(Life, Mailbox):
         "steps",
         "stream",
         "task",
-        "undead",
-        "zombies",
     )
 
     def __init__(self, action: Behavior | Reaction, crew: Crew, name: str) -> None:
@@ -78,13 +76,10 @@ class Member(Life, Mailbox):
         self.ready: asyncio.Future[None] | None = None
         self.gate: asyncio.Future[None] | None = None
         """If there is one, ``run`` begins only when it is done."""
-        self.over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        """Done when it has been ended."""
+        self.over: asyncio.Future[None] | None = None
+        """Done when it has been ended; there from when that begins."""
         self.given_up = False
         """Nobody wants it any more: it is removed, or its place is."""
-        self.zombies: list[str] = []
-        """The names of its tasks and threads that would not end."""
-        self.undead: list[asyncio.Task[Any]] = []
         self.crew = crew
         self.journal = crew.journal
         self.stream = Stream(f"{crew.seed}/{name}")
@@ -232,11 +227,10 @@ class Member(Life, Mailbox):
                 _log.warning("%s: teardown failed too: %s", self.name, describe(raised))
         return error
 
-    async def _run(self, method: Callable[[], Any]) -> None:
+    def _run(self, method: Callable[[], Any]) -> Awaitable[object]:
         if inspect.iscoroutinefunction(method):
-            await method()
-        else:
-            await (self._portal or Portal(self.name, self.owner)).run(method)
+            return method()  # type: ignore[no-any-return]
+        return (self._portal or Portal(self.name, self.owner)).run(method)
 
     def _runs(self, running: bool, why: str) -> None:
         self.detail = why
@@ -262,8 +256,9 @@ class Member(Life, Mailbox):
             _log.info("%s: goes on", self.name)
 
     def _is_ready(self) -> None:
-        if self.ready is not None and not self.ready.done():
-            self.ready.set_result(None)
+        ready, self.ready = self.ready, None
+        if ready is not None and not ready.done():
+            ready.set_result(None)
 
     def _ended(self, task: asyncio.Task[BaseException | None]) -> None:
         if task is not self.task or self.is_leaving:
@@ -367,8 +362,8 @@ class Member(Life, Mailbox):
         if self._portal is not None:
             self._portal.close()
 
-    async def stop(self, grace: float) -> None:
-        """End it, whatever it does; what would not die is in ``zombies``."""
+    async def stop(self, grace: float) -> list[asyncio.Task[Any]]:
+        """End it, whatever it does; returns the tasks that would not end."""
         self.state = BehaviorState.STOPPING
         self._no_restart()
         self.fence(lambda: UserRemovedError(self.name))
@@ -378,13 +373,10 @@ class Member(Life, Mailbox):
         for taker in self.takers or ():
             if not taker.done():
                 taker.set_result(None)
-        self.undead = await end(self.owner, grace)
-        self.zombies = [
-            *(task.get_name() for task in self.undead),
-            *(thread.name for thread in self.owner.threads),
-        ]
+        undead = await end(self.owner, grace)
         self.task = None
         empty(self.action, self, self._portal)
+        return undead
 
     def end_run(self, grace: float) -> Awaitable[None]:
         """End the run, so that another may begin; awaiting waits until it has ended.

@@ -32,7 +32,7 @@ class Steps:
         self._name = name
         self._crew = crew
         self._grants = grants
-        self.now: list[Step] = []
+        self.now: tuple[Step, ...] = ()
 
     async def perform(
         self,
@@ -59,7 +59,7 @@ class Steps:
         step = Step(
             reaction, until, loop, sight, blind_timeout, self._crew.began, owner
         )
-        self.now.append(step)
+        self.now = (*self.now, step)
         sight.accept()
         timer = None
         try:
@@ -71,7 +71,7 @@ class Steps:
             if timer is not None:
                 timer.cancel()
             step.stop()
-            self.now.remove(step)
+            self.now = tuple(each for each in self.now if each is not step)
             for registration in step.own:
                 self._crew.resources.control.revoke(registration)
             sight.leave()
