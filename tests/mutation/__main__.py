@@ -3,9 +3,9 @@
 The tests are collected once. One child process runs them all and notes which lines each
 one reaches, and in what time; then each mutant is a child of its own, forked from there:
 the mistake is put into the functions that are loaded, and the tests that reach its line
-run until one fails: those in virtual time first, of these the quick ones and those that
-have found other mistakes in the file. What a test in real time finds has to be found
-three times: it could be the computer that is busy.
+run until one fails: those in virtual time first, of these the quick ones, those of the
+same room and those that have found other mistakes in the file. What a test in real time
+finds has to be found three times: it could be the computer that is busy.
 
 With ``--baseline`` what the tests reach is kept in a file; next time only new tests are
 measured, and lines that have moved are found again.
@@ -198,8 +198,11 @@ class Runner:
 
         def promise(name: str) -> tuple[bool, float]:
             found = self._killers[mutant.file, name]
-            return name in self._in_real_time, baseline.seconds[name] / (1 + found)
+            far = 1 if name.startswith(room) else 4
+            seconds = baseline.seconds[name]
+            return name in self._in_real_time, far * seconds / (1 + found)
 
+        room = f"tests/{mutant.file.parent.name}/"
         budget, chosen = self.options.budget, []
         names = baseline.reached_by(mutant) & self.items.keys() - baseline.bad
         for name in sorted(names, key=promise):
