@@ -170,7 +170,7 @@ async def test_threads_ask_and_answer() -> None:
                 break
             await asyncio.sleep(0.01)
         assert told == [Docked(7), "worker"]
-        assert robot._behaviors.mediator.asks.late == 1
+        assert robot.journal.counts()["behaviors"]["late_answers"] == 1
 
 
 @pytest.mark.promise("BS-8")
@@ -602,7 +602,7 @@ async def test_without_a_block_the_request_tells_that_it_was_withdrawn() -> None
             await a.ask("docking", Dock(1), timeout=0.5)
         await asyncio.sleep(0.2)
         assert seen == [False]
-        assert robot._behaviors.mediator.asks.late == 1
+        assert robot.journal.counts()["behaviors"]["late_answers"] == 1
 
 
 @pytest.mark.promise("BS-11")

@@ -28,15 +28,10 @@ if TYPE_CHECKING:
 
 
 class Asks:
-    """The part of the mediator that hands requests over and brings answers back.
-
-    Attributes:
-        late: How many answers came when nobody waited for them any more.
-    """
+    """The part of the mediator that hands requests over and brings answers back."""
 
     def __init__(self, mediator: Mediator) -> None:
         self._mediator = mediator
-        self.late = 0
 
     async def ask(
         self,
@@ -130,6 +125,11 @@ class Asks:
             Outcome.TIMED_OUT,
             BehaviorUnavailableError(order.peer, "answer", timeout, state),
         )
+
+    def late(self) -> bool:
+        """Count an answer that nobody waits for any more."""
+        self._mediator.late_answers += 1
+        return False
 
     def ended(self, order: Order, outcome: Outcome, value: object) -> None:
         """An order has its outcome: an answer, an error, or nothing if it is withdrawn."""

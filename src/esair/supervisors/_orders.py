@@ -166,17 +166,13 @@ class Order(Link):
 
     def _progress(self, value: Any) -> bool:
         if self.over:
-            self._asks.late += 1
-            return False
+            return self._asks.late()
         self._news = value
         self._rouse()
         return True
 
     def _told(self, outcome: Outcome, value: Any, error: EsairError | None) -> bool:
-        if self._end(outcome, value, error):
-            return True
-        self._asks.late += 1
-        return False
+        return self._end(outcome, value, error) or self._asks.late()
 
     def fail(self, detail: str, cause: BaseException | None = None) -> None:
         """Whoever worked on it gives it no answer any more."""

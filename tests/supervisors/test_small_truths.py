@@ -1,0 +1,231 @@
+"""Small rules of supervisors that only show in a corner."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import weakref
+from typing import Any
+
+import attrs
+import pytest
+
+import esair
+from esair import Access
+from esair.supervisors._command_queue import LIMIT, CommandQueue
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@attrs.frozen(weakref_slot=True)
+class Job(esair.Request[int]):
+    number: int
+
+
+class Idle(esair.Behavior):
+    """Does nothing: tests act in its name."""
+
+
+class Worker(esair.Behavior):
+    """Keeps what it takes for the test to answer."""
+
+    jobs = esair.takes(Job, queue=4)
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.has: list[Job] = []
+
+    async def run(self) -> None:
+        async for job in self.jobs:
+            self.has.append(job)
+            await asyncio.sleep(10.0)
+
+
+async def soon() -> None:
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+
+# Requests.
+
+
+@pytest.mark.promise("BS-8")
+async def test_who_answers_is_told_whether_somebody_waits() -> None:
+    """A second answer, and progress after it, are too late; that is counted."""
+    asker, worker = Idle(name="asker"), Worker()
+    async with esair.Robot(behaviors=[asker, worker]) as robot:
+        asking = asyncio.create_task(asker.ask("worker", Job(1)))
+        await soon()
+        (job,) = worker.has
+        assert job.progress(0.5)
+        assert job.answer(7)
+        assert not job.progress(0.9)
+        assert not job.answer(8)
+        assert not job.refuse("too late")
+        assert await asking == 7
+        assert robot.journal.counts()["behaviors"]["late_answers"] == 3
+
+
+@pytest.mark.promise("BS-8")
+async def test_an_answered_request_is_forgotten_long_before_its_timeout() -> None:
+    """Neither its deadline nor its asker keeps it."""
+
+    class Answers(esair.Behavior):
+        @esair.answers
+        async def job(self, request: Job) -> int:
+            await asyncio.sleep(0.1)
+            return request.number
+
+    asker = Idle(name="asker")
+    async with esair.Robot(behaviors=[asker, Answers()]):
+        request = Job(7)
+        known = weakref.ref(request)
+        assert await asker.ask("answers", request, timeout=3600.0) == 7
+        await soon()
+        del request
+        gc.collect()
+        assert known() is None
+
+
+@pytest.mark.promise("BS-8")
+async def test_an_order_goes_to_the_next_if_its_taker_is_cancelled_in_that_instant() -> (
+    None
+):
+    """Two loops take the same requests; what woke the first is left to the second."""
+    taken: list[str] = []
+
+    class Two(esair.Behavior):
+        jobs = esair.takes(Job)
+
+        async def run(self) -> None:
+            self.first = asyncio.create_task(self.serve("first"))
+            await asyncio.sleep(0)
+            self.second = asyncio.create_task(self.serve("second"))
+            await asyncio.wait({self.first, self.second})
+
+        async def serve(self, name: str) -> None:
+            async for job in self.jobs:
+                taken.append(name)
+                job.answer(1)
+
+    asker, two = Idle(name="asker"), Two()
+    async with esair.Robot(behaviors=[asker, two]):
+        await asyncio.sleep(0.1)
+        queue: Any = vars(two)["jobs"]._source
+        asking = asyncio.create_task(asker.ask("two", Job(1), timeout=1.0))
+        while not queue.waiting:  # noqa: ASYNC110 - the very instant is wanted
+            await asyncio.sleep(0)
+        two.first.cancel()
+        assert await asking == 1
+        assert taken == ["second"]
+
+
+@pytest.mark.promise("BS-5")
+async def test_one_that_gives_up_ends_what_is_made_for_it() -> None:
+    """And the next asker's data is made at once."""
+    made: list[str] = []
+
+    class Giver(esair.Behavior):
+        async def provide(self) -> int:
+            made.append("begun")
+            try:
+                await asyncio.sleep(100.0)
+            except asyncio.CancelledError:
+                made.append("cancelled")
+                raise
+            return 1
+
+    asker = Idle(name="asker")
+    async with esair.Robot(behaviors=[asker, Giver()]):
+        with pytest.raises(esair.BehaviorUnavailableError):
+            await asker.get("giver", interval=1.0)
+        await soon()
+        assert made == ["begun", "cancelled"]
+
+
+# Commands of the user.
+
+
+@pytest.mark.promise("SUP-1")
+async def test_a_command_that_is_given_up_leaves_its_place() -> None:
+    """As many as were cancelled may wait again."""
+    queue = CommandQueue("queue")
+
+    async def nothing() -> None: ...
+
+    def begin() -> list[asyncio.Task[Any]]:
+        return [
+            asyncio.ensure_future(queue.run(nothing, name="work", undo=False))
+            for _ in range(LIMIT)
+        ]
+
+    for _ in range(2):
+        tasks = begin()
+        await soon()
+        for task in tasks:
+            assert not task.done()
+            task.cancel()
+        await asyncio.wait(tasks)
+    last = begin()
+    await soon()
+    queue.initialized()
+    assert await asyncio.gather(*last) == [None] * LIMIT
+
+
+@pytest.mark.promise("CON-2")
+@pytest.mark.parametrize(
+    ("terms", "field"),
+    [
+        ({"access": "write"}, "expected an esair.Access"),
+        ({"priority": 1.0}, "priority"),
+        ({"priority": True}, "priority"),
+        ({"hold": 0.0}, "hold"),
+        ({"hold": "1"}, "hold"),
+    ],
+)
+async def test_the_terms_of_a_right_are_checked(
+    terms: dict[str, Any], field: str
+) -> None:
+    """Before anything is registered."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels]) as robot:
+        terms = {"access": Access.WRITE, **terms}
+        access = terms.pop("access")
+        with pytest.raises(esair.ConfigError, match=field):
+            await robot.resources.register("user", "wheels", access, **terms)
+        channel = robot.actuators.channels["wheels"]
+        assert not list(channel.registrations.of_resource("wheels"))
+
+
+# Devices.
+
+
+@pytest.mark.promise("RS-2")
+async def test_nobody_asks_a_device_after_its_removal_whether_it_is_set_up() -> None:
+    """Its watch over the set-up ends with it."""
+    asked: list[float] = []
+
+    class Motor(FakeActuator[float]):
+        set_up_period = 0.5
+
+        async def is_set_up(self) -> bool:
+            asked.append(asyncio.get_running_loop().time())
+            return await super().is_set_up()
+
+    async with esair.Robot(resources=[Motor("motor", safe=0.0)]) as robot:
+        await asyncio.sleep(1.2)
+        assert len(asked) == 2
+        await robot.resources.remove("motor")
+        await asyncio.sleep(2.0)
+        assert len(asked) == 2
+
+
+@pytest.mark.promise("SC-3")
+async def test_a_behavior_is_told_why_nobody_may_read_too_old() -> None:
+    """The greatest age that a port is made with is checked like that of a read."""
+    async with esair.Robot(resources=[FakeSensor("sonar", 1.0)]) as robot:
+        right = await robot.resources.register("user", "sonar", Access.READ)
+        for wrong in (0.0, -1.0, "1", True):
+            with pytest.raises(esair.BadValueError, match="max_age"):
+                robot.sensors.port(right, max_age=wrong)  # type: ignore[arg-type]
