@@ -1,4 +1,8 @@
-"""Small mistakes that could be in a file, made one at a time in its syntax tree."""
+"""Small mistakes that could be in a file, made one at a time in its syntax tree.
+
+What changes nothing is left out: whether the edge belongs to it where a tolerance is
+added to a moment, or where something is cut to a limit.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +37,7 @@ REMOVED = (
 )
 NOT_LOOKED_AT = {"annotation", "returns", "decorator_list", "bases", "keywords"}
 """Fields of functions, classes and assignments that say what things are."""
+TOLERANCES = {"_EARLY", "EARLY", "REACHED"}
 NOT_CALLED = {"__repr__", "__str__"}
 
 
@@ -90,6 +95,8 @@ def _walk(node: ast.AST, scope: tuple[int, int] | None) -> Iterator[tuple[Any, .
         for key, child in (
             enumerate(value) if isinstance(value, list) else [(name, value)]
         ):
+            if name == "test" and _cuts(node):
+                continue
             if isinstance(child, ast.AST) and not _says_something(child):
                 if not (making and isinstance(child, ast.Assign)):  # nobody misses that
                     yield child, value if isinstance(value, list) else node, key, scope
@@ -117,8 +124,22 @@ def _says_something(node: ast.AST) -> bool:
     return False
 
 
+def _cuts(node: ast.AST) -> bool:
+    """Whether it is ``if a > b: a = b``: equal, they may be exchanged or not."""
+    match node:
+        case ast.If(
+            test=ast.Compare(left=value, comparators=[limit]),
+            body=[ast.Assign(targets=[target], value=new)],
+        ):
+            told = [ast.unparse(each) for each in (value, limit)]
+            return told == [ast.unparse(target), ast.unparse(new)]
+    return False
+
+
 def _mistakes(node: ast.AST) -> Iterator[ast.AST]:
     if isinstance(node, ast.Compare) and len(node.ops) == 1:
+        if any(getattr(each, "id", "") in TOLERANCES for each in ast.walk(node)):
+            return
         wrong = copy.copy(node)
         wrong.ops = [COMPARED[type(node.ops[0])]()]
         yield wrong

@@ -518,3 +518,70 @@ def test_it_has_no_rate_to_set() -> None:
     """It is computed when its sources speak."""
     with pytest.raises(esair.BadValueError, match="rate"):
         Distance(rate=20.0)
+
+
+@pytest.mark.promise("SC-1", "SC-2")
+async def test_only_who_wants_a_fresh_value_has_the_sources_asked() -> None:
+    """And only while it is there, by right, and those that it needs."""
+    left, right, _ = rover()
+
+    class Maybe(esair.Derived[float]):
+        left = esair.reads(float)
+        right = esair.reads(float, optional=True)
+
+        def compute(self, left: float, right: float | None) -> float:
+            return left + (right or 0.0)
+
+    left.rate, right.rate = 1.0, 1.0
+    async with esair.Robot(resources=[Maybe(name="both"), left, right]) as robot:
+        mine = await robot.resources.register("user", "both", esair.Access.READ)
+        assert (await robot.sensors.read(mine, fresh=True)).value in {1.0, 4.0}
+        asked = (left.reads, right.reads)
+        await robot.sensors.read(mine)
+        assert (left.reads, right.reads) == asked
+        right.stall()
+        await robot.sensors.read(mine, fresh=True, timeout=0.1)
+        assert (left.reads, right.reads) == (asked[0] + 1, asked[1])
+        robot.resources.revoke(mine)
+        with pytest.raises(esair.NotRegisteredError):
+            await robot.sensors.read(mine, fresh=True)
+        assert (left.reads, right.reads) == (asked[0] + 1, asked[1])
+        right.resume()
+
+
+@pytest.mark.promise("SC-1")
+async def test_a_fresh_value_has_one_timeout_in_all() -> None:
+    """What the first source took is taken from the second."""
+    left, right, _ = rover()
+    left.rate, right.rate = 1.0, 1.0
+    async with esair.Robot(resources=[Distance(), left, right]) as robot:
+        mine = await robot.resources.register("user", "distance", esair.Access.READ)
+        left.slow(0.3)
+        right.slow(0.3)
+        began = asyncio.get_running_loop().time()
+        with pytest.raises(esair.StaleReadingError):
+            await robot.sensors.read(mine, fresh=True, timeout=0.5)
+        assert asyncio.get_running_loop().time() - began == pytest.approx(0.5)
+        await asyncio.sleep(0.5)
+        reading = await robot.sensors.read(mine, fresh=True, timeout=0.7)
+        assert asyncio.get_running_loop().time() - reading.time == pytest.approx(0.3)
+
+
+@pytest.mark.promise("SUP-1")
+async def test_it_waits_at_the_start_until_its_sources_were_tried() -> None:
+    """It is no loss that they are not open yet."""
+
+    class Slow(Encoder):
+        async def open(self) -> None:
+            await asyncio.sleep(0.3)
+            await super().open()
+
+    _, right, wheels = rover()
+    slow = Slow("left", 1.0, type=float, rate=RATE)
+    distance = Distance()
+    async with esair.Robot(
+        resources=[distance, slow, right, wheels], behaviors=[Follow()]
+    ) as robot:
+        status = robot.resources.query("distance")
+        assert (status.state, status.losses) == (ResourceState.READY, 0)
+        assert distance.begun == 1

@@ -499,3 +499,40 @@ async def test_why_shows_who_writes_who_guards_and_what_blindness_does() -> None
         sonar.unplug()
         await asyncio.sleep(0.01)
         assert "is blind: sonar lost" in str(robot.resources.why("wheels"))
+
+
+@pytest.mark.promise("PRO-9")
+@pytest.mark.parametrize("stays", [True, False])
+async def test_a_late_motion_is_answered_as_it_was_made_safe(stays: bool) -> None:
+    """Told to stay it is told so again; told its safe place, it is sent there again."""
+
+    class Arm(FakeActuator[float]):
+        safe_moves = True
+
+    arm = Arm("arm", safe=0.0, command_timeout=5.0)
+    arm.deadline = 2.0
+    sonar, op = ranges(), esair.Behavior(name="op", writes={"arm": esair.writes(float)})
+
+    class Fence(esair.Reaction):
+        sonar = esair.reads(float)
+        arm = esair.guards(float)
+
+        def react(self, sonar: float, arm: float) -> float | None:
+            return None if sonar < 0.4 else arm
+
+    op_port: Any = op
+    async with esair.Robot(resources=[sonar, arm], behaviors=[Fence(), op]) as robot:
+        arm.slow(0.5)
+        writing = asyncio.create_task(op_port.arm.write(0.7))
+        await asyncio.sleep(0.01)
+        arm.slow(0.0)
+        if stays:
+            sonar.feed(0.1)
+        else:
+            robot.halt("a test")
+        await asyncio.sleep(1.0)
+        safe = esair.HOLD if stays else 0.0
+        assert arm.commands[-3:] == [safe, 0.7, safe]
+        await asyncio.wait({writing})
+        writing.exception()
+        robot.resume()
