@@ -38,9 +38,43 @@ def test_what_is_found_is_a_test_in_the_folder(esair_command, capsys, tmp_path) 
         (("nothing.toml",), "nothing.toml"),
         ((f"{PLANTED}:nobody",), "expected an esair.Robot named 'nobody'"),
         ((f"{PLANTED}:sound", "--for", "-1"), "expected seconds > 0"),
+        ((f"{PLANTED}:sound", "--faults", "0"), "--faults: expected a number > 0"),
+        ((f"{PLANTED}",), "name the robot in it"),
     ],
 )
 def test_what_cannot_be_used_is_told(words, told, esair_command, capsys) -> None:
     """Exit code 2, and why."""
     assert esair_command("torture", *words) == 2
     assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_number_of_faults_is_the_same_each_time(
+    esair_command, capsys, tmp_path
+) -> None:
+    """Kinds, findings and tests; only how long it took is another time."""
+    told, files = [], []
+    for out in (tmp_path / "one", tmp_path / "two"):
+        words = ("--faults", 60, "--seed", 5, "--json", "--out", out)
+        assert esair_command("torture", f"{PLANTED}:blind", *words) == 1
+        told.append(json.loads(capsys.readouterr().out))
+        files.append({each.name: each.read_bytes() for each in out.iterdir()})
+    for each in told:
+        del each["seconds"]
+        for finding in each["findings"]:
+            finding["test"] = Path(finding["test"]).name
+    assert told[0] == told[1]
+    assert told[0]["faults"] >= 60
+    assert files[0] == files[1]
+
+
+def test_a_file_without_sim_tables_has_its_own_mistakes(
+    esair_command, capsys, tmp_path
+) -> None:
+    """Nobody is told of a simulation that was not asked for."""
+    file = tmp_path / "robot.toml"
+    file.write_text('[sensor.sonar]\ndriver = "json:Sonar"\n', "utf-8")
+    assert esair_command("torture", file, *BRIEFLY, "--json") == 1
+    (finding,) = json.loads(capsys.readouterr().out)["findings"]
+    assert finding["rule"] == "start"
+    assert "sensor.sonar.driver" in finding["text"]
+    assert "simulation" not in finding["text"]

@@ -110,6 +110,26 @@ class Diary(esair.Behavior):
             await asyncio.sleep(0.5)
 
 
+@attrs.frozen
+class Dock(esair.Request[float]):
+    """Drive into a dock."""
+
+    number: int
+
+
+class Forgetful(esair.Behavior):
+    """Takes more orders than it answers."""
+
+    orders = esair.takes(Dock)
+
+    async def run(self) -> None:
+        async for order in self.orders:
+            async with order:
+                await asyncio.sleep(0.1)
+                if order.data.number > 0:
+                    order.answer(1.0)
+
+
 class Stubborn(esair.Behavior):
     """Takes its own end for a loss of its sensor."""
 
@@ -153,3 +173,4 @@ blind = make(guard=False)
 no_bound = make(None, Diary())
 endless = make(None, Endless())
 stubborn = make(None, Stubborn())
+forgetful = make(None, Forgetful())

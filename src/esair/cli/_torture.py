@@ -30,7 +30,8 @@ def torture(
     robot: str,
     /,
     *,
-    seconds: Annotated[float, Parameter(name="--for")] = 60.0,
+    seconds: Annotated[float | None, Parameter(name="--for")] = None,
+    faults: int | None = None,
     seed: int | None = None,
     own: Annotated[bool, Parameter(name="--own-devices")] = False,
     out: Path | None = None,
@@ -46,7 +47,9 @@ def torture(
     Args:
         robot: A robot.toml; or the robot of a module: module:robot, file.py:robot. The
             name may be that of a function that returns the robot.
-        seconds: How long to go on, in seconds of real time.
+        seconds: How long to go on, in seconds of real time; 60 unless given.
+        faults: How many faults to try instead, however long that takes: with the same
+            seed the same on each computer.
         seed: The same number does the same; a new one unless given.
         own: The devices of a module's robot are simulations themselves: use them, not
             stand-ins.
@@ -56,8 +59,13 @@ def torture(
     from esair.torture import Report, Target, write_test
     from esair.torture import torture as run
 
-    if not 0 < seconds < float("inf"):
+    if seconds is None and faults is None:
+        seconds = 60.0
+    if seconds is not None and not 0 < seconds < float("inf"):
         tell(f"--for: expected seconds > 0, not {seconds:g}")
+        return CANNOT_USE
+    if faults is not None and faults < 1:
+        tell(f"--faults: expected a number > 0, not {faults}")
         return CANNOT_USE
     if seed is None:
         seed = secrets.randbelow(2**31)
@@ -73,17 +81,17 @@ def torture(
         console=console,
         transient=True,
     ) as progress:
-        bar = progress.add_task("", total=seconds, faults=0, found=0)
+        bar = progress.add_task("", total=seconds or faults, faults=0, found=0)
 
         def told(report: Report) -> None:
             progress.update(
                 bar,
-                completed=report.seconds,
+                completed=report.faults if seconds is None else report.seconds,
                 faults=report.faults,
                 found=len(report.findings),
             )
 
-        report = run(target, seed=seed, seconds=seconds, told=told)
+        report = run(target, seed=seed, seconds=seconds, faults=faults, told=told)
     files = [
         write_test(target, each.violation, each.story, seed, folder)
         for each in report.findings
@@ -132,7 +140,9 @@ def to_json(robot: str, report: Any, files: list[Path]) -> dict[str, Any]:
                 "group": kind.group,
                 "faults": report.done[name],
                 "survived": report.survived[name],
-                "slowest_to_safe": report.slowest.get(name),
+                "slowest_to_safe": None
+                if (slowest := report.slowest.get(name)) is None
+                else round(slowest, 6),
             }
             for name, kind in KINDS.items()
             if report.done[name]
@@ -190,7 +200,7 @@ def _show(console: Console, robot: str, report: Any, files: list[Path]) -> None:
         f"{per_minute:,.0f} a minute",
         "dim",
     )
-    console.print(text, soft_wrap=True)
+    console.print(text, soft_wrap=not console.is_terminal)
 
 
 def _folder(robot: str) -> Path:

@@ -87,6 +87,8 @@ def read_source(path: str | os.PathLike[str], text: str | None = None) -> Source
         raise ConfigFileError(shown, None, "", reason) from None
     except ValueError as error:  # with "(at line 3, column 5)"
         reason = f"this is no TOML: {' '.join(str(error).split())}"
+        if shown.endswith(".py"):
+            reason = f"this is a module: name the robot in it, {shown}:robot"
         raise ConfigFileError(shown, None, "", reason) from None
     if sum(len(each) for each in data.values() if isinstance(each, dict)) > TABLES:
         raise ConfigFileError(shown, None, "", f"expected at most {TABLES} tables")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 
 from esair.actions import Guards, Reaction, Reads, Writes
-from esair.exceptions import EsairError, describe
+from esair.exceptions import BehaviorFailedError, EsairError, describe
 from esair.messages import BehaviorState, ResourceState
 from esair.torture._gate import Gate, Told
 from esair.torture._values import is_good
@@ -310,12 +310,20 @@ class Judge:
             if error is not None and not _is_answer(error):
                 text = f"{title} ended with {type(error).__name__}: {error}"
                 self.say("outcome", component, text[:300])
+            elif _is_lost(error):
+                self.say("answer", component, f"{title}: {error}"[:300])
 
 
 def _is_answer(error: BaseException) -> bool:
     if isinstance(error, BaseExceptionGroup):
         return all(map(_is_answer, error.exceptions))
     return isinstance(error, EsairError | TimeoutError)
+
+
+def _is_lost(error: BaseException | None) -> bool:
+    """Tell whether somebody took a request, and went on without an answer."""
+    text = str(error) if isinstance(error, BehaviorFailedError) else ""
+    return "without an answer" in text and "its run ended" not in text
 
 
 def _last(gate: Gate) -> Told | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,9 @@ class Target:
 
     @classmethod
     def _of_file(cls, path: Path) -> Target:
-        simulated = _loads(path, simulated=True) or not _loads(path)
+        simulated = _loads(path, simulated=True) or (
+            not _loads(path) and _has_sim_tables(path)  # the mistakes of which are told
+        )
 
         def make() -> esair.Robot:
             made = config.build(config.load(path, simulated=simulated))
@@ -130,6 +133,15 @@ def _loads(path: Path, *, simulated: bool = False) -> bool:
     except ExceptionGroup:
         return False
     return True
+
+
+def _has_sim_tables(path: Path) -> bool:
+    """Tell whether a file says what stands for some device in the simulation."""
+    groups = tomllib.loads(path.read_text("utf-8")).values()
+    tables = [
+        each for group in groups if isinstance(group, dict) for each in group.values()
+    ]
+    return any(isinstance(table, dict) and "sim" in table for table in tables)
 
 
 def _parts(robot: esair.Robot) -> tuple[list[Any], list[Any]]:

@@ -7,9 +7,11 @@ import gc
 import io
 import itertools
 import logging
+import math
 import signal
 import threading
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 
@@ -34,6 +36,10 @@ RANDOM = 3
 
 LONGER = 5
 """How many times as long a story is told again that has found what only grows."""
+
+
+LAST_SHRINK = 30.0
+"""How long what was found is still shrunk when the time is over, in seconds."""
 
 
 @attrs.frozen
@@ -118,7 +124,8 @@ def torture(
             for violation in outcome.violations:
                 if violation.key not in known and len(report.findings) < findings:
                     known.add(violation.key)
-                    finding = _shrunk(target, story, violation, checks, report)
+                    until = began + (seconds or math.inf) + LAST_SHRINK
+                    finding = _shrunk(target, story, violation, checks, report, until)
                     if finding is not None:
                         report.findings.append(finding)
                         known |= outcome.keys
@@ -166,6 +173,7 @@ def _shrunk(
     violation: Violation,
     checks: tuple[Check, ...],
     report: Report,
+    until: float,
 ) -> Finding | None:
     """Return the finding with its shortest story; None if it was none."""
     if violation.rule == "queue":
@@ -174,7 +182,7 @@ def _shrunk(
             return None  # it has a bound, which is further away
 
     def shows(other: Story) -> bool:
-        if report.interrupted:
+        if report.interrupted or time.monotonic() > until:
             return False  # it stays as long as it is
         return violation.key in World(target, other, checks).run().keys
 
@@ -195,12 +203,13 @@ def _longer(story: Story) -> Story:
 
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
-    """Show neither the log nor what the robot prints."""
+    """Show neither the log nor what the robot prints, and warns of."""
     log = logging.getLogger("esair")
     level = log.level
     log.setLevel(logging.CRITICAL + 1)
     try:
-        with contextlib.redirect_stdout(_Nowhere()):
+        with contextlib.redirect_stdout(_Nowhere()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of numbers that are no good, for one
             yield
     finally:
         log.setLevel(level)
