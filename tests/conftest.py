@@ -20,7 +20,7 @@ import pytest
 from tests.leaks import OwnLeaks
 
 import esair
-from esair.testing import ActuatorContract, SensorContract, _asyncio_plugin
+from esair.testing import ActuatorContract, SensorContract
 
 pytest_plugins = ["pytester"]
 
@@ -44,7 +44,6 @@ def pytest_configure(config: pytest.Config) -> None:
     if not config.getoption("--esair-soak"):
         hypothesis.settings.load_profile("same")
     _let_children_hear_signals()
-    _asyncio_plugin.Leaks = OwnLeaks
     # The control sockets of the robots in the tests, of children too.
     sockets = os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="esair-sockets-")
     config.add_cleanup(lambda: shutil.rmtree(sockets, ignore_errors=True))
@@ -52,6 +51,14 @@ def pytest_configure(config: pytest.Config) -> None:
         # Each of hundreds of children would compile the package anew.
         compileall.compile_dir(Path(esair.__file__).parent, quiet=2)
     _keep_what_is_rewritten(config)
+
+
+def pytest_sessionstart() -> None:
+    """Look for what only the tests of esair itself can leave behind."""
+    # Not above: older pytests want to rewrite a plugin before anybody imports it.
+    from esair.testing import _asyncio_plugin
+
+    _asyncio_plugin.Leaks = OwnLeaks
 
 
 @pytest.hookimpl(tryfirst=True)
