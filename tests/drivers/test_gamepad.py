@@ -103,6 +103,21 @@ async def test_a_hand_that_does_not_move_at_all_holds_nothing() -> None:
 
 
 @pytest.mark.promise("RES-1")
+async def test_what_is_held_when_it_comes_back_is_pressed_anew() -> None:
+    """An operator who holds on while the cable is put back starts nothing."""
+    far = FakeGamepad()
+    far.press("tl")
+    far.move("y", 1.0)
+    async with followed(Gamepad(opener=far.open, dead_man="tl")) as stream:
+        assert not (await anext(stream)).held
+        far.move("y", 0.9)
+        assert not (await anext(stream)).axis("y")
+        far.release("tl")
+        far.press("tl")
+        assert [(await anext(stream)).held for _ in range(2)] == [False, True]
+
+
+@pytest.mark.promise("RES-1")
 async def test_nothing_moves_unless_the_dead_man_is_held() -> None:
     """Also what was moved before; at once when it is let go."""
     far = FakeGamepad()

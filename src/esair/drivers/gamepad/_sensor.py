@@ -51,7 +51,7 @@ class Gamepad(Sensor[Pad]):
     """What the hands on a pad do: at each change, and again and again.
 
     With ``dead_man`` all axes are 0 unless that button is held, so that a pad that was
-    put down moves nothing. What is pushed is repeated, so a reading with a ``max_age``
+    put down moves nothing; one that is held when the pad comes back is pressed anew. What is pushed is repeated, so a reading with a ``max_age``
     is there as long as the pad is; a pad that is unplugged is lost at once.
 
     Args:
@@ -139,6 +139,7 @@ class Gamepad(Sensor[Pad]):
             dead_man=self.dead_man,
             dead_zone=self.dead_zone,
         )
+        state.be_still()  # what was held before counts from now on, pressed anew
         # A descriptor of its own: the pad is closed on another thread.
         descriptor = os.dup(link.fileno())
         changes: Inbox[Pad] = Inbox(64)
