@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -106,18 +107,40 @@ class TestBlockingActuator(ActuatorContract):
 
 
 class Pushing(esair.Sensor[int]):
+    plugged = True
+
     async def stream(self) -> AsyncIterator[int]:
-        for value in range(3):
+        for value in itertools.count():
+            if not self.plugged:
+                raise ConnectionError("it is gone")
             yield value
             await asyncio.sleep(0.1)
 
 
-class TestPushingSensor(SensorContract):
-    def make(self) -> Pushing:
-        return Pushing()
+class Pulled(Pushing):
+    """It can be taken away, and be without power."""
 
-    async def test_it_says_when_it_is_gone(self) -> None:
-        pytest.skip("it has no device that could go")
+    async def open(self) -> None:
+        if not self.plugged:
+            raise ConnectionError("it is not there")
+
+    def unplug(self) -> None:
+        self.plugged = False
+
+    def speak(self) -> None:
+        self.plugged = True
+
+    def power_cycle(self) -> None:
+        """Be as ever."""
+
+    silence = unplug
+
+
+class TestPushingSensor(SensorContract):
+    keeps_nothing = "it is told nothing"
+
+    def make(self) -> Pulled:
+        return Pulled()
 
 
 class Deaf(FakeSensor[Any]):

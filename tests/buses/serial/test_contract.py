@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
 import pytest_asyncio
+from serial import SerialException
 
 from esair.buses import SerialBus
 from esair.testing import BusContract, FakeSerial
@@ -47,16 +49,46 @@ class TestOnATerminal(OnFakes):
 
 @pytest.mark.real_clock
 class TestOnAUrl(BusContract):
-    """On pyserial's own loop, which has no descriptor: threads wait for it.
+    """On pyserial's own loop, which has no descriptor: threads wait for it."""
 
-    Nobody is at its other end who could be late, go, or take nothing.
-    """
+    @pytest.fixture(autouse=True)
+    def _with_a_cable(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.plugged, self.silent = True, False
+        loop: Any = importlib.import_module("serial.urlhandler.protocol_loop").Serial
+        monkeypatch.setattr(loop, "open", self._patched(self._open, loop.open))
+        monkeypatch.setattr(loop, "read", self._patched(self._read, loop.read))
+
+    def _patched(self, instead: Any, method: Any) -> Any:
+        return lambda port, *args: instead(port, method, *args)
+
+    def _open(self, port: Any, openly: Any) -> None:
+        if not self.plugged:
+            raise SerialException("there is no such port")
+        openly(port)
+
+    def _read(self, port: Any, read: Any, size: int = 1) -> bytes:
+        if not self.plugged:
+            raise SerialException("the device is gone")
+        data: bytes = read(port, size)
+        return b"" if self.silent else data
 
     def make(self) -> SerialBus:
         return SerialBus(name="loop", port="loop://", late_limit=0.1)
 
     async def use(self, bus: Any) -> None:
         assert await bus.ask(b"hello") == b"hello"
+
+    async def unplug(self, bus: Any) -> None:
+        self.plugged = False
+
+    async def plug(self, bus: Any) -> None:
+        self.plugged = True
+
+    async def stall(self, bus: Any) -> None:
+        self.silent = True
+
+    async def resume(self, bus: Any) -> None:
+        self.silent = False
 
     async def ask(self, bus: Any, number: int) -> int:
         return int(await bus.ask(b"%d" % number, timeout=1.0))
