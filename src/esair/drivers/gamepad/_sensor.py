@@ -51,8 +51,9 @@ class Gamepad(Sensor[Pad]):
     """What the hands on a pad do: at each change, and again and again.
 
     With ``dead_man`` all axes are 0 unless that button is held, so that a pad that was
-    put down moves nothing; one that is held when the pad comes back is pressed anew. What is pushed is repeated, so a reading with a ``max_age``
-    is there as long as the pad is; a pad that is unplugged is lost at once.
+    put down moves nothing; one that is held when the pad comes back must be pressed
+    anew. What is pushed is repeated, so a reading with a ``max_age`` is there as long as
+    the pad is; a pad that is unplugged is lost at once.
 
     Args:
         device: Its path, ``usb:VID:PID[:SERIAL]``, or the beginning of its name; the only
