@@ -13,6 +13,7 @@ import pytest
 
 import esair
 from esair.cli import main
+from esair.cli._log_file import _print
 from esair.journal import Journal, Kind
 from esair.messages import Reading
 from esair.recording import Recorder, is_whole
@@ -85,6 +86,16 @@ def test_log_can_be_of_one_component_and_for_machines(recording: Path, capsys) -
     assert run("log", recording, "-c", "sonar", "--json") == 0
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [each["kind"] for each in told] == ["reading"] * 5 + ["down"]
+
+
+def test_a_refusal_is_told_without_times_that_are_no_clocks(capsys) -> None:
+    """Who holds it and why; since and until are numbers of the loop's clock."""
+    refused = {"holder": "avoid", "priority": 10, "rule": "r", "since": 1.5, "until": 9}
+    event = {"kind": "refused", "component": "wheels", "peer": "wander", "text": ""}
+    _print(0.0, {**event, "value": refused})
+
+    line = capsys.readouterr().out
+    assert line.endswith('{"holder": "avoid", "priority": 10, "rule": "r"}\n')
 
 
 @pytest.mark.promise("REC-6")

@@ -55,14 +55,14 @@ def test_the_constructor_sets_them() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("rate", "fast", "expected float Hz"),
-        ("rate", True, "expected float"),
+        ("rate", "fast", "expected a number in Hz"),
+        ("rate", True, "expected a number"),
         ("rate", math.nan, "finite"),
         ("rate", math.inf, "finite"),
         ("rate", 0.5, "at least 1.0 Hz"),
         ("rate", 51, "at most 50.0 Hz"),
-        ("gain", 1.5, "expected int"),
-        ("gain", False, "expected int"),
+        ("gain", 1.5, "expected a whole number"),
+        ("gain", False, "expected a whole number"),
         ("mode", "middle", "one of 'near', 'far'"),
         ("gian", 1, "did you mean 'gain'"),
         ("volume", 1, "there are gain, label, mode, rate"),
@@ -176,5 +176,5 @@ def test_a_number_is_turned_into_the_class_of_the_setting() -> None:
         assert sonar.rate == 30.0
         assert type(sonar.rate) is float
     for wrong in (True, "30", 10**400):
-        with pytest.raises(esair.BadValueError, match="expected float Hz"):
+        with pytest.raises(esair.BadValueError, match="expected a number in Hz"):
             Sonar(rate=wrong)

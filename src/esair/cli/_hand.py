@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import shutil
 import sys
 import termios
 import time
@@ -21,6 +22,8 @@ from esair.values import printable
 
 GAP: Final = 0.3
 """After how long without a look at the keys those typed meanwhile are dropped, in s."""
+
+HOW: Final = "hold a key to drive; space stops, q leaves"
 
 KEYS: Final[Mapping[bytes, tuple[int, int]]] = {
     b"\x1b[A": (1, 0),
@@ -131,7 +134,7 @@ class _Wheel:
     def turn(self) -> None:
         """Go on until somebody leaves."""
         self._take()
-        self._show("hold a key to drive; space stops, q leaves")
+        self._show(HOW)
         last = time.monotonic()
         while True:
             ready, _, _ = select.select([sys.stdin, self._client], [], [], 0.05)
@@ -178,7 +181,7 @@ class _Wheel:
                 self._beat = found["beat"]
             elif self._lease and found.get("lapsed") == self._lease["lease"]:
                 self._lease = None
-                self._show(f"{self._actuator} is released")
+                self._show(f"{self._actuator} is released; {HOW}")
             elif found.get("id") == self._sent and "ok" in found:
                 if not found["ok"]:
                     self._show(str(found["error"]["text"]))
@@ -189,5 +192,6 @@ class _Wheel:
     def _show(self, text: str) -> None:
         if text != self._shown:
             self._shown = text
-            sys.stdout.write(f"\r\x1b[K{printable(text)[:200]}")
+            width = shutil.get_terminal_size().columns - 1  # what wraps is not erased
+            sys.stdout.write(f"\r\x1b[K{printable(text)[:width]}")
             sys.stdout.flush()

@@ -107,7 +107,7 @@ def _follow(
 def _print(when: float, event: Mapping[str, Any]) -> None:
     clock = time.strftime("%H:%M:%S", time.localtime(when))
     who = f"{event['peer']} > " if event["peer"] else ""
-    value = "" if event["value"] is None else shown(event["value"])
+    value = "" if event["value"] is None else shown(_for_people(event))
     line = " ".join(part for part in (value, event["text"]) if part)
     print(  # noqa: T201 - this is the output
         f"{clock}.{int(when % 1 * 1000):03} {event['kind']:<10} "
@@ -116,10 +116,17 @@ def _print(when: float, event: Mapping[str, Any]) -> None:
     )
 
 
-def shown(value: Any, room: int = TEXT) -> str:
+def _for_people(event: Mapping[str, Any]) -> Any:
+    """Return a value without the times of a refusal, which are no clock's."""
+    if event["kind"] != "refused" or not isinstance(event["value"], dict):
+        return event["value"]
+    return {k: v for k, v in event["value"].items() if k not in {"since", "until"}}
+
+
+def shown(value: Any, width: int = TEXT) -> str:
     """Return a plain value as a text for people; of what is long only what it is."""
     text = json.dumps(_light(value))
-    return text if len(text) <= room else f"{text[:room]}..."
+    return text if len(text) <= width else f"{text[:width]}..."
 
 
 def _light(value: Any) -> Any:

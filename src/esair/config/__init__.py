@@ -1,10 +1,7 @@
-"""Robots described by a file: ``robot.toml``.
+"""Robots described by a file, ``robot.toml``: checked, read and built.
 
-Everything in the file is checked before anything is opened or moved, and every
-mistake is told at once. Its tables are ``[robot]``, ``[bus.NAME]``, ``[sensor.NAME]``,
-``[actuator.NAME]``, ``[behavior.NAME]``, ``[access.RESOURCE]``, ``[board.NAME]``,
-``[record]``, ``[operator]`` and ``[page]``; the keys of a component are keywords of its
-constructor, its settings, and public attributes of its class.
+Every mistake is told at once, before anything is opened or moved. The reference has the
+tables and their keys.
 """
 
 from esair.config._check import FoundInFile, Report, check

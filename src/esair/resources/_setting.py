@@ -15,6 +15,13 @@ from esair.values import passes_as
 
 T = TypeVar("T")
 
+_WORDS: Mapping[type, str] = {
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    str: "a text",
+}
+
 HIDDEN = "(secret)"
 """What is shown of the value of a secret setting."""
 
@@ -80,7 +87,7 @@ class Setting:
             raise BadValueError(
                 component,
                 self.name,
-                f"expected {wanted.__name__}{self._in_unit()}, not {value!r:.80}",
+                f"expected {self._in_words()}, not {value!r:.80}",
             )
         if isinstance(value, float) and not math.isfinite(value):
             raise BadValueError(
@@ -105,6 +112,10 @@ class Setting:
                 f"expected at most {self.max}{self._in_unit()}, not {value}",
             )
         return value
+
+    def _in_words(self) -> str:
+        words = _WORDS.get(self.type, self.type.__name__)
+        return f"{words} in {self.unit}" if self.unit else words
 
     def _in_unit(self) -> str:
         return f" {self.unit}" if self.unit else ""

@@ -253,7 +253,7 @@ class Member(Life, Mailbox):
         if before is BehaviorState.RUNNING and not running:
             _log.info("%s: parked: %s", self.name, why)
         elif before is BehaviorState.PARKED and running:
-            _log.info("%s: goes on", self.name)
+            _log.info("%s: runs", self.name)
 
     def _is_ready(self) -> None:
         ready, self.ready = self.ready, None

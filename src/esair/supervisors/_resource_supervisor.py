@@ -266,7 +266,12 @@ class ResourceSupervisor(abc.Supervisor):
     def revoke(
         self, registration: Registration, reason: Callable[[], EsairError] | None = None
     ) -> None:
-        """Make a registration void in one step; its actuator is made safe."""
+        """Make a registration void in one step; its actuator is made safe.
+
+        Args:
+            registration: What `register` has returned.
+            reason: Makes the error that its holder gets from now on.
+        """
         self._control.revoke(registration, reason)
 
     async def configure(self, registration: Registration, /, **settings: Any) -> None:

@@ -54,7 +54,14 @@ class Outlet:
 def can_frame(
     identifier: int, data: bytes, *, extended: bool = False, fd: bool = False
 ) -> bytes:
-    """Return a CAN frame as the kernel's sockets take it (``struct can_frame``)."""
+    """Return a CAN frame as the kernel's sockets take it (``struct can_frame``).
+
+    Args:
+        identifier: The id: 11 bits, 29 if it is extended.
+        data: Up to 8 bytes; 64 of CAN FD.
+        extended: Whether the id is one of 29 bits.
+        fd: Whether it is a frame of CAN FD.
+    """
     number = identifier | (_EXTENDED if extended else 0)
     if fd:
         return struct.pack("=IBBxx64s", number, len(data), 0, data)
