@@ -14,6 +14,7 @@ from esair.exceptions import (
     BehaviorUnavailableError,
     BusyError,
     ConfigError,
+    EsairError,
     NotRegisteredError,
     describe,
 )
@@ -145,6 +146,16 @@ class Mailbox:
         failed.__cause__ = error
         return failed
 
+    def absence(self, data: Any = None) -> EsairError:
+        """Return what whoever needs it gets when it is not alive.
+
+        Args:
+            data: What it would have got.
+        """
+        if self.state is BehaviorState.FAILED:
+            return self.failure()
+        return BehaviorRemovedError(self.name, data)
+
     def check_speaker(self) -> None:
         """Pass if the code that runs now may act in the name of the behavior.
 
@@ -153,10 +164,8 @@ class Mailbox:
             BehaviorFailedError: It has failed for good.
             NotRegisteredError: The run that the code belongs to has ended.
         """
-        if self.state is BehaviorState.FAILED:
-            raise self.failure()
         if not self.alive:
-            raise BehaviorRemovedError(self.name)
+            raise self.absence()
         if speaks_for_nobody():
             raise NotRegisteredError(self.name, "robot", "this run of it has ended")
 

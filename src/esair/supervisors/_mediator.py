@@ -127,17 +127,6 @@ class Mediator:
         by: Mailbox | None = None,
     ) -> None:
         """Hand data to a behavior; see `BehaviorSupervisor.put`."""
-        if not self.hand(data, sender, receiver, interval):
-            await self._put_slowly(data, sender, receiver, interval, by)
-
-    async def _put_slowly(
-        self,
-        data: Any,
-        sender: str,
-        receiver: str,
-        interval: float,
-        by: Mailbox | None,
-    ) -> None:
         member = self._check(receiver, interval, data)
         if member.can_receive:
             member.deliver(data, sender)
@@ -388,11 +377,8 @@ class Mediator:
         member = self._members.get(peer)
         if member is None:
             raise UnknownNameError("behavior", peer, self._members)
-        state = member.state
-        if state is BehaviorState.FAILED:
-            raise member.failure()
-        if member.is_leaving:
-            raise BehaviorRemovedError(peer, data)
+        if not member.alive:
+            raise member.absence(data)
         return member
 
     def _begin(
