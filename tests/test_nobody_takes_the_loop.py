@@ -5,8 +5,11 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import selectors
+import socket
 import statistics
 import sys
+import threading
 import time
 from collections import deque
 from typing import Any
@@ -15,6 +18,7 @@ import pytest
 
 import esair
 from esair.loop import collector
+from esair.loop._stall import describe_holder
 
 pytestmark = pytest.mark.real_clock
 
@@ -198,6 +202,27 @@ async def test_who_holds_the_loop_is_named_while_it_does() -> None:
     assert at < over
     assert "by hog (" in text
     assert "time.sleep(0.5)" in text
+
+
+@pytest.mark.fault("B07")
+def test_nobody_is_blamed_while_the_loop_waits() -> None:
+    """A computer that is busy with others has no culprit in the robot."""
+    ours, theirs = socket.socketpair()
+    with ours, theirs, selectors.DefaultSelector() as selector:
+        selector.register(ours, selectors.EVENT_READ)
+        waits = threading.Thread(target=selector.select)
+        waits.start()
+        try:
+            frame = None
+            while frame is None or frame.f_code.co_filename != selectors.__file__:
+                frame = sys._current_frames()[waits.ident or 0]
+            level, text = describe_holder(frame)
+        finally:
+            theirs.send(b"!")
+            waits.join()
+
+    assert level == logging.INFO
+    assert text % 0.1 == "the computer is busy: no turn for more than 0.1 s"
 
 
 @pytest.mark.fault("O10")

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import math
+import selectors
 import sys
 import threading
 import traceback
@@ -65,15 +66,10 @@ class StallWatch:
             self.stalls += 1
             frame = sys._current_frames().get(self._thread)  # noqa: SLF001 - the only way to see it
             if frame is not None:
-                text = describe_holder(frame)
                 # In a thread of its own: the loop may be stuck in the log.
                 threading.Thread(
-                    target=_log.warning,
-                    args=(
-                        "the event loop is held for more than %g s by %s",
-                        limit,
-                        text,
-                    ),
+                    target=_log.log,
+                    args=(*describe_holder(frame), limit),
                     daemon=True,
                     name="esair-stall",
                 ).start()
@@ -84,8 +80,14 @@ class StallWatch:
         self._said = False
 
 
-def describe_holder(frame: FrameType) -> str:
-    """Name the component whose code a thread executes, the line, and its stack."""
+def describe_holder(frame: FrameType) -> tuple[int, str]:
+    """Name the component whose code a thread executes, the line, and its stack.
+
+    Returns:
+        The level of what there is to say, and its text, with a place for the limit.
+    """
+    if frame.f_code.co_filename == selectors.__file__:
+        return logging.INFO, "the computer is busy: no turn for more than %g s"
     name, where = "the program", ""
     each: FrameType | None = frame
     while each is not None:
@@ -97,4 +99,5 @@ def describe_holder(frame: FrameType) -> str:
             break
         each = each.f_back
     stack = "".join(traceback.format_stack(frame))
-    return f"{name}{where}:\n{stack}"
+    text = f"{name}{where}:\n{stack}".replace("%", "%%")
+    return logging.WARNING, f"the event loop is held for more than %g s by {text}"
