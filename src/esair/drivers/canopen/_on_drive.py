@@ -105,7 +105,14 @@ class DriveActuator(OnDrive):
     mode: int
     target: int
 
-    def _describe_actuator(self, stop: Literal["quick_stop", "halt"]) -> None:
+    def _describe_actuator(
+        self, stop: Literal["quick_stop", "halt"], factor: float
+    ) -> tuple[float, float]:
+        """Return what its target can be at least and at most."""
+        if not factor:
+            raise ConfigError(self.name, "factor", "expected a factor that is not 0")
+        self.factor = factor
+        self.claim = f"the drive of node {self.node}"
         if stop not in {"quick_stop", "halt"}:
             raise ConfigError(
                 self.name, "stop", f"expected 'quick_stop' or 'halt', not {stop!r:.80}"
@@ -119,6 +126,8 @@ class DriveActuator(OnDrive):
         self._emergency: Emergency | None = None
         self._watching: asyncio.Task[None] | None = None
         self._news = asyncio.Event()
+        largest = abs(factor) * (2**31 - 1)
+        return -largest, largest
 
     @property
     def _stop_word(self) -> int:

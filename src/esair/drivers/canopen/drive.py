@@ -36,7 +36,6 @@ from esair.drivers._on_can import can_bus
 from esair.drivers.canopen import _profile as profile
 from esair.drivers.canopen._on_drive import DriveActuator, OnDrive
 from esair.drivers.canopen._profile import State, state_of
-from esair.exceptions import ConfigError
 from esair.resources import Actuator, Sensor
 
 __all__ = ["Drive", "DriveReading", "DriveState", "State"]
@@ -170,11 +169,8 @@ class Drive(DriveActuator, Actuator[float]):
     ) -> None:
         super().__init__(**settings)
         self._describe_drive(node, eds, heartbeat, sdo_timeout, tell_every, sync)
-        self._describe_actuator(stop)
-        self.factor = _factor(self.name, factor)
-        largest = abs(self.factor) * (2**31 - 1)
-        self.limits = (-largest, largest) if limits is None else limits
-        self.claim = f"the drive of node {self.node}"
+        allowed = self._describe_actuator(stop, factor)
+        self.limits = allowed if limits is None else limits
 
     async def write(self, command: float) -> None:
         """Tell the drive its velocity, and enable it if that is not 0; or stop it."""
@@ -182,12 +178,6 @@ class Drive(DriveActuator, Actuator[float]):
             await self._stop()
         else:
             await self._go(profile.ENABLE, value=round(command / self.factor))
-
-
-def _factor(name: str, factor: float) -> float:
-    if not factor:
-        raise ConfigError(name, "factor", "expected a factor that is not 0")
-    return factor
 
 
 def _signed(data: bytes) -> int:

@@ -10,7 +10,6 @@ import attrs
 from esair.buses import CanBus
 from esair.drivers.canopen import _profile as profile
 from esair.drivers.canopen._on_drive import DriveActuator
-from esair.exceptions import ConfigError
 from esair.resources import Actuator
 
 __all__ = ["Move", "PositionDrive"]
@@ -67,13 +66,8 @@ class PositionDrive(DriveActuator, Actuator[Move]):
     ) -> None:
         super().__init__(**settings)
         self._describe_drive(node, eds, heartbeat, sdo_timeout, tell_every, None)
-        self._describe_actuator(stop)
-        if not factor:
-            raise ConfigError(self.name, "factor", "expected a factor that is not 0")
-        self.factor = factor
-        largest = abs(factor) * (2**31 - 1)
-        self.limits = {"position": limits or (-largest, largest)}
-        self.claim = f"the drive of node {self.node}"
+        allowed = self._describe_actuator(stop, factor)
+        self.limits = {"position": limits or allowed}
 
     async def write(self, command: Move) -> None:
         """Tell the drive where to go, and enable it; or stop it."""
