@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 import time
 from pathlib import Path
@@ -15,7 +16,12 @@ import esair
 from esair import discovery
 from esair.drivers.camera import Camera, _sensor, devices, find_camera
 from esair.drivers.camera.fake import FakeCamera
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
 from esair.testing import SensorContract
 
 pytestmark = pytest.mark.virtual_clock
@@ -222,6 +228,80 @@ async def test_a_grab_that_does_not_return_costs_its_time_only() -> None:
     await device.close()
     await asyncio.to_thread(kernel.closed.wait, 5.0)
     assert kernel.closed.is_set()
+
+
+class Hanging:
+    """A camera that never gives a picture, until it is let go."""
+
+    pace = 0.0
+
+    def __init__(self, let_go: threading.Event) -> None:
+        self.let_go = let_go
+        self.closed = threading.Event()
+
+    def grab(self) -> bool:
+        return self.let_go.wait(30.0)
+
+    def retrieve(self) -> Any:
+        return picture(1)
+
+    def close(self) -> None:
+        self.closed.set()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D21")
+async def test_a_camera_that_hangs_has_one_thread_however_often_it_is_tried() -> None:
+    """It is not opened anew until its thread has come back and has closed it."""
+    let_go, made = threading.Event(), []
+
+    def opener(_request: Any) -> Hanging:
+        made.append(Hanging(let_go))
+        return made[-1]
+
+    device = Camera(opener=opener, silent_after=0.05)
+    threads = threading.active_count()
+    try:
+        for _ in range(3):
+            with pytest.raises(DeviceLostError):
+                await device.open()
+            await device.close()
+        assert len(made) == 1
+        assert threading.active_count() <= threads + 1
+        with pytest.raises(DeviceLostError, match="an earlier picture is still waited"):
+            await device.open()
+    finally:
+        let_go.set()
+    await asyncio.to_thread(made[0].closed.wait, 5.0)
+    async with asyncio.timeout(10.0):
+        while len(made) == 1:
+            await asyncio.sleep(0.02)
+            with contextlib.suppress(DeviceLostError):
+                await device.open()
+    assert made[0].closed.is_set()
+    await device.close()
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("D21")
+async def test_a_camera_that_opens_too_late_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nobody has it: nobody else could open it."""
+    monkeypatch.setattr(_sensor, "OPEN_TIMEOUT", 0.05)
+    let_go = threading.Event()
+    late = Hanging(let_go)
+
+    def opener(_request: Any) -> Hanging:
+        let_go.wait(30.0)
+        return late
+
+    device = Camera(opener=opener)
+    with pytest.raises(DriverStuckError):
+        await device.open()
+    await device.close()
+    let_go.set()
+    assert await asyncio.to_thread(late.closed.wait, 10.0)
 
 
 @pytest.fixture

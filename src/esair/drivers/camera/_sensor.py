@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
+import functools
 import time
 from collections.abc import AsyncIterator, Callable
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 import attrs
 
+from esair.buses import open_on, shut_on
 from esair.drivers.camera._find import find_camera
 from esair.exceptions import (
-    BusyError,
     ConfigError,
     DeviceFaultError,
     DeviceLostError,
@@ -127,6 +127,7 @@ class Camera(Sensor[Any]):
         self._request = CameraRequest(device, width, height, fps)
         self._opener = opener or _open_camera
         self._executor: Executor | None = None
+        self._hanging: Executor | None = None
         self._link: CameraLink | None = None
 
     @property
@@ -143,11 +144,12 @@ class Camera(Sensor[Any]):
             DeviceLostError: It is not there, or takes no picture.
         """
         await self.close()
+        if self._hanging is not None and self._hanging.stuck_since is not None:
+            raise DeviceLostError(self.name, "an earlier picture is still waited for")
         self._executor = executor = Executor(f"{self.name}_camera")
+        make = functools.partial(self._opener, self._request)
         try:
-            self._link = await executor.call(
-                self._opener, self._request, timeout=OPEN_TIMEOUT
-            )
+            self._link = await open_on(executor, make, _close, timeout=OPEN_TIMEOUT)
         except DriverStuckError:
             raise
         except OSError as error:
@@ -161,9 +163,9 @@ class Camera(Sensor[Any]):
         if executor is None:
             return
         if link is not None:
-            with contextlib.suppress(DriverStuckError, BusyError):
-                await executor.call(link.close, timeout=1.0)
-        await executor.join(timeout=0.2)
+            await shut_on(executor, link.close, timeout=1.0)
+        if not await executor.join(timeout=0.2):
+            self._hanging = executor  # or there would be a thread for each attempt
 
     async def stream(self) -> AsyncIterator[np.ndarray[Any, Any]]:
         """Yield each picture, the newest one."""
@@ -194,6 +196,10 @@ class Camera(Sensor[Any]):
                 self.name, f"its pictures are {width} x {height}: it has no other size?"
             )
         return picture
+
+
+def _close(link: CameraLink) -> None:
+    link.close()
 
 
 def _take(link: CameraLink, colors: str) -> tuple[np.ndarray[Any, Any] | None, int]:
