@@ -10,7 +10,7 @@ from tests.minimal.test_link import PARTS, ROBOT, RUN, Plugged, last, until
 import esair
 from esair import firmware
 from esair.boards import stand_in
-from esair.config import load
+from esair.config import check, load
 from esair.exceptions import ConfigError
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("MIN-4", "MIN-5")]
@@ -99,6 +99,32 @@ def test_what_a_table_stands_for(tmp_path) -> None:
     assert isinstance(wheels, esair.Actuator)
     assert wheels.safe == (0.0, 0.0)
     assert wheels.command_timeout == 0.25
+    assert wheels.own_guards == ("avoid", "slow")
+
+
+def test_what_stays_on_the_board_is_in_the_table_of_safety(tmp_path) -> None:
+    """Its guard and its reaction protect the wheels, whatever the computer writes."""
+    built(tmp_path)
+    (tmp_path / "roaming.py").write_text(EXPLORE)
+    (tmp_path / "robot.toml").write_text(HOST.format(port="/dev/ttyACM0"))
+    report = check(tmp_path / "robot.toml")
+
+    (wheels,) = report.actuators
+    assert [each.reaction for each in wheels.guards] == ["avoid", "slow"]
+    assert not [each for each in report.findings if each.rule == "protect"]
+
+
+def test_what_a_board_stands_for_has_its_line(tmp_path) -> None:
+    """The bus of its name is in no line of the file."""
+    built(tmp_path)
+    (tmp_path / "robot.toml").write_text(
+        '\n\n[board.base]\nport = ""\nrobot = "base.toml"\n'
+        '[actuator.wheels]\nown_guards = "slow"\n'
+    )
+    found = {each.key: each.line for each in check(tmp_path / "robot.toml").findings}
+
+    assert found["actuator.wheels.own_guards"] == 7
+    assert {line for key, line in found.items() if "base" in key} == {3}
 
 
 @pytest.mark.parametrize(

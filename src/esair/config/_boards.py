@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
+from esair.actions import Reaction
 from esair.config._draft import Draft, Part
 from esair.config._mistakes import dotted, show
 from esair.config._source import Source, read_source
@@ -84,17 +85,18 @@ def _add_board(
     if "baudrate" in table:
         bus["baudrate"] = table["baudrate"]
     source.data.setdefault("bus", {})[name] = bus
+    source.mistakes.lines.put(dotted("bus", name), dotted("board", name))
     state = {"driver": f"{_DRIVERS}:Board"}
     if "arm" in table:
         state["arm"] = table["arm"]
-    _add(source, "sensor", name, {**state, "bus": name})
+    _add(source, "sensor", name, {**state, "bus": name}, name)
     for part in parts:
-        found = _table_of(part)
+        found = _table_of(part, parts)
         if found is not None:
-            _add(source, part.kind, part.name, {**found, "bus": name})
+            _add(source, part.kind, part.name, {**found, "bus": name}, name)
 
 
-def _table_of(part: Part) -> dict[str, Any] | None:
+def _table_of(part: Part, parts: list[Part]) -> dict[str, Any] | None:
     if isinstance(part.made, Sensor):
         return {"driver": f"{_DRIVERS}:BoardSensor"}
     if not isinstance(part.made, Actuator):
@@ -105,10 +107,19 @@ def _table_of(part: Part) -> dict[str, Any] | None:
         "driver": f"{_DRIVERS}:BoardActuator",
         "safe": list(safe) if isinstance(safe, tuple) else safe,
         "command_timeout": actuator.command_timeout,
+        "own_guards": [
+            each.name
+            for each in parts
+            if isinstance(each.made, Reaction)
+            and any(need.resource == part.name for need in each.made.needs.values())
+        ],
     }
 
 
-def _add(source: Source, kind: str, name: str, table: dict[str, Any]) -> None:
+def _add(
+    source: Source, kind: str, name: str, table: dict[str, Any], board: str
+) -> None:
+    source.mistakes.lines.put(dotted(kind, name), dotted("board", board))
     tables = source.data.setdefault(kind, {})
     given = tables.get(name, {})
     if not isinstance(given, dict):

@@ -62,6 +62,11 @@ class Lines:
             for quotes in _LONG_STRING.findall(line):
                 inside = quotes if not inside else ("" if quotes == inside else inside)
 
+    def put(self, key: str, instead: str) -> None:
+        """Let a key that is not in the text be found where another one is."""
+        if instead in self._lines:
+            self._lines.setdefault(key, self._lines[instead])
+
     def of(self, key: str) -> int | None:
         """Return the line of a key, or of the nearest key above it."""
         while key:

@@ -13,6 +13,9 @@ from esair.plan._plan import Plan
 from esair.resources import Actuator
 from esair.values import is_positive
 
+_IN_DEVICE = "its device decides"
+"""What is said of a guard that is not of this robot."""
+
 UNWATCHED = "UNWATCHED"
 """What is said of an actuator that no watchdog makes safe."""
 
@@ -132,6 +135,9 @@ def _of(plan: Plan, name: str, actuator: Actuator[object]) -> Protection:
             sorted(
                 _guards(plan, name), key=lambda each: (-each.priority, each.reaction)
             )
+        )
+        + tuple(
+            Guard(each, 0, _IN_DEVICE, latch=False) for each in actuator.own_guards
         ),
         sent_by=f"esair: {after}at every exit",
         own_timeout=own,

@@ -81,6 +81,12 @@ class Actuator(Resource, Generic[T]):
     prints it; nothing in this process can replace it.
     """
 
+    own_guards: tuple[str, ...] = ()
+    """What guards it *in the device itself*, or outranks whoever writes; by name.
+
+    The reactions of a linked board are such. ``esair check`` prints them.
+    """
+
     def write(self, command: T) -> Awaitable[T | None] | T | None:
         """Send a command to the device; it is checked already.
 
