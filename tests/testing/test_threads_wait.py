@@ -11,7 +11,7 @@ import pytest
 
 import esair
 from esair.loop import Executor
-from esair.testing import VirtualLoop
+from esair.testing import FakeSensor, VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -87,3 +87,34 @@ async def test_no_time_passes_before_a_thread_has_begun_to_wait(
     monkeypatch.undo()
     await other
     assert await executor.join(1.0)
+
+
+async def test_a_thread_begins_though_the_loop_is_never_quiet() -> None:
+    """Steps that take longer than their period delay it by one step, not until they end."""
+    told: list[tuple[float, float]] = []
+
+    class Motor(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = 0.2
+
+        def write(self, command: float) -> None:
+            told.append((loop.time(), command))
+
+    class Heavy(esair.Reaction):
+        sonar = esair.reads(float)
+        rate = 20.0
+
+        def react(self, sonar: float) -> None:
+            if 1.0 <= loop.time() < 3.0:
+                loop.advance(0.06)
+
+    loop: Any = asyncio.get_running_loop()
+    user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
+    sonar = FakeSensor("sonar", 1.0, type=float, rate=20.0)
+    async with esair.Robot(resources=[Motor(), sonar], behaviors=[Heavy(), user]):
+        await asyncio.sleep(0.99)
+        await user.motor.write(1.0)
+        await asyncio.sleep(3.0)
+    (moved,) = [time for time, command in told if command == 1.0]
+    after = [time for time, command in told if command == 0.0 and time > moved]
+    assert after[0] - moved < 0.2 + 3 * 0.06

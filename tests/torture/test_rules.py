@@ -307,7 +307,7 @@ def test_a_core_that_breaks_its_promise_is_seen(
             175,
             1.366,
             (Step(1.1, "slow", "reflex_2", lasts=1.0, much=0.2),),
-            id="a-thread-begins-when-the-loop-is-quiet",
+            id="steps-that-hold-the-loop",
         ),
         pytest.param(
             217,

@@ -54,6 +54,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._now = start
         self._random = random.Random(seed) if seed else None
         self._turns = 0
+        self._held = False
         self._threads = Threads()
         super().__init__()
 
@@ -64,6 +65,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def advance(self, seconds: float) -> None:
         """Let time pass at once, as if the computer had been busy for so long."""
         self._now += seconds
+        self._held = True
 
     def suspend(self, seconds: float) -> None:
         """Sleep as a computer does whose lid is closed: the clock stands still."""
@@ -137,6 +139,12 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def _run_once(self) -> None:
         ready, scheduled = self._ready, self._scheduled  # type: ignore[attr-defined]
         self._turns += 1
+        if self._held:
+            # Threads do not wait for a loop that is busy.
+            if not self._door_is_quiet() and self.threads_in_flight:
+                self._wait_for_threads()
+                return
+            self._held = False
         if ready:
             if self._random is not None and len(ready) > 1:
                 self._shuffle(ready)

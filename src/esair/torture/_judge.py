@@ -159,7 +159,7 @@ class Judge:
     def _check_sight(self, gate: Gate, action: Any, what: str, more: str = "") -> None:
         world = self._world
         muted = world.muted.get(action.name, -1.0)
-        if world.now - world.jumped(muted, gate) < muted:
+        if world.now - world.jumped(muted) < muted:
             return
         lever = world.levers.get(id(action))
         if lever is not None and lever.crashed:
@@ -179,7 +179,7 @@ class Judge:
                 continue  # its age is that of what it is computed of
             limit = channel.max_age if need.max_age is None else need.max_age
             slack = SLACK + (1.0 / action.rate if action.rate else 0.0)
-            age = world.now - sensor.heard - world.jumped(sensor.heard, sensor)
+            age = world.now - sensor.heard - world.jumped(sensor.heard)
             if math.isfinite(limit) and age > limit + slack:
                 text = (
                     f"{what}{more} while {action.name} could not see: {need.resource} "
@@ -206,7 +206,7 @@ class Judge:
         if last is None or last.safe or last.landed is None:
             return
         timeout = gate.resource.command_timeout  # type: ignore[attr-defined]
-        stood = now - last.landed - self._world.jumped(last.landed, gate)
+        stood = now - last.landed - self._world.jumped(last.landed)
         if stood <= timeout + 2 * SLACK or gate.faulty >= last.begun:
             return
         world = self._world

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import os
 import threading
 from collections import Counter
@@ -114,12 +113,10 @@ class World:
         self.loop.advance(seconds)
         self._jumps.append((self.now, seconds))
 
-    def jumped(self, since: float, gate: Gate) -> float:
-        """Return how much time has passed at once since a moment, for one device."""
+    def jumped(self, since: float) -> float:
+        """Return how much time has passed at once since a moment."""
         steps = sum(each for when, each in self._jumps if when > since)
         slow = [each.seconds for each in self.levers.values() if each.slow > since]
-        if slow and gate.in_thread:  # on this clock it begins when the loop is quiet
-            return math.inf
         return steps + 4 * sum(slow)
 
     def gate(self, name: str) -> Gate:
