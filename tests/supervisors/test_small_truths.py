@@ -144,6 +144,43 @@ async def test_one_that_gives_up_ends_what_is_made_for_it() -> None:
         assert made == ["begun", "cancelled"]
 
 
+@pytest.mark.promise("BS-5")
+async def test_what_is_received_in_time_leaves_no_timer() -> None:
+    """A timeout of an hour is over with the wait."""
+    a, b = Idle(name="a"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b]):
+        taking = asyncio.create_task(b.receive(timeout=3600.0))
+        await soon()
+        await a.put("b", 1)
+        assert await taking == 1
+
+
+@pytest.mark.promise("BS-8")
+async def test_a_worker_that_ends_its_own_request_is_not_hit_afterwards() -> None:
+    """It removes its asker, leaves the block, and goes on undisturbed."""
+    went_on: list[str] = []
+
+    class Rude(esair.Behavior):
+        jobs = esair.takes(Job)
+
+        async def run(self) -> None:
+            async for job in self.jobs:
+                async with job:
+                    asking.cancel()
+                    while not job.cancelled:  # noqa: ASYNC110 - the very instant
+                        await asyncio.sleep(0)
+                await asyncio.sleep(0.1)
+                went_on.append("rude")
+
+    asker = Idle(name="asker")
+    async with esair.Robot(behaviors=[asker, Rude()]) as robot:
+        asking = asyncio.create_task(asker.ask("rude", Job(1)))
+        await asyncio.wait({asking})
+        await asyncio.sleep(0.5)
+        assert went_on == ["rude"]
+        assert robot.behaviors.query("rude").restarts == 0
+
+
 # Commands of the user.
 
 
@@ -198,7 +235,131 @@ async def test_the_terms_of_a_right_are_checked(
         assert not list(channel.registrations.of_resource("wheels"))
 
 
+@pytest.mark.promise("SUP-1")
+async def test_a_command_whose_caller_has_gone_fails_quietly() -> None:
+    """What it raised is nobody's any more."""
+    queue = CommandQueue("queue")
+    queue.initialized()
+
+    async def fail() -> None:
+        await asyncio.sleep(0.1)
+        raise ValueError("no")
+
+    calling = asyncio.ensure_future(queue.run(fail, name="work", undo=False))
+    await soon()
+    calling.cancel()
+    await asyncio.wait({calling})
+    await asyncio.sleep(0.2)
+    gc.collect()
+
+
+@pytest.mark.promise("SUP-3")
+async def test_a_name_is_taken_until_the_replaced_device_has_gone() -> None:
+    """Whoever removes it meanwhile waits, and removes the new one."""
+
+    class Slow(FakeSensor[float]):
+        async def close(self) -> None:
+            await asyncio.sleep(0.5)
+            await super().close()
+
+    old, new = Slow("sonar", 1.0), FakeSensor("sonar", 2.0)
+    async with esair.Robot(resources=[old]) as robot:
+        replacing = asyncio.create_task(robot.resources.replace("sonar", new))
+        await asyncio.sleep(0.1)
+        await robot.resources.remove("sonar")
+        await asyncio.wait({replacing})
+        assert robot.resources.names() == []
+        assert not old.is_open
+        assert not new.is_open
+
+
+@pytest.mark.promise("RS-7", "PRO-4")
+async def test_a_halt_refuses_operations_and_no_settings() -> None:
+    """What moves nothing may be changed."""
+
+    class Lift(FakeActuator[float]):
+        speed = esair.setting(1.0, min=0.0)
+        homed = 0
+
+        @esair.operation
+        async def home(self) -> None:
+            self.homed += 1
+
+        async def apply(self, **changes: float) -> None: ...
+
+    lift = Lift("lift", safe=0.0)
+    allow = Access.WRITE | Access.CONFIGURE
+    policy = esair.Policy("lift", allow={"*": allow})
+    async with esair.Robot(resources=[lift], policies=[policy]) as robot:
+        mine = await robot.resources.register("me", "lift", allow)
+        robot.halt("a test")
+        with pytest.raises(esair.HaltedError, match="a test"):
+            await robot.resources.operate(mine, "home")
+        await robot.resources.configure(mine, speed=2.0)
+        assert (lift.homed, lift.speed) == (0, 2.0)
+        robot.resume()
+        await robot.resources.operate(mine, "home")
+        robot.resources.revoke(mine)
+        with pytest.raises(esair.NotRegisteredError):
+            await robot.resources.operate(mine, "home")
+        assert lift.homed == 1
+
+
+@pytest.mark.promise("RS-7", "AC-4")
+async def test_an_operation_that_fails_at_once_is_followed_by_safe() -> None:
+    """Who knows what it has moved."""
+
+    class Lift(FakeActuator[float]):
+        @esair.operation
+        async def home(self) -> None:
+            raise RuntimeError("it is stuck")
+
+    lift = Lift("lift", safe=0.0)
+    allow = Access.WRITE | Access.CONFIGURE
+    policy = esair.Policy("lift", allow={"*": allow})
+    async with esair.Robot(resources=[lift], policies=[policy]) as robot:
+        mine = await robot.resources.register("me", "lift", allow)
+        with pytest.raises(esair.DeviceFaultError, match="stuck"):
+            await robot.resources.operate(mine, "home")
+        await asyncio.sleep(0.01)
+        assert lift.commands == [0.0, 0.0]
+
+
 # Devices.
+
+
+@pytest.mark.promise("ROB-2")
+async def test_a_lost_actuator_says_that_it_is_lost() -> None:
+    """What it was told before says nothing any more."""
+    motor = FakeActuator("motor", safe=0.0)
+    async with esair.Robot(resources=[motor]) as robot:
+        assert robot.actuators.channels["motor"].told().answered
+        motor.unplug()
+        await asyncio.sleep(0.01)
+        told = robot.actuators.channels["motor"].told()
+        assert not told.answered
+        assert "lost" in told.error
+
+
+@pytest.mark.promise("AC-2", "SUP-3")
+async def test_a_refusal_during_a_replacement_tells_since_when() -> None:
+    """The moment at which the user has begun it."""
+
+    class Slow(FakeActuator[float]):
+        async def close(self) -> None:
+            await asyncio.sleep(0.5)
+            await super().close()
+
+    user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
+    old, new = Slow("motor", safe=0.0), FakeActuator("motor", safe=0.0)
+    async with esair.Robot(resources=[old], behaviors=[user]) as robot:
+        await asyncio.sleep(1.0)
+        replacing = asyncio.create_task(robot.resources.replace("motor", new))
+        await asyncio.sleep(0.1)
+        refused = await user.motor.write(1.0)
+        assert refused.since == pytest.approx(1.0)
+        await replacing
+        assert await user.motor.write(1.0)
 
 
 @pytest.mark.promise("RS-2")
