@@ -5,7 +5,7 @@ import sys
 import pytest
 from tests.minimal import rules
 
-from esair.boards import stand_in
+from esair.boards import link, stand_in
 from esair.boards.start import Start
 from esair.minimal import Loop
 
@@ -53,6 +53,44 @@ def test_a_start_moves_nothing_unless_it_is_armed(pins, capsys, cause) -> None:
 
     word = {1: "power-on", 3: "watchdog"}[cause]
     assert f"esair: ready, {word}, armed by pin 14" in capsys.readouterr().out
+
+
+@pytest.mark.promise("MIN-4")
+@pytest.mark.parametrize(
+    ("arm", "pin", "told"),
+    [
+        (14, 1, [0.0]),  # the switch is open: whatever the computer says
+        (14, 0, [0.0, 0.5, 0.5]),  # closed: nor does it disarm
+        ("always", 1, [0.0, 0.5, 0.5, 0.5]),
+        ("host", 1, [0.0, 0.5, 0.5, 0.0]),
+    ],
+)
+def test_only_a_board_that_the_host_arms_is_armed_by_it(
+    pins, monkeypatch, arm, pin, told
+) -> None:
+    """On the link too: a switch is there so that nobody else decides."""
+    said = [link.stuffed(b"B%d" % link.VERSION) + link.stuffed(b"A1"), b""]
+    said.append(link.stuffed(b"A0"))
+
+    def heard(_most: int) -> bytes:
+        return said.pop(0) if said else b""
+
+    monkeypatch.setattr(link, "_standard_input", lambda: heard)
+    monkeypatch.setattr(link, "_standard_output", lambda: lambda _data: None)
+    pins.inputs[14] = pin
+    motor = rules.Motor()
+    orders = link.from_host((motor,))
+    loop = Loop(
+        [rules.Go(), *orders],
+        [rules.Sonar(0.5), link.Host("host")],
+        [motor],
+        rate=50,
+        armed=False,
+    )
+    start = Start(loop, arm=arm, orders=orders)
+    steps(loop, start, 4 if arm == "host" else 3)
+
+    assert motor.told == told
 
 
 def test_armed_always_it_moves_at_once(pins) -> None:

@@ -22,7 +22,7 @@ class MicroPython:
     """The native MicroPython; each run is a fresh interpreter."""
 
     def __init__(self, program: str) -> None:
-        self._program = program
+        self.program = program
 
     def run(
         self, folder: Path, code: str, *, data: object = None, seconds: float = 120.0
@@ -38,7 +38,7 @@ class MicroPython:
         (folder / "data.json").write_text(json.dumps(data))
         (folder / "_code.py").write_text(code)
         done = subprocess.run(
-            [self._program, "-X", "heapsize=64m", "_code.py"],
+            [self.program, "-X", "heapsize=64m", "_code.py"],
             cwd=folder,
             capture_output=True,
             text=True,

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import os
 import pty
 import subprocess
@@ -260,6 +261,37 @@ async def test_the_board_is_safe_when_the_computer_is_silent(plugged) -> None:
         assert len(plugged.told) >= len(told)
         await until(lambda: last(plugged) == (0.5, 0.25))
     assert base.name == "base"
+
+
+async def test_a_board_that_has_restarted_is_lost_first() -> None:
+    """It came back before anybody missed its beats, and knows nothing of before."""
+    mine, other = pty.openpty()
+    tty.setraw(other)
+    now_ms = [60_000]
+
+    async def beat() -> None:
+        async for _ in esair.every(0.05):
+            now_ms[0] += 50
+            state = [link.VERSION, now_ms[0], *[0] * 4, "", 1000, "watchdog", True, 0]
+            payload = b"B\0" + json.dumps([*state, [], []]).encode()
+            os.write(mine, link.stuffed(payload))
+
+    bus = SerialBus(name="base", port=os.ttyname(other), framing="cobs")
+    robot = esair.Robot(resources=[Board(name="base", bus=bus)])
+    beats = asyncio.create_task(beat())
+    try:
+        async with robot:
+            ready = esair.ResourceState.READY
+            await until(lambda: robot.resources.query("base").state is ready)
+            assert robot.resources.query("base").losses == 0
+            now_ms[0] = 0
+            await until(lambda: robot.resources.query("base").losses == 1)
+            await until(lambda: robot.resources.query("base").state is ready)
+            assert robot.resources.query("base").losses == 1
+    finally:
+        beats.cancel()
+        os.close(mine)
+        os.close(other)
 
 
 async def test_garbage_on_the_line_disturbs_neither_side(plugged) -> None:

@@ -83,7 +83,7 @@ class FromHost(Reaction):
 
     host = reads(int, max_age=SILENCE)
     actuator = writes(priority=PRIORITY)
-    rate = None
+    rate = 1000  # each step: only beats are news of the host
 
     def __init__(self, actuator: str, seconds: float) -> None:
         Reaction.__init__(self, "host_" + actuator)
@@ -120,6 +120,7 @@ class Link:
         loop: What runs; it has a sensor `Host`, and the reactions of `from_host`.
         orders: Those reactions.
         cause: Why the board has started.
+        arms: Whether the computer says when actuators may move.
         read: Gives the bytes that have come, at most so many, without waiting; those
             of the standard input unless given.
         write: Sends bytes; to the standard output unless given.
@@ -130,20 +131,21 @@ class Link:
         loop: Loop,
         orders: "list[FromHost]",
         cause: str,
+        arms: bool = True,
         read: "Any" = None,
         write: "Any" = None,
     ) -> None:
         self.loop = loop
         self.orders = {each.target: each for each in orders}
         self.cause = cause
+        self.arms = arms
         self.read = read or _standard_input()
-        self.write = write or sys.stdout.buffer.write
-        self.waiting = bytearray()
+        self.write = write or _standard_output()
+        self.waiting = b""
         self.damaged = 0
         """How many messages were damaged, too long, or made no sense."""
         self.version = 0
         """That of the computer; 0 before its first beat."""
-        self.armed = False
         self.next_beat = 0
         self.told: dict[str, int] = {}
         self.host: Any = loop.inputs["host"]
@@ -151,32 +153,38 @@ class Link:
         self.host.value = 0
 
     def __call__(self) -> None:
-        """Do what is due after a step."""
-        data = self.read(AT_ONCE)
-        if data:
-            self._take(data)
+        """Do what is due after a step; what fails is a fault, and stops no reflex."""
+        try:
+            data = self.read(AT_ONCE)
+            if data:
+                self._take(data)
+            self._tell()
+        except Exception as error:
+            self.loop.note("link", error)
+
+    def _tell(self) -> None:
+        now = self.loop.now_ms
         for name, node in self.loop.inputs.items():
             if node is self.host or node.time < 0 or node.time == self.told.get(name):
                 continue
             self.told[name] = node.time
-            self._send("S" + name, [self.loop.now_ms - node.time, node.value])
-        if self.loop.now_ms >= self.next_beat:
-            self.next_beat = self.loop.now_ms + BEAT_MS
+            self._send("S" + name, [now - node.time, node.value])
+        if now >= self.next_beat:
+            self.next_beat = now + BEAT_MS
             self._beat()
 
     def _take(self, data: bytes) -> None:
-        for byte in data:
-            if byte:
-                if len(self.waiting) <= LONGEST:
-                    self.waiting.append(byte)
-            elif self.waiting:
-                whole, self.waiting = bytes(self.waiting), bytearray()
-                payload = unstuffed(whole) if len(whole) <= LONGEST else None
-                try:
-                    if payload is None or not self._obey(payload):
-                        self.damaged += 1
-                except Exception:  # what is no message of this version
+        pieces = (self.waiting + data).split(b"\0")
+        self.waiting = pieces.pop()[: LONGEST + 1]
+        for whole in pieces:
+            if not whole:
+                continue
+            payload = unstuffed(whole) if len(whole) <= LONGEST else None
+            try:
+                if payload is None or not self._obey(payload):
                     self.damaged += 1
+            except Exception:  # what is no message of this version
+                self.damaged += 1
 
     def _obey(self, payload: bytes) -> bool:
         kind, name = payload[:1], ""
@@ -187,8 +195,8 @@ class Link:
         value = json.loads(body)
         now = self.loop.now_ms
         if kind == b"B":
-            self.version = value
-            if value == VERSION:
+            self.version = value if type(value) is int else 0
+            if self.version == VERSION:
                 self.host.value += 1
                 self.host.time = now
         elif self.version != VERSION:
@@ -196,14 +204,12 @@ class Link:
         elif kind == b"Q":
             _take_ctrl_c(3)
             raise KeyboardInterrupt  # it ends as by Ctrl-C, with safe commands
-        elif kind == b"A":
-            self.armed = bool(value)
-            self.loop.arm(self.armed)
+        elif kind == b"A" and self.arms:
+            self.loop.arm(bool(value))
         elif kind == b"W" and name in self.orders:
             if isinstance(value, list):
                 value = _like(self.loop.outputs[name].safe, value)
             self.orders[name].take(value, now)
-            self.host.time = now  # it is news: the reaction runs in the next step
         else:
             return False
         return True
@@ -213,7 +219,7 @@ class Link:
         fault = "" if loop.fault is None else "%s: %r" % loop.fault
         state: "list[Any]" = [VERSION, loop.now_ms, loop.steps, loop.late]
         state += [loop.refused, loop.faults, fault, _free(), self.cause]
-        state += [self.armed, self.damaged, list(self.told), list(self.orders)]
+        state += [loop.armed, self.damaged, list(self.told), list(self.orders)]
         self._send("B", state)
 
     def _send(self, kind: str, value: "Any") -> None:
@@ -262,3 +268,22 @@ def _standard_input() -> "Any":
         return bytes(found)
 
     return read
+
+
+def _standard_output() -> "Any":
+    import select
+
+    poll = select.poll()
+    poll.register(sys.stdout, select.POLLOUT)
+    told = [False]  # whether this port tells when it takes something
+
+    def write(data: bytes) -> None:
+        # A computer that reads no more would hold up each step, on USB by half a second.
+        for at in range(0, len(data), 64):
+            if poll.poll(0):
+                told[0] = True
+            elif told[0]:
+                return
+            sys.stdout.buffer.write(data[at : at + 64])
+
+    return write

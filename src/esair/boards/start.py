@@ -67,7 +67,7 @@ class Start:
         if orders is not None:
             from esair.boards.link import Link
 
-            self.link = Link(loop, orders, self.cause)
+            self.link = Link(loop, orders, self.cause, arms=arm == "host")
         if arm == "host":
             if orders is None:
                 self.poll = _polled_stdin()

@@ -58,6 +58,9 @@ _log = logging.getLogger("esair")
 SILENCE = 0.5
 """After so many seconds without a beat the board is lost."""
 
+_RESTARTED = -2
+"""The time of a board that has gone back: it forgot what it was told."""
+
 
 @attrs.frozen
 class BoardState:
@@ -112,6 +115,8 @@ class _Beats:
         self._users: set[object] = set()
         self._task: asyncio.Task[None] | None = None
         self._heard = -1.0
+        self._now_ms = -1
+        """The board's own time at its last beat."""
         self._first: asyncio.Event = asyncio.Event()
         self.version = 0
         """What the board speaks; 0 before its first beat."""
@@ -127,7 +132,7 @@ class _Beats:
         """
         self._users.add(user)
         if self._task is None or self._task.done():
-            self._heard, self.version = -1.0, 0
+            self._heard, self._now_ms, self.version = -1.0, -1, 0
             self._first = asyncio.Event()
             self._task = asyncio.create_task(self._run(bus), name=f"beats of {name}")
         try:
@@ -158,11 +163,13 @@ class _Beats:
                 await asyncio.gather(task, return_exceptions=True)
 
     def check(self, name: str) -> None:
-        """Raise if the board has been silent for too long.
+        """Raise if the board has been silent for too long, or has started anew.
 
         Raises:
-            DeviceLostError: It is silent.
+            DeviceLostError: It is silent, or another than it was.
         """
+        if self._now_ms == _RESTARTED:
+            raise DeviceLostError(name, "the board has restarted")
         silent = asyncio.get_running_loop().time() - self._heard
         if self._task is None or self._task.done() or silent > SILENCE:
             raise DeviceLostError(name, "the board is silent")
@@ -182,10 +189,16 @@ class _Beats:
                 except TimeoutError:
                     continue
                 value = _value_of(frame, b"B\0")
-                if isinstance(value, list) and value:
-                    self._heard = loop.time()
-                    self.version = value[0]
-                    self._first.set()
+                if not isinstance(value, list) or len(value) < 2:
+                    continue
+                self._heard = loop.time()
+                self.version, now_ms = value[:2]
+                self._first.set()
+                if isinstance(now_ms, int):
+                    if now_ms < self._now_ms:
+                        self._now_ms = _RESTARTED
+                        return
+                    self._now_ms = now_ms
 
 
 class _OnBoard:
@@ -301,6 +314,7 @@ async def _values(bus: SerialBus, name: str, prefix: bytes) -> AsyncIterator[Any
             except TimeoutError:
                 beats.check(name)
                 continue
+            beats.check(name)
             value = _value_of(frame, prefix)
             if value is not None:
                 yield value

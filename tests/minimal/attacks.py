@@ -1,0 +1,353 @@
+"""What a lying host and a bad line do to a board: plain functions, for every interpreter.
+
+Each observes what the motor is told.
+"""
+
+import json
+
+from esair import minimal
+from esair.boards import link
+from esair.minimal import Actuator, Loop, Reaction, Sensor, reads, writes
+
+STEP_MS = 20
+SILENT = 20
+"""Steps, more than the silence after which the host counts as gone."""
+
+
+class Bumper(Sensor):
+    hit = False
+
+    def read(self):
+        return self.hit
+
+
+class Motor(Actuator):
+    safe = 0.0
+    limits = (-1.0, 1.0)
+
+    def __init__(self):
+        Actuator.__init__(self)
+        self.told = []
+
+    def write(self, command):
+        self.told.append(command)
+
+
+class Avoid(Reaction):
+    bumper = reads(bool)
+    motor = writes(float, priority=10)
+
+    def react(self, bumper):
+        return -0.5 if bumper else None
+
+
+class Board:
+    """A linked board whose line is two lists of bytes."""
+
+    def __init__(self, armed=True):
+        self.motor, self.bumper = Motor(), Bumper()
+        orders = link.from_host((self.motor,))
+        self.loop = Loop(
+            [Avoid()] + orders,  # noqa: RUF005
+            [self.bumper, link.Host("host")],
+            [self.motor],
+            rate=1000 // STEP_MS,
+            armed=armed,
+        )
+        self.line, self.said = bytearray(), []  # type: ignore[var-annotated]
+        self.link = link.Link(
+            self.loop, orders, "power-on", True, self.read, self.said.append
+        )
+
+    def read(self, most):
+        found = bytes(self.line[:most])
+        self.line = self.line[most:]
+        return found
+
+    def hear(self, *messages):
+        for each in messages:
+            self.line += link.stuffed(each)
+
+    def step(self, count=1, each=()):
+        """Make steps; with each of them these messages come."""
+        for _ in range(count):
+            self.hear(*each)
+            self.loop.step()
+            self.link()
+
+    @property
+    def now(self):
+        return self.motor.told[-1]
+
+
+BEAT = b"B%d" % link.VERSION
+ARM = b"A1"
+
+
+def go(speed):
+    return b"Wmotor\0" + json.dumps(speed).encode()
+
+
+def driving():
+    """A board that a host drives."""
+    board = Board()
+    board.step(5, [BEAT, go(0.5)])
+    assert board.now == 0.5, board.motor.told
+    return board
+
+
+def attack_commands_without_beats_move_nothing():
+    """The part of a host that decides is alive, the one that beats is not."""
+    board = driving()
+    board.step(SILENT, [go(0.25)])
+    assert board.now == 0.0, board.motor.told
+
+
+def attack_old_commands_are_no_beats():
+    board = driving()
+    board.step(SILENT)
+    told = len(board.motor.told)
+    board.step(SILENT, [go(0.5)])
+    assert board.motor.told[told:] == [], board.motor.told
+
+
+def attack_beats_that_come_back_bring_no_old_command():
+    board = driving()
+    board.step(SILENT)
+    assert board.now == 0.0, board.motor.told
+    board.step(SILENT, [BEAT])
+    assert board.now == 0.0, board.motor.told
+    board.step(2, [BEAT, go(0.25)])
+    assert board.now == 0.25, board.motor.told
+
+
+def attack_a_reflex_outranks_any_flood():
+    board = driving()
+    board.bumper.hit = True
+    board.step(50, [BEAT] + [go(1.0)] * 20)
+    assert board.now == -0.5, board.motor.told
+    assert 1.0 not in board.motor.told[5:], board.motor.told
+
+
+def attack_each_flipped_bit_moves_nothing():
+    whole = link.stuffed(go(1.0))
+    board = driving()
+    for at in range(len(whole)):
+        for bit in (0, 3, 7):
+            damaged = bytearray(whole)
+            damaged[at] ^= 1 << bit
+            board.line += damaged
+            board.step(1, [BEAT, go(0.5)])
+        assert 1.0 not in board.motor.told, at
+    board.step(2, [BEAT, go(0.5)])
+    assert board.now == 0.5, board.motor.told
+    assert board.link.damaged > 0
+
+
+def attack_each_truncated_message_moves_nothing():
+    whole = link.stuffed(go(1.0))
+    board = driving()
+    for at in range(1, len(whole) - 1):
+        board.line += whole[:at]
+        board.step(1, [BEAT, go(0.5)])
+        board.line += whole[at:-1] + b"\0"
+        board.step(1, [BEAT, go(0.5)])
+    assert 1.0 not in board.motor.told
+    assert board.now == 0.5, board.motor.told
+
+
+def attack_an_endless_message_takes_no_memory():
+    board = driving()
+    for _ in range(40):
+        board.line += b"\1" * 500
+        board.step(1)
+    assert len(board.link.waiting) <= 2 * link.LONGEST, len(board.link.waiting)
+    assert board.now == 0.0
+    board.line += b"\0"
+    board.step(10, [BEAT, go(0.5)])
+    assert board.now == 0.5, board.motor.told
+
+
+def attack_its_own_echo_is_no_host():
+    board = driving()
+    for _ in range(SILENT):
+        for each in board.said:
+            board.line += each
+        del board.said[:]
+        board.step(1)
+    assert board.now == 0.0, board.motor.told
+
+
+def attack_another_version_moves_nothing():
+    board = driving()
+    board.step(SILENT, [b"B%d" % (link.VERSION + 1), go(1.0)])
+    assert board.now == 0.0, board.motor.told
+    assert 1.0 not in board.motor.told
+
+
+def attack_two_hosts_of_two_versions_do_not_beat_for_each_other():
+    board = driving()
+    board.step(SILENT, [b"B%d" % (link.VERSION + 1), go(1.0), b"Btrue", go(1.0)])
+    assert board.now == 0.0, board.motor.told
+    assert 1.0 not in board.motor.told
+
+
+LIES = ["NaN", "nan", "inf", "1e999", "-1e999", '"x"', "true", "[1.0, 1.0]", "{}"]
+LIES += ['{"actuator": "x"}', '{"other": 1.0}', "[[1.0]]", "", "}", "1.5"]
+LIES += ["[" * 400, "9" * 400]
+
+
+def attack_lies_are_no_commands():
+    board = driving()
+    for lie in LIES:
+        board.step(3, [BEAT, b"Wmotor\0" + lie.encode()])
+        board.step(3, [BEAT, go(0.5)])
+        assert board.now == 0.5, (lie, board.motor.told[-8:])
+    assert set(board.motor.told) == {0.0, 0.5}, set(board.motor.told)
+    for message in (b"", b"W", b"Wmotor", b"Wmotor\0", b"W\xff\xfe\0001", b"Z1", b"B"):
+        board.step(1, [message, BEAT, go(0.5)])
+    assert board.now == 0.5, board.motor.told
+
+
+def attack_a_line_that_takes_nothing_stops_no_reflex():
+    """What cannot be said is a fault, and the board goes on."""
+    board = driving()
+
+    def write(data):
+        raise MemoryError
+
+    board.link.write = write
+    board.step(10, [BEAT, go(0.5)])
+    board.bumper.hit = True
+    board.step(2)
+    assert board.now == -0.5, board.motor.told
+    assert board.loop.faults > 0
+
+
+def attack_a_line_that_cannot_be_read_is_a_silent_host():
+    board = driving()
+
+    def read(most):
+        raise OSError(5)
+
+    board.link.read = read
+    board.step(SILENT)
+    assert board.now == 0.0, board.motor.told
+    board.bumper.hit = True
+    board.step(2)
+    assert board.now == -0.5, board.motor.told
+
+
+def attack_a_host_that_goes_leaves_reflexes():
+    board = driving()
+    board.step(SILENT)
+    assert board.now == 0.0
+    board.bumper.hit = True
+    board.step(2)
+    assert board.now == -0.5, board.motor.told
+
+
+def attack_the_counter_wraps():
+    """The milliseconds of a board begin anew after twelve days, amid two steps."""
+    clock = [0x3FFFFFFF - 5 * STEP_MS - 7]
+    real = minimal._ticks, minimal._sleep
+
+    def sleep(ms):
+        clock[0] = (clock[0] + ms) & 0x3FFFFFFF
+
+    minimal._ticks, minimal._sleep = (lambda: clock[0]), sleep
+    board = Board()
+
+    def feed():
+        board.link()
+        board.hear(BEAT, go(0.5))
+
+    try:
+        board.loop.run(20, feed)
+    finally:
+        minimal._ticks, minimal._sleep = real
+    assert clock[0] < 1000
+    assert board.loop.late == 0
+    assert board.motor.told.count(0.0) == 2, board.motor.told
+    assert board.motor.told.count(0.5) > 10, board.motor.told
+
+
+def attack_a_month_has_more_milliseconds_than_a_small_integer():
+    board = driving()
+    board.loop.skip(31 * 24 * 3600 * 1000 // STEP_MS)
+    assert board.loop.now_ms > 0x7FFFFFFF
+    board.step(1)
+    assert board.now == 0.0, board.motor.told
+    board.step(3, [BEAT, go(0.25)])
+    assert board.now == 0.25, board.motor.told
+    board.step(SILENT)
+    assert board.now == 0.0, board.motor.told
+
+
+def attack_a_reaction_that_blocks_or_raises_stops_the_motor():
+    class Sour(Reaction):
+        bumper = reads(bool)
+        motor = writes(float, priority=20)
+        asked = 0
+
+        def react(self, bumper):
+            self.asked += 1
+            if self.asked > 3:
+                raise RuntimeError
+            return 0.75
+
+    motor = Motor()
+    loop = Loop([Sour()], [Bumper()], [motor], rate=50)
+    for _ in range(5):
+        loop.step()
+    assert motor.told == [0.0, 0.75, 0.75, 0.75, 0.0], motor.told
+    clock = [0]
+    real = minimal._ticks, minimal._sleep
+
+    def sleep(ms):
+        clock[0] += ms
+
+    class Blocks(Sour):
+        def react(self, bumper):
+            clock[0] += 600
+            return 0.75
+
+    motor = Motor()
+    minimal._ticks, minimal._sleep = (lambda: clock[0]), sleep
+    try:
+        loop = Loop([Blocks()], [Bumper()], [motor], rate=50)
+        loop.run(5)
+    finally:
+        minimal._ticks, minimal._sleep = real
+    assert motor.told == [0.0] + [0.75] * 5 + [0.0], motor.told
+    assert loop.late >= 5 * 28, loop.late
+
+
+def attack_no_memory_is_a_fault_and_safe():
+    class Greedy(Avoid):
+        def react(self, bumper):
+            if bumper:
+                return 0.1 * len([bytearray(1 << 28) for _ in range(64)])
+            return 0.5
+
+    class Full(Greedy):
+        def react(self, bumper):
+            if bumper:
+                raise MemoryError
+            return 0.5
+
+    import sys
+
+    greedy = Greedy if sys.implementation.name == "micropython" else Full
+    bumper, motor = Bumper(), Motor()
+    loop = Loop([greedy()], [bumper], [motor], rate=50)
+    loop.step()
+    bumper.hit = True
+    loop.step()
+    bumper.hit = False
+    loop.step()
+    assert motor.told == [0.0, 0.5, 0.0, 0.5], motor.told
+
+
+def attacks():
+    return sorted(name for name in globals() if name.startswith("attack_"))
