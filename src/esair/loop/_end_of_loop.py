@@ -5,11 +5,15 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
+import time
 from collections.abc import Callable, Coroutine, Iterable
 from typing import Any
 
 PATIENCE = 0.3
 """How long the end of a loop waits for tasks that are left in it, in seconds."""
+
+THREADS_PATIENCE = 0.1
+"""How long the end of the process waits for threads that are about to end, in seconds."""
 
 _log = logging.getLogger("esair")
 
@@ -77,9 +81,16 @@ def _keep_for_ever(task: asyncio.Task[Any]) -> None:
 
 
 def threads_that_keep_the_process(before: set[threading.Thread]) -> list[str]:
-    """Name new threads for whose end the interpreter waits at its own."""
-    return sorted(
-        thread.name
+    """Name new threads for whose end the interpreter waits at its own.
+
+    Those that have nothing more to do are given the moment that they need to end.
+    """
+    new = [
+        thread
         for thread in threading.enumerate()
-        if thread not in before and not thread.daemon and thread.is_alive()
-    )
+        if thread not in before and not thread.daemon
+    ]
+    until = time.monotonic() + THREADS_PATIENCE
+    for thread in new:
+        thread.join(max(0.0, until - time.monotonic()))
+    return sorted(thread.name for thread in new if thread.is_alive())
