@@ -110,6 +110,18 @@ class Diary(esair.Behavior):
             await asyncio.sleep(0.5)
 
 
+class HoardingSonar(Sonar):
+    """A driver that keeps all that it has seen."""
+
+    def __init__(self, *, name: str | None = None) -> None:
+        super().__init__(name=name)
+        self.seen: list[float] = []
+
+    async def read(self) -> float:
+        self.seen.append(1.0)
+        return 1.0
+
+
 @attrs.frozen
 class Dock(esair.Request[float]):
     """Drive into a dock."""
@@ -156,11 +168,12 @@ def make(
     wheels: esair.Actuator[Twist] | None = None,
     *others: esair.Behavior,
     guard: bool = True,
+    sonar: Sonar | None = None,
 ) -> esair.Robot:
     """Return a rover."""
     guards = [KeepClear()] if guard else []
     return esair.Robot(
-        resources=[Sonar(), wheels or Wheels()],
+        resources=[sonar or Sonar(), wheels or Wheels()],
         behaviors=[*guards, Avoid(), Wander(), *others],
     )
 
@@ -174,3 +187,4 @@ no_bound = make(None, Diary())
 endless = make(None, Endless())
 stubborn = make(None, Stubborn())
 forgetful = make(None, Forgetful())
+hoard = make(sonar=HoardingSonar(name="sonar"))

@@ -23,7 +23,7 @@ DEPTH = 3
 
 
 class Boxes:
-    """Counts, four times in a story, what lies in the boxes of each component.
+    """Counts, four times in a story, what lies in the boxes of the user's own code.
 
     Attributes:
         sizes: The sizes of each box so far, by component and name.
@@ -37,10 +37,11 @@ class Boxes:
         if world.ends is not None:
             return
         seen: set[int] = set()
-        for action in world.actions():
-            own = vars(action).items()
-            for name, size in _boxes(own, seen, DEPTH):
-                self.sizes.setdefault((action.name, name), []).append(size)
+        names = world.robot.resources.names()
+        devices = [world.robot.resources.get(name) for name in names]
+        for each in (*world.actions(), *filter(_is_own, devices)):
+            for name, size in _boxes(vars(each).items(), seen, DEPTH):
+                self.sizes.setdefault((each.name, name), []).append(size)
         tasks = [
             task
             for task in asyncio.all_tasks(world.loop)
@@ -59,6 +60,11 @@ def is_growing(sizes: list[int]) -> bool:
     last = sizes[-4:]
     steps = [after - before for before, after in itertools.pairwise(last)]
     return len(last) == 4 and min(steps) >= max(GROWTH, max(steps) / 3)
+
+
+def _is_own(component: object) -> bool:
+    """Tell whether a class is the user's; a fake of esair keeps what it was told."""
+    return not type(component).__module__.startswith("esair.")
 
 
 def _boxes(
