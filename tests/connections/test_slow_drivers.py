@@ -1,0 +1,166 @@
+"""Drivers that take their time: whose time counts, and who waits for whom."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import esair
+from esair import ResourceState
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+def now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+@pytest.mark.promise("AC-2")
+async def test_the_time_out_begins_when_the_write_has_ended(user_of: Any) -> None:
+    """Not when it began: a slow device would stop between two writes."""
+    motor = FakeActuator("motor", safe=0.0, command_timeout=0.2)
+    user = user_of("user", motor=esair.writes(float))
+    motor.slow(0.15)
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        began = now()
+        await user.motor.write(1.0)
+        assert now() - began == pytest.approx(0.15)
+        motor.slow(0.0)
+        await motor.until(0.0)
+        assert now() - began == pytest.approx(0.35)
+
+
+@pytest.mark.promise("AC-2")
+async def test_a_late_end_is_no_renewal_for_somebody_else(user_of: Any) -> None:
+    """What an earlier writer's call ends with says nothing of the present one."""
+    motor = FakeActuator("motor", safe=0.0, command_timeout=0.2)
+    low = user_of("low", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[low]) as robot:
+        motor.slow(0.0, acknowledge=0.19)
+        writing = asyncio.create_task(low.motor.write(1.0))
+        await asyncio.sleep(0.1)
+        robot.resources.revoke(low.motor.registration)
+        await asyncio.wait({writing})
+        await motor.until(0.0)
+        assert motor.commands == [0.0, 1.0, 0.0]
+
+
+@pytest.mark.promise("TURN-2", "CALL-3")
+async def test_each_output_of_a_reaction_waits_for_its_own_device(
+    fake_sensor: Any,
+) -> None:
+    """A slow one takes the newest command when it is free; a quick one has them all."""
+    eye = fake_sensor("eye", 1.0, rate=20.0)
+    slow = FakeActuator("slow", safe=0.0)
+    quick = FakeActuator("quick", safe=0.0)
+
+    class Both(esair.Reaction):
+        eye = esair.reads(float)
+        slow = esair.writes(float)
+        quick = esair.writes(float)
+        steps = 0
+
+        def react(self, eye: float) -> dict[str, float]:
+            self.steps += 1
+            return {"slow": float(self.steps), "quick": float(self.steps)}
+
+    slow.slow(0.12)
+    both = Both()
+    async with esair.Robot(resources=[eye, slow, quick], behaviors=[both]) as robot:
+        await asyncio.sleep(1.0)
+        told = list(quick.commands[1:])
+        assert told == [float(n + 1) for n in range(len(told))]
+        assert len(told) >= 19
+        late = slow.commands[1:]
+        assert late == sorted(set(late))
+        assert set(late) <= set(told)
+        assert 6 <= len(late) <= 8
+        waiting = both.steps - len(told) + 2
+        conflated = robot.journal.counts()["both"]["conflated"]
+        assert both.steps - len(late) - conflated <= waiting
+        assert conflated >= 10
+
+
+@pytest.mark.promise("SC-1")
+@pytest.mark.parametrize("blocks", [True, False])
+async def test_a_stream_that_ends_is_a_loss(blocks: bool, user_of: Any) -> None:
+    """The device is opened again, and speaks again."""
+
+    class Short(esair.Sensor[float]):
+        opened = 0
+
+        async def open(self) -> None:
+            self.opened += 1
+
+    class Blocking(Short):
+        def stream(self) -> Iterator[float]:
+            yield float(self.opened)
+
+    class Waiting(Short):
+        async def stream(self) -> Any:
+            yield float(self.opened)
+
+    short = (Blocking if blocks else Waiting)(name="short")
+    user = user_of("user", short=esair.reads(float))
+    async with esair.Robot(resources=[short], behaviors=[user]) as robot:
+        values = [value async for value, _ in zip_with(user.short, 3)]
+        assert values == [values[0], values[0] + 1.0, values[0] + 2.0]
+        assert robot.resources.query("short").losses >= 2
+
+
+async def zip_with(values: Any, count: int) -> Any:
+    """Yield so many values, with their numbers."""
+    number = 0
+    async for value in values:
+        yield value, number
+        number += 1
+        if number == count:
+            return
+
+
+@pytest.mark.promise("RS-5")
+async def test_what_an_actuator_has_applied_goes_with_it(user_of: Any) -> None:
+    """A new one of the name tells its own."""
+    motor = FakeActuator("motor", safe=0.0)
+    async with esair.Robot(resources=[motor]) as robot:
+        mine = await robot.resources.register(
+            "user", "motor.applied", esair.Access.READ
+        )
+        assert (await robot.sensors.read(mine)).value == 0.0
+        await robot.resources.remove("motor")
+        with pytest.raises(esair.EsairError):
+            await robot.sensors.read(mine)
+        assert "motor.applied" not in robot.sensors.channels
+        await robot.resources.add(FakeActuator("motor", safe=0.5))
+        again = await robot.resources.register(
+            "user", "motor.applied", esair.Access.READ
+        )
+        assert (await robot.sensors.read(again)).value == 0.5
+
+
+@pytest.mark.promise("SC-3")
+async def test_after_a_sleep_of_the_computer_no_reading_is_current(
+    user_of: Any,
+) -> None:
+    """The clock stood still, the world did not: the device is asked, and safe is told."""
+    sonar = FakeSensor("sonar", 1.0, type=float, rate=1.0)
+    motor = FakeActuator("motor", safe=0.0, command_timeout=5.0)
+    user = user_of("user", sonar=esair.reads(float), motor=esair.writes(float))
+    loop: Any = asyncio.get_running_loop()
+    async with esair.Robot(resources=[sonar, motor], behaviors=[user]) as robot:
+        await user.motor.write(1.0)
+        await user.sonar.read()
+        await user.sonar.read()
+        assert sonar.reads == 1
+        loop.suspend(3600.0)
+        await motor.until(0.0, timeout=2.0)
+        assert motor.commands == [0.0, 1.0, 0.0]
+        with pytest.raises(esair.StaleReadingError):
+            _ = user.sonar.newest
+        await user.sonar.read()
+        assert sonar.reads == 2
+        assert robot.resources.query("sonar").state is ResourceState.READY
