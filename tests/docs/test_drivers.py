@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from esair.config import check
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/reference/drivers.md").read_text(encoding="utf-8")
 ROWS = re.findall(
@@ -37,3 +39,11 @@ def test_a_row_says_what_is_there(name: str, source: str, suite: str) -> None:
 
     assert ("yes" if "\nSource: " in (doc or "") else "no") == source
     assert ("yes" if suites else "no") == suite
+
+
+def test_the_robot_of_the_page_has_no_mistake() -> None:
+    """Only that nobody uses its parts."""
+    report = check(ROOT / "docs/code/chips.toml")
+
+    assert {found.rule for found in report.findings} == {"unused"}
+    assert len(report.findings) == 5
