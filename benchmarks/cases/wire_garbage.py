@@ -66,6 +66,10 @@ GARBAGE = {
     "reads of Modbus": _of(b"\x01\x03\xfa"),
     "refusals of Modbus": _of(b"\x01\x81"),
     "fixes that are none": _of(encode_sentence("GPRMC", "000000", "A", *["x"] * 9)),
+    "fixes without a place": _of(
+        encode_sentence("GPRMC", "000000", "A", *[""] * 9)
+        + encode_sentence("GPGGA", "000000", "", "", "", "", "1", *[""] * 8)
+    ),
     "beginnings": b"$" * MEGABYTE,
     "turns of one measurement": _of(encode_scan(Scan((0.0,), (1.0,), (15,)))),
     "turns of two": _of(encode_scan(Scan((0.0, 1.0), (1.0, 2.0), (15, 15)))),

@@ -5,16 +5,19 @@ from __future__ import annotations
 import asyncio
 import datetime
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import attrs
 import hypothesis
 import pytest
 from hypothesis import strategies as st
+from pynmeagps import NMEAReader  # type: ignore[import-untyped]
 
 import esair
 from esair.buses import SerialBus
-from esair.drivers.gps import Fix, FixBuilder, Gps
+from esair.drivers import gps
+from esair.drivers.gps import PARSE_COST, Fix, FixBuilder, Gps
 from esair.drivers.gps.fake import FakeGps, encode_fix
 from esair.exceptions import ConfigError, DeviceFaultError, StaleReadingError
 from esair.framing import Sentences
@@ -334,3 +337,40 @@ async def test_a_recorded_log_at_full_speed_through_a_terminal() -> None:
     latitudes = [fix.latitude_deg for fix in got]
     assert latitudes == sorted(latitudes)
     await line.close()
+
+
+@pytest.mark.fault("D11", "D12")
+@pytest.mark.parametrize(
+    "sentences",
+    [
+        [b"GPRMC,%06d,A,,,,,,,,,", b"GPGGA,%06d,,,,,1,,,,,,,,"],
+        [b"GPRMC,%06d,A,x,x,x,x,x,x,x,x,x", b"GPGGA,%06d,x,x,x,x,1,,,,,,,,"],
+        [b"GPRMC,%06d,A,9999.0,N,01131.000,E,,,230394,,"],
+    ],
+)
+def test_fixes_that_are_none_are_read_seldom(
+    sentences: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Right sentences without a place are garbage: most are left out unseen."""
+    count = 0
+
+    def parse(message: bytes, **keywords: Any) -> Any:
+        nonlocal count
+        count += 1
+        return NMEAReader.parse(message, **keywords)
+
+    monkeypatch.setattr(gps, "NMEAReader", SimpleNamespace(parse=parse))
+    builder = FixBuilder()
+    size = 0
+    for second in range(3000):
+        for sentence in sentences:
+            body = sentence % (second % 60)
+            size += len(body) + 6
+            assert builder.feed(body) is None
+    assert count * PARSE_COST <= 2048 + size / 128 + 2 * PARSE_COST
+    good = (
+        b"GPGGA,%06d,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,",
+        b"GPRMC,%06d,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W",
+    )
+    fixes = [builder.feed(each % (n % 60)) for n in range(400) for each in good]
+    assert fixes[-1] is not None

@@ -9,6 +9,7 @@ Source: NMEA 0183, chapter 5 (data format protocol).
 
 from __future__ import annotations
 
+import itertools
 import re
 from typing import Self
 
@@ -18,6 +19,11 @@ from esair.framing._looks import Looks
 
 _HALVES = [tuple(8 << place for place in reversed(range(n))) for n in range(32)]
 """How wide the halves of 1, 2, 4 and so on bytes are, in bits."""
+
+_NUMBERS = {
+    bytes(pair): int(bytes(pair), 16)
+    for pair in itertools.product(b"0123456789ABCDEFabcdef", repeat=2)
+}
 
 _FORBIDDEN = frozenset("$*,\r\n!\\^~")
 
@@ -130,10 +136,11 @@ class Sentences(Framing):
         payloads: list[bytes] = []
         used = 0
         past = max(0, self._next)
-        while found := self._sentence.search(lines, past):
+        search, longest = self._sentence.search, self._max_frame
+        while found := search(lines, past):
             begin, past = found.span()
             body, told = found.groups()
-            if past - begin <= self._max_frame and int(told, 16) == checksum(body):
+            if past - begin <= longest and _NUMBERS[told] == checksum(body):
                 payloads.append(body)
                 used += past - begin
             else:

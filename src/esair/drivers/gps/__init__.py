@@ -46,7 +46,7 @@ SENTENCES = ("GGA", "RMC")
 FRAME = 6
 """The bytes of a sentence beside its body."""
 
-PARSE_COST = 40.0
+PARSE_COST = 80.0
 """What the reading of a sentence costs, in looks at a place of a stream."""
 
 APART = 3
@@ -109,11 +109,11 @@ class FixBuilder:
     def __init__(self, sentences: Sequence[str] = SENTENCES) -> None:
         self._wanted = frozenset(sentences)
         self._kinds = {kind.encode(): kind for kind in sentences}
-        self._found: dict[str, Any] = {}
+        self._found: dict[str, bytes | None] = {}  # None knows no position
         self._moment: float | None = None  # as hhmmss.ss
         self._apart = 0
         self._looks = Looks()
-        self._leave = self._skipped = 0
+        self._passed = self._unseen = 0  # in bytes, since a sentence was bad
         self.bad_sentences = 0
         self.without_fix = 0
 
@@ -126,14 +126,10 @@ class FixBuilder:
         kind = self._kinds.get(body[2:5])
         if kind is None:
             return None
-        size = len(body) + FRAME
-        if self._leave > size:
-            self._leave -= size
-            self._skipped += size
+        self._passed = passed = self._passed + len(body) + FRAME
+        if passed < self._unseen:
             self.bad_sentences += 1
             return None
-        self._looks.earn(size + self._skipped)
-        self._leave = self._skipped = 0
         fields = body.split(b",", 7)
         if len(fields) < 8:
             self.bad_sentences += 1
@@ -142,36 +138,63 @@ class FixBuilder:
             self.without_fix += 1
             return None
         told, none = (fields[6], b"0") if kind == "GGA" else (fields[2], b"V")
-        message: Any = None
         try:
             moment = float(fields[1])
-            if told and told != none:
-                message = NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)
-                if not isinstance(message.time, datetime.time):
-                    raise ValueError("a time that is none")
-                if kind == "GGA" and message.quality <= 0:
-                    message = None
-        except _ERRORS:
-            self.bad_sentences += 1
-            self._leave = self._looks.pay(PARSE_COST)
+        except ValueError:
+            self._count_bad(1)
             return None
         if moment != self._moment:
             self._apart += bool(self._found)
             self._moment = moment
             self._found.clear()
-        self._found[kind] = message
-        found = self._found
-        if self._wanted - found.keys():
-            if self._apart < APART:
-                return None
-        else:
+        self._found[kind] = body if told and told != none else None
+        if len(self._found) < len(self._wanted) and self._apart < APART:
+            return None
+        if None in self._found.values():
+            self._none()
+            return None
+        return self._read()
+
+    def _read(self) -> Fix | None:
+        """Return the fix of the sentences that are there; what is none is counted."""
+        told = {}
+        for kind, body in tuple(self._found.items()):
+            assert body is not None
+            try:
+                message = NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)
+                if not isinstance(message.time, datetime.time):
+                    raise ValueError("a time that is none")
+                if kind == "GGA" and message.quality <= 0:
+                    self._none()
+                    return None
+            except _ERRORS:
+                self._count_bad(len(self._found))
+                del self._found[kind]
+            else:
+                told[kind] = message
+        if not told or (len(told) < len(self._wanted) and self._apart < APART):
+            return None
+        self._begin_anew()
+        fix = self._fix(told.get("GGA"), told.get("RMC"))
+        if fix is None:
+            self._count_bad(len(told))
+        return fix
+
+    def _none(self) -> None:
+        self.without_fix += 1
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        if len(self._found) == len(self._wanted):
             self._apart = 0
             self._found = {}
             self._moment = None
-        if None in found.values():
-            self.without_fix += 1
-            return None
-        return self._fix(found.get("GGA"), found.get("RMC"))
+
+    def _count_bad(self, parsed: int) -> None:
+        self.bad_sentences += 1
+        self._looks.earn(self._passed)
+        self._passed = 0
+        self._unseen = self._looks.pay(PARSE_COST * parsed)
 
     def _fix(self, gga: Any, rmc: Any) -> Fix | None:
         place = gga or rmc
@@ -190,7 +213,6 @@ class FixBuilder:
                 else place.time,
             )
         except _ERRORS:
-            self.bad_sentences += 1
             return None
         return fix
 
