@@ -11,7 +11,6 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from types import FrameType
 
 import anyio
@@ -35,7 +34,7 @@ _LOOPS = {"asyncio.base_events", "asyncio.runners", "esair.loop._end_of_loop"}
 _LIBRARIES = (
     "<frozen ",
     os.path.dirname(os.__file__),
-    str(Path(anyio.__file__).parents[1]),
+    os.path.dirname(os.path.dirname(anyio.__file__)),
 )
 """Where code lies that holds a loop only for who has called it."""
 
