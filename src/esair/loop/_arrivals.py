@@ -57,21 +57,19 @@ class Arrivals:
 
 def arrive(future: asyncio.Future[T], value: T) -> None:
     """Bring what a future waits for; fine if nobody wants it any more."""
-    so_far = Arrivals.of(future.get_loop()).so_far
-    if so_far is not None:
-        so_far.append((future, value))
-    elif not future.done():
-        future.set_result(value)
+    if future.done():
+        return
+    callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
+    if callbacks and type(getattr(callbacks[0][0], "__self__", None)) is LightTask:
+        so_far = Arrivals.of(future.get_loop()).so_far
+        if so_far is not None:
+            so_far.append((future, value))
+            return
+    future.set_result(value)  # a task of asyncio goes on in the next turn
 
 
 def _go_on(future: asyncio.Future[T], value: T) -> None:
     callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
-    if (
-        not callbacks
-        or type(getattr(callbacks[0][0], "__self__", None)) is not LightTask
-    ):
-        future.set_result(value)  # a task of asyncio goes on in the next turn
-        return
     go_on, context = callbacks[0]
     future.remove_done_callback(go_on)
     future.set_result(value)

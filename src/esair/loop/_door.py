@@ -38,6 +38,7 @@ class Door:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
+        self._arrivals = Arrivals.of(loop)
         self._time = clock_of(loop)
         self._is_taken: bool = getattr(loop, "takes_entries", False)
         self.has_border: bool = getattr(loop, "wakes_scheduler", False)
@@ -236,7 +237,7 @@ class Door:
             with self._lock:
                 entries = collections.deque(sorted(entries, key=_by_work))
                 self._entries.clear()
-        with Arrivals.of(self._loop):
+        with self._arrivals:
             while entries:
                 entry = entries.popleft()
                 if entry.tag[0] == "thread" and isinstance(self.tape, TapeWriter):

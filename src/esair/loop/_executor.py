@@ -124,7 +124,8 @@ class Executor:
         )
         if outside:
             return await future
-        deadline = Deadlines.beside(loop).after(
+        assert self._results is not None
+        deadline = self._results.deadlines.after(
             timeout, self._expire, future, function, timeout
         )
         try:
@@ -164,7 +165,7 @@ class Executor:
             if results.is_over and not results.held:
                 jobs.put(None)
 
-        Door.of(loop).give_out(begin, self._thread, outside=outside)
+        results.door.give_out(begin, self._thread, outside=outside)
 
     def expired(self) -> None:
         """Take note that a call has not returned within its deadline."""
@@ -242,7 +243,8 @@ class Results:
     def __init__(self, executor: Executor, loop: asyncio.AbstractEventLoop) -> None:
         self._executor = executor
         self._tag = (executor.name,)
-        self._door = Door.of(loop)
+        self.door = Door.of(loop)
+        self.deadlines = Deadlines.beside(loop)
         self.loop = loop
         self.held = 0
         """How many calls it was given that have not come to its thread: see `Door`."""
@@ -252,7 +254,7 @@ class Results:
     def add(self, call: Call, result: Any, error: BaseException | None) -> None:
         """Hand over a result, from the thread."""
         try:
-            self._door.post(
+            self.door.post(
                 call.work, self._tag, self._deliver, call.future, result, error
             )
         except RuntimeError:
