@@ -29,7 +29,7 @@ def check(
     as_json: Annotated[bool, Parameter(name="--json")] = False,
     strict: bool = False,
 ) -> int:
-    """Find every mistake of a robot at once, without opening a device.
+    """Find every mistake of a robot at once; no device is opened.
 
     Exit code: 0 no errors, 1 errors found, 2 the file or module cannot be read.
 

@@ -15,7 +15,7 @@ def demo(
     record: Path | None = None,
     kill: bool = False,
 ) -> int:
-    """Watch a simulated rover explore, lose a sensor, stop safely and go on.
+    """Watch a simulated rover lose a sensor, stop safely and go on.
 
     Args:
         fast: Run on a virtual clock, in a few seconds.

@@ -63,7 +63,9 @@ def devices(
     seconds: Annotated[float | None, Parameter(name="--for")] = None,
     root: Annotated[Path, Parameter(show=False)] = Path("/"),
 ) -> int:
-    """List what is plugged in: ports, CAN, I²C, SPI, GPIO, pads, cameras; with TOML.
+    """List what is plugged in, with the lines for a robot.toml.
+
+    Serial ports, CAN, I²C, SPI, GPIO, gamepads and cameras.
 
     Exit code: 0 done, 1 nothing was found in time or a bus could not be scanned,
     2 the command line cannot be used, 130 Ctrl-C.

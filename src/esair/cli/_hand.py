@@ -49,10 +49,11 @@ def drive(
     lease: float = 0.5,
     robot: Annotated[str | None, Parameter(name=["--robot", "-r"])] = None,
 ) -> int:
-    """Drive an actuator with the arrow keys, or w a s d; a space stops, q leaves.
+    """Drive an actuator with the arrow keys, or w a s d.
 
-    It moves while a key is held. Nothing is queued: when the keys, this program or the
-    terminal are gone, the actuator is released when the lease is over.
+    A space stops, q leaves. It moves while a key is held. Nothing is queued: when the
+    keys, this program or the terminal are gone, the actuator is released when the lease
+    is over.
 
     Args:
         actuator: What to drive.

@@ -41,7 +41,7 @@ def log(
     kind: Annotated[list[str] | None, Parameter(name=["--kind", "-k"])] = None,
     machine: Annotated[bool, Parameter(name="--json")] = False,
 ) -> int:
-    """Print what is in a recording, or what a robot does now, a line for each event.
+    """Print a recording, or what a robot does now, line by line.
 
     Args:
         file: A recording; also one that was cut.
@@ -146,7 +146,7 @@ def recover(
     *,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
 ) -> int:
-    """Write a whole, indexed recording with all that is readable of a cut one.
+    """Make a whole recording of what is readable of a cut one.
 
     Args:
         file: A recording that was cut; it stays as it is.

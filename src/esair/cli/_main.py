@@ -87,7 +87,7 @@ def _leaves(group: BaseExceptionGroup[ConfigError]) -> list[ConfigError]:
 
 def make_app() -> App:
     """Return the command line with all its verbs."""
-    from cyclopts import App, Parameter
+    from cyclopts import App, Group, Parameter
 
     from esair.cli._check import check
     from esair.cli._demo import demo
@@ -111,14 +111,12 @@ def make_app() -> App:
         version=importlib.metadata.version("esair"),
         default_parameter=Parameter(negative=()),  # no --no-json, no --empty-page
     )
-    for verb in (demo, new, check, devices, sim, run, log, plot, replay, recover):
+    for verb in (new, check, sim, run, torture, demo, devices):
         app.command(verb)
-    app.command(torture)
-    app.command(top)
-    app.command(view)
-    app.command(drive)
-    for steer in VERBS:
-        app.command(steer)
-    app.command(set_, name="set")
-    app.command(minimal)
+    for other in (log, plot, replay, recover, minimal):
+        app.command(other)
+    running = Group("A robot that runs", sort_key=1)
+    for steer in (top, view, drive, *VERBS):
+        app.command(steer, group=running)
+    app.command(set_, name="set", group=running)
     return app

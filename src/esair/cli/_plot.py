@@ -44,7 +44,7 @@ def plot(
         list[str] | None, Parameter(name=["--component", "-c"])
     ] = None,
 ) -> int:
-    """Draw a recording: values over time, who held which actuator, what happened.
+    """Draw a recording: values, holders and events over time.
 
     Args:
         file: A recording; also one that was cut.

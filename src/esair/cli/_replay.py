@@ -36,7 +36,7 @@ def replay(
     check: bool = False,
     verbose: Annotated[bool, Parameter(name=["--verbose", "-v"])] = False,
 ) -> int:
-    """Repeat a recorded run with the robot's code of today, and compare.
+    """Repeat a recorded run with the code of today, and compare.
 
     No driver is called: what the devices have given comes from the recording. It ends
     at the first difference, which is shown with what was decided on. The exit code

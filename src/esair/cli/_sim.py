@@ -20,7 +20,7 @@ def sim(
     insecure: bool = False,
     verbose: Annotated[bool, Parameter(name=["--verbose", "-v"])] = False,
 ) -> int:
-    """Run the robot of a robot.toml in simulation: the sim tables count.
+    """Run the robot of a robot.toml in simulation, by its sim tables.
 
     Ctrl-C stops it: every actuator gets its safe command first.
 

@@ -22,7 +22,7 @@ AsJson = Annotated[bool, Parameter(name="--json")]
 def why(
     actuator: str | None = None, /, *, robot: Which = None, machine: AsJson = False
 ) -> int:
-    """Tell who holds an actuator, by which rule, and what would free it.
+    """Tell who holds an actuator, why, and what would free it.
 
     Args:
         actuator: The actuator; all of them unless given.
@@ -127,7 +127,7 @@ def operate(
     robot: Which = None,
     machine: AsJson = False,
 ) -> int:
-    """Have a device do what its driver can, such as home, and print the result.
+    """Have a device do what its driver can, such as home.
 
     Args:
         resource: The device.
@@ -172,7 +172,7 @@ def add(name: str, /, *, robot: Which = None) -> int:
 
 
 def remove(name: str, /, *, robot: Which = None) -> int:
-    """Take a behavior or device away; its actuators are made safe first.
+    """Take a behavior or device away; what it moves is safe first.
 
     Args:
         name: The behavior or device.

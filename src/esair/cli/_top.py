@@ -31,7 +31,9 @@ def top(
     robot: Annotated[str | None, Parameter(name=["--robot", "-r"])] = None,
     machine: Annotated[bool, Parameter(name="--json")] = False,
 ) -> int:
-    """Show what a robot is doing: state, holder, rate, age, late, losses, refusals.
+    """Show what a robot is doing, in a table.
+
+    State, holder, rate, age, late steps, losses and refusals of each component.
 
     On a terminal until Ctrl-C, with what happens below; else once, as plain text.
 

@@ -37,7 +37,7 @@ def torture(
     out: Path | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> int:
-    """Do to a robot whatever can go wrong, and see whether it stays safe.
+    """Do to a robot whatever can go wrong; does it stay safe?
 
     It runs on a virtual clock, on the sim tables of its file or on stand-ins: no
     hardware is touched. What is found is shrunk to a short story and written as a test.

@@ -24,7 +24,7 @@ def view(
     port: int = 8765,
     origin: Sequence[str] = (),
 ) -> int:
-    """Show a robot live to Foxglove or Lichtblick on this computer, until Ctrl-C.
+    """Show a robot live to Foxglove or Lichtblick.
 
     Open a connection to ws://127.0.0.1:8765 there. It can be looked at, and nothing can
     be changed. A recording is opened by these programs as it is.
