@@ -615,7 +615,7 @@ class Loop:
                             dark.append(node)
                             break
                         value = None
-                        if values[key] is not None:
+                        if news is None and values[key] is not None:
                             news = True
                     elif now - source.time > age - gap and not optional:
                         dark.append(node)

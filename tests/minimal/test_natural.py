@@ -68,19 +68,6 @@ def make_values(rng: random.Random, count: int) -> list[float | None]:
     return values
 
 
-def bridge(number: int, age: float, sensors: list[Any]) -> None:
-    """Let no loss of an optional reading end in the step after it became too old.
-
-    STD decides without it in the moment between; MIN has no moment between two steps.
-    """
-    values, rate, last = sensors[number]["values"], sensors[number]["rate"], 0
-    for i, value in enumerate(values):
-        if value is not None and 0 < (i - last) * 1000 / rate - age * 1000 <= 20:
-            values[i] = None
-        elif value is not None:
-            last = i
-
-
 def make_reaction(
     rng: random.Random, sensors: list[Any], actuators: list[Any]
 ) -> dict[str, Any]:
@@ -113,22 +100,15 @@ def add_lamp(
     actuators: list[Any],
     reactions: list[Any],
 ) -> None:
-    """Add one that decides without a reading that is lost, and its own actuator.
-
-    STD decides when it is lost, MIN at the next step: so it decides at each step.
-    """
-    quick = [i for i, each in enumerate(sensors) if each["rate"] == natural.RATE]
-    if len(sensors) == 1 or not quick:
+    """Add one that goes on without its second reading, and its own actuator."""
+    if len(sensors) == 1:
         return
-    seen = quick[0]
-    extra = rng.choice([i for i in range(len(sensors)) if i != seen])
-    ages = [make_age(rng, sensors[each]) for each in (seen, extra)]
-    bridge(extra, ages[1], sensors)
+    seen = rng.sample(range(len(sensors)), 2)
     reactions.append(
         {
             "kind": "Maybe",
-            "rate": rng.choice([None, natural.RATE]),
-            "inputs": [[seen, ages[0]], [extra, ages[1]]],
+            "rate": rng.choice([None, 50, 25, 10, 5]),
+            "inputs": [[one, make_age(rng, sensors[one])] for one in seen],
             "outputs": [[len(actuators), 0, None, "safe", False]],
         }
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from typing import Any
 
 import pytest
@@ -50,7 +51,6 @@ async def test_an_optional_reading_that_is_gone_hides_no_other() -> None:
         needed = esair.reads(float, max_age=0.2)
         extra = esair.reads(float, max_age=0.1, optional=True)
         motor = esair.writes(float)
-        rate = 5.0
 
         def react(self, needed: float, extra: float | None) -> float:
             return 0.5 if extra is None else 0.25
@@ -67,6 +67,31 @@ async def test_an_optional_reading_that_is_gone_hides_no_other() -> None:
         assert wheels.commands[-1] == 0.5
         await asyncio.sleep(0.1)
         assert wheels.commands[-1] == 0.0
+
+
+async def test_a_rate_is_kept_when_an_optional_reading_is_gone() -> None:
+    """A reaction with a rate decides without it in its next step, as on a board."""
+    times: list[int] = []
+
+    class Maybe(esair.Reaction):
+        needed = esair.reads(float)
+        extra = esair.reads(float, max_age=0.1, optional=True)
+        motor = esair.writes(float)
+        rate = 5.0
+
+        def react(self, needed: float, extra: float | None) -> float:
+            times.append(self.now_ms)
+            return 0.5 if extra is None else 0.25
+
+    needed = FakeSensor("needed", 1.0, type=float, rate=50.0)
+    extra = FakeSensor("extra", 1.0, type=float, rate=50.0)
+    wheels = motor()
+    async with esair.Robot(resources=[needed, extra, wheels], behaviors=[Maybe()]):
+        await wheels.until(0.25, timeout=1.0)
+        extra.stall()
+        await wheels.until(0.5, timeout=1.0)
+
+    assert {after - before for before, after in itertools.pairwise(times)} == {200}
 
 
 class Blind(esair.Reaction):

@@ -128,7 +128,8 @@ class Input:
         self.runner.forget()
         if self.optional:
             self.runner.values[self.place] = None
-            self.runner.job.soon()
+            if self.runner.on_reading:
+                self.runner.job.soon()
         else:
             self.runner.park(reason, missing=1)
 
