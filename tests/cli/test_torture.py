@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import pytest
 
 PLANTED = Path(__file__).parents[1] / "torture" / "planted.py"
-BRIEFLY = ("--for", 0.3, "--seed", 5)
+BRIEFLY = ("--faults", 60, "--seed", 5)
 
 
 def test_a_sound_robot_survives_all(esair_command, capsys) -> None:
@@ -19,6 +20,16 @@ def test_a_sound_robot_survives_all(esair_command, capsys) -> None:
     assert (told["ok"], told["seed"], told["findings"]) == (True, 5, [])
     assert told["faults"] == sum(each["faults"] for each in told["kinds"]) > 0
     assert all(each["faults"] == each["survived"] for each in told["kinds"])
+
+
+def test_it_ends_when_its_time_is_over(esair_command, capsys) -> None:
+    """However many faults that was."""
+    began = time.process_time()
+    words = ("--for", 0.1, "--json")
+    assert esair_command("torture", f"{PLANTED}:sound", *words) == 0
+
+    assert json.loads(capsys.readouterr().out)["ok"]
+    assert time.process_time() - began < 5.0
 
 
 def test_what_is_found_is_a_test_in_the_folder(esair_command, capsys, tmp_path) -> None:
