@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
-from collections.abc import Iterable
 
 
 class Leaks:
@@ -22,12 +21,12 @@ class Leaks:
         Args:
             patience: How long to wait for threads to end, in real seconds.
         """
-        await self._let_tasks_end()
-        for thread in self._new_threads():
-            thread.join(patience)
-        await asyncio.sleep(0)
-        await self._let_tasks_end()  # those that a thread began at its end
-        found = [f"task {task!r}" for task in self._new_tasks()]
+        if self._new_threads():
+            await self._let_tasks_end()  # a thread may wait for one
+            for thread in self._new_threads():
+                thread.join(patience)
+        await asyncio.sleep(0)  # what a thread has told the loop at its end
+        found = [f"task {task!r}" for task in await self._let_tasks_end()]
         found += [f"thread {thread.name!r}" for thread in self._new_threads()]
         found += [
             f"descriptor {number} -> {target}"
@@ -36,13 +35,15 @@ class Leaks:
         ]
         return found
 
-    async def _let_tasks_end(self) -> None:
+    async def _let_tasks_end(self) -> list[asyncio.Task[object]]:
+        """Give tasks some turns to end; return those that have not."""
         for _ in range(20):
-            if not self._new_tasks():
+            if not (left := self._new_tasks()):
                 break
             await asyncio.sleep(0)
+        return left and self._new_tasks()
 
-    def _new_tasks(self) -> Iterable[asyncio.Task[object]]:
+    def _new_tasks(self) -> list[asyncio.Task[object]]:
         mine = asyncio.current_task()
         tasks = asyncio.all_tasks() - self._tasks
         return sorted((t for t in tasks if t is not mine), key=lambda t: t.get_name())
