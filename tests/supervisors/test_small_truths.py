@@ -210,7 +210,7 @@ async def test_a_command_that_is_given_up_leaves_its_place() -> None:
     assert await asyncio.gather(*last) == [None] * LIMIT
 
 
-@pytest.mark.promise("CON-2")
+@pytest.mark.promise("RS-2")
 @pytest.mark.parametrize(
     ("terms", "field"),
     [
