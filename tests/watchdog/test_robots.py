@@ -13,6 +13,7 @@ import tty
 from pathlib import Path
 
 import pytest
+from tests.patience import TRIES
 
 import esair
 from esair.exceptions import ConfigError
@@ -53,12 +54,15 @@ def run(way: str, seconds: float = 8.0) -> tuple[bytes, str, int | None]:
 @pytest.mark.parametrize("way", ["kill", "sleep", "spin"])
 def test_a_robot_that_dies_or_hangs_is_made_safe(way: str) -> None:
     """The last thing at the far end is the safe command, and the process has ended."""
-    data, said, code = run(way)
-    assert data.count(b"GO\n") > 30
-    assert data.endswith(b"STOP\n")
-    assert "esair watchdog: " in said
+    for _ in range(TRIES):
+        data, said, code = run(way)
+        assert data.count(b"GO\n") > 30
+        assert data.endswith(b"STOP\n")
+        assert "esair watchdog: " in said
+        assert code == -signal.SIGKILL
+        if way == "kill" or " in die: wheels safe" in said:
+            break  # a busy computer may not tell in time who holds the process
     assert way == "kill" or " in die: wheels safe" in said  # the culprit
-    assert code == -signal.SIGKILL
 
 
 @pytest.mark.promise("GRD-1")
