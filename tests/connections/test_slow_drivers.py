@@ -164,3 +164,48 @@ async def test_after_a_sleep_of_the_computer_no_reading_is_current(
         await user.sonar.read()
         assert sonar.reads == 2
         assert robot.resources.query("sonar").state is ResourceState.READY
+
+
+@pytest.mark.promise("CALL-2", "SUP-3")
+async def test_a_new_device_owes_nothing_to_the_one_before(user_of: Any) -> None:
+    """However many safe commands that had: a slow write of its own stands."""
+    old = FakeActuator("motor", safe=0.0, command_timeout=0.1)
+    new = FakeActuator("motor", safe=0.0, command_timeout=1.0)
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[old], behaviors=[user]) as robot:
+        for _ in range(5):
+            await user.motor.write(1.0)
+            await asyncio.sleep(0.3)
+        assert old.commands == [0.0] + 5 * [1.0, 0.0]
+        await robot.resources.replace("motor", new)
+        new.slow(0.05)
+        await user.motor.write(1.0)
+        await asyncio.sleep(0.5)
+        assert new.commands == [0.0, 1.0]
+
+
+@pytest.mark.promise("SUP-3")
+async def test_a_device_is_closed_when_its_last_call_has_ended(user_of: Any) -> None:
+    """Not under the hands of its driver."""
+    log: list[str] = []
+
+    class Motor(FakeActuator[float]):
+        async def write(self, command: float) -> None:
+            await super().write(command)
+            log.append(f"end {command}")
+
+        async def close(self) -> None:
+            log.append("close")
+
+    motor = Motor("motor", safe=0.0, command_timeout=0.1)
+    motor.deadline = 0.2
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        motor.slow(0.25)
+        motor.swallow(1)
+        writing = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.01)
+        motor.slow(0.0)
+    with pytest.raises(esair.EsairError):
+        await writing
+    assert log.index("end 1.0") < log.index("close")

@@ -75,6 +75,17 @@ SENSORS = (Polled, Blocking, Pushing)
 ACTUATORS = (Motor, SlowMotor, BlockingMotor, Servo)
 
 
+ANSWERS = (
+    esair.BehaviorUnavailableError,
+    esair.BehaviorFailedError,
+    esair.BusyError,
+    esair.CircularRequestError,
+    esair.RefusedError,
+    esair.UnknownNameError,
+)
+"""What a peer may answer, or what becomes of it: no reason to end."""
+
+
 class Reflex(esair.Reaction):
     """Lets others drive, or turns away; which is in its profile."""
 
@@ -128,8 +139,11 @@ class Driver(esair.Behavior):
                     await self.put(self.peer, 1, interval=0.2)
                 else:
                     await self.ask(self.peer, Job(0.2), timeout=0.5)
-            except esair.EsairError:
+            except ANSWERS:
                 continue
+            except esair.BehaviorRemovedError as error:
+                if error.behavior != self.peer:
+                    raise  # its own end has come
 
 
 def names(kinds: tuple[type[Any], ...], dice: random.Random) -> dict[str, type[Any]]:

@@ -319,11 +319,10 @@ class Calls:
             if call.outcome is None:
                 self._abandon(call, error)
 
-    async def quiet(self, until: float) -> bool:
-        """Wait until no call is alive, or until a moment; tells whether none is."""
+    async def quiet(self, until: float) -> None:
+        """Wait until no call is alive, or until a moment."""
         while self.alive and self._time() < until:
             await self.next_end(until)
-        return not self.alive
 
     async def next_end(self, until: float) -> None:
         """Wait until some call that is alive has its outcome or its end, or a moment."""

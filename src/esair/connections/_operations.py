@@ -156,7 +156,6 @@ class Operations:
         if type(value) is Call:
             value.apply = self._ended
             this.call = value
-            value.owner = this.registration
             device.operating(this, value)
         else:
             self._over(this, End(value, None))
