@@ -178,6 +178,8 @@ def maker(seed: int) -> Callable[[], esair.Robot]:
             ports = {
                 each: esair.writes(float) for each in actuators if dice.random() < 0.7
             }
+            if not ports:  # deaf when its end comes, it would never hear of it
+                ports = {next(iter(actuators)): esair.writes(float)}
             peer = drivers[(n + 1) % len(drivers)]
             kind: Any = type("Drives", (Driver,), ports)
             actions.append(kind(name, peer, dice.randrange(1000)))
