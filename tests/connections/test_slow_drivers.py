@@ -209,3 +209,31 @@ async def test_a_device_is_closed_when_its_last_call_has_ended(user_of: Any) -> 
     with pytest.raises(esair.EsairError):
         await writing
     assert log.index("end 1.0") < log.index("close")
+
+
+@pytest.mark.promise("AC-1", "CALL-3")
+@pytest.mark.parametrize("takes", [0.0, 0.1])
+async def test_a_writer_cancelled_in_the_instant_of_its_turn(
+    takes: float, user_of: Any
+) -> None:
+    """Its call is ended with it, if there is one that waits; it is only cancelled."""
+
+    class Motor(FakeActuator[float]):
+        async def write(self, command: float) -> None:
+            if command == 2.0:  # before its writer hears that it was its turn
+                asyncio.get_running_loop().call_soon(second.cancel)
+                self.slow(takes)
+            await super().write(command)
+
+    motor = Motor("motor", safe=0.0)
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        motor.slow(0.05)
+        first = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.01)
+        second = asyncio.create_task(user.motor.write(2.0))
+        await asyncio.wait({first, second})
+        assert first.result()
+        assert second.cancelled()
+        await asyncio.sleep(0.15)
+        assert (2.0 in motor.commands) is (takes == 0.0)

@@ -18,7 +18,6 @@ from esair.exceptions import (
     ConfigError,
     DeviceLostError,
     EsairError,
-    HaltedError,
     ResourceRemovedError,
     StoppingError,
     UnknownNameError,
@@ -173,12 +172,10 @@ class ControlPath:
     ) -> Any:
         """Call an operation of a resource; see `ResourceSupervisor.operate`."""
         await Budget.spend()
-        life = self._configurable(registration, operates=True)
+        life = self._configurable(registration)
         return await operate(life, registration, name, parameters)
 
-    def _configurable(
-        self, registration: Registration, *, operates: bool = False
-    ) -> ResourceLife:
+    def _configurable(self, registration: Registration) -> ResourceLife:
         if (
             not isinstance(registration, Registration)
             or self.registrations.live.get(registration.number) is not registration
@@ -192,8 +189,6 @@ class ControlPath:
                 f"it is registered to {registration.access} only",
             )
         life = self._lives[registration.resource]
-        if operates and self.registrations.halt is not None:
-            raise HaltedError(life.resource.name, self.registrations.halt.reason)
         if life.channel.state is not ResourceState.READY:
             raise life.channel.error or DeviceLostError(registration.resource)
         return life
