@@ -87,7 +87,7 @@ def test_only_a_board_that_the_host_arms_is_armed_by_it(
         rate=50,
         armed=False,
     )
-    start = Start(loop, arm=arm, orders=orders)
+    start = Start(loop, arm=arm, link=link.Link, orders=orders)
     steps(loop, start, 4 if arm == "host" else 3)
 
     assert motor.told == told

@@ -87,6 +87,7 @@ def test_the_files_are_those_of_the_robot(tmp_path) -> None:
     names = {path.relative_to(out).as_posix() for path in out.rglob("*.py")}
 
     assert names >= {"main.py", "rover_pins.py", "esair/minimal.py"}
+    assert "esair/boards/link.py" not in names  # nobody has asked for one
     minimal = ROOT / "src" / "esair" / "minimal.py"
     assert (out / "esair" / "minimal.py").read_text() == minimal.read_text()
     demo = ROOT / "src" / "esair" / "demo" / "_reactions.py"

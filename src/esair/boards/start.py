@@ -38,8 +38,8 @@ class Start:
         watchdog: The time-out of the hardware watchdog, in milliseconds; 0 for none.
         parts: The devices. One that has a method ``is_set_up`` is asked once a second,
             and set up again, made safe, when it says no: its supply had failed.
-        orders: With a `esair.boards.link`, what `from_host` has returned; then the host
-            arms by the link.
+        link: `esair.boards.link.Link`, if the host speaks by that; it then arms by it.
+        orders: What that does at the actuators, as `from_host` has returned it.
     """
 
     def __init__(
@@ -48,7 +48,8 @@ class Start:
         arm: "str | int" = "always",
         watchdog: int = 0,
         parts: "tuple[Any, ...]" = (),
-        orders: "Any" = None,
+        link: "Any" = None,
+        orders: "Any" = (),
     ) -> None:
         self.loop = loop
         self.arm = arm
@@ -62,14 +63,11 @@ class Start:
         self.cause = reset_cause()
         self.feed: "Any" = None
         loop.arm(self.armed)
-        self.link: "Any" = None
         self.poll: "Any" = None
-        if orders is not None:
-            from esair.boards.link import Link
-
-            self.link = Link(loop, orders, self.cause, arms=arm == "host")
+        # Given, not imported here: a board without a link has no file of it.
+        self.link = link and link(loop, orders, self.cause, arm == "host")
         if arm == "host":
-            if orders is None:
+            if link is None:
                 self.poll = _polled_stdin()
         elif not self.armed:
             from machine import Pin

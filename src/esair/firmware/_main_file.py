@@ -71,7 +71,7 @@ def main_file(
         body.append(
             f"_host = {imports.add('esair.boards.link', 'from_host')}(({moved}))"
         )
-        orders = ", _host"
+        orders = f", {imports.add('esair.boards.link', 'Link')}, _host"
     body += ["", "_loop = Loop("]
     for word, kind in (
         ("reactions", "behavior"),
