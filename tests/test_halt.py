@@ -199,6 +199,37 @@ async def test_a_thread_halts_although_the_loop_is_stuck(fake_actuator: Any) -> 
 
 
 @pytest.mark.promise("ROB-4")
+async def test_a_thread_resumes_with_the_next_turn(fake_actuator: Any) -> None:
+    """A user's window has a thread of its own."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels], behaviors=[Drive()]) as robot:
+        await robot.halt("a look at it")
+        before = len(wheels.commands)
+        await asyncio.to_thread(robot.resume)
+        await asyncio.sleep(0.1)
+
+        assert robot.halted is None
+        assert 1.0 in wheels.commands[before:]
+
+
+@pytest.mark.promise("ROB-4")
+async def test_no_reason_keeps_a_robot_from_being_halted(fake_actuator: Any) -> None:
+    """Not even one that cannot be put into words."""
+
+    class Mute:
+        def __str__(self) -> str:
+            raise ValueError("no words")
+
+    wheels = fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels], behaviors=[Drive()]) as robot:
+        await wheels.until(1.0)
+        await robot.halt(Mute())  # type: ignore[arg-type]
+
+        assert robot.halted == "no reason was given"
+        assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("ROB-4")
 async def test_only_the_user_resumes(fake_actuator: Any) -> None:
     """A behavior that tries gets an error, and the robot stays halted."""
     wheels = fake_actuator("wheels", safe=0.0)

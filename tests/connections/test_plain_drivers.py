@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import threading
+from collections.abc import Awaitable
 from typing import Any
 
 import pytest
@@ -141,3 +142,49 @@ async def test_what_they_start_belongs_to_nobody_who_happens_to_write() -> None:
         await robot.behaviors.remove("once")
         assert [task.done() for task in tasks] == [False]
     tasks[0].cancel()
+
+
+class Handed(esair.Actuator[float]):
+    """Its plain method hands out what there is to await, as a wrapper does."""
+
+    safe = 0.0
+
+    def __init__(self, pause: float = 0.0) -> None:
+        super().__init__(name="handed")
+        self.pause = pause
+        self.log: list[float] = []
+
+    def write(self, command: float) -> Awaitable[None]:  # type: ignore[override]
+        return self.later(command)
+
+    async def later(self, command: float) -> None:
+        if self.pause:
+            await asyncio.sleep(self.pause)
+        if command > 1.0:
+            raise OSError("no acknowledge")
+        self.log.append(command)
+
+
+@pytest.mark.parametrize("pause", [0.0, 0.05])
+async def test_what_a_method_on_a_thread_hands_out_is_awaited(
+    user_of: Any, pause: float
+) -> None:
+    """In the loop, whether it ends at once or later; its error is the driver's."""
+    handed, user = Handed(pause), user_of("user", handed=esair.writes(float))
+    async with esair.Robot(resources=[handed], behaviors=[user]):
+        assert await user.handed.write(0.5)
+        assert handed.log[-1] == 0.5
+        with pytest.raises(esair.DeviceFaultError, match="no acknowledge"):
+            await user.handed.write(2.0)
+    assert handed.log[-1] == 0.0
+
+
+async def test_what_a_method_hands_out_has_the_drivers_deadline(user_of: Any) -> None:
+    """It is cancelled then, as any call of a driver."""
+    handed, user = Handed(), user_of("user", handed=esair.writes(float))
+    async with esair.Robot(resources=[handed], behaviors=[user]):
+        handed.pause = 100.0
+        with pytest.raises(esair.DriverStuckError):
+            await user.handed.write(0.5)
+        handed.pause = 0.0
+    assert 0.5 not in handed.log

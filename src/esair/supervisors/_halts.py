@@ -15,7 +15,7 @@ from esair.connections import (
     LastCommand,
     Registrations,
 )
-from esair.exceptions import AccessDeniedError, HaltedError
+from esair.exceptions import AccessDeniedError
 from esair.journal import Journal, Kind
 from esair.loop import Door, News, clock_of, current_owner, portal, spawn
 
@@ -83,16 +83,6 @@ class Halts:
             await asyncio.wait(self._answers)
         self._last = tuple(channel.told() for channel in self._channels.values())
         self._loop = None
-
-    def check(self, resource: str) -> None:
-        """Refuse what must not happen while the robot is halted.
-
-        Raises:
-            HaltedError: It is.
-        """
-        halt = self._registrations.halt
-        if halt is not None:
-            raise HaltedError(resource, halt.reason)
 
     def halt(self, reason: str, by: str = "the user") -> Halting:
         """Make every actuator safe and keep it so, until `resume`.
