@@ -127,3 +127,30 @@ async def test_numbers_tell_answers_apart_without_waiting(line: FakeSerial) -> N
     assert await line.ask(b"n?", answers=lambda _: True, timeout=0.2) == b"n=4"
     assert line.stats.late == 1
     await line.close()
+
+
+@pytest.mark.promise("BUS-3")
+@pytest.mark.parametrize("late", [0.09, 0.3, 0.45])
+@pytest.mark.parametrize("given_up", [0.0, 0.01, 0.095])
+async def test_what_is_owed_counts_from_when_it_was_due(
+    line: FakeSerial, late: float, given_up: float
+) -> None:
+    """Not from when it was given up: that may be at once, or after it has begun late."""
+    board = LateBoard(line, late)
+    await line.open()
+    answered = 0
+    for _ in range(30):
+        asking = asyncio.ensure_future(line.ask(b"range?", prefix=b"range="))
+        await asyncio.sleep(given_up)
+        asking.cancel()
+        await asyncio.wait({asking})
+        for _ in range(3):
+            before = board.heard
+            try:
+                answer = await line.ask(b"range?", prefix=b"range=", timeout=0.2)
+            except DriverStuckError:
+                continue
+            assert answer == b"range=%d" % (before + 1)
+            answered += 1
+    assert answered or late > 0.2
+    await line.close()

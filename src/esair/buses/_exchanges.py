@@ -14,7 +14,7 @@ from esair.exceptions import BusyError, DeviceLostError, DriverStuckError, descr
 from esair.loop import arrive
 
 LATE_LIMIT = 0.4
-"""How long after its request was given up an answer may still come, in seconds."""
+"""How long after it was due an answer may still come, in seconds."""
 
 REQUEST_LIMIT = 64
 """How many requests may wait on one wire."""
@@ -34,9 +34,9 @@ class Exchanges:
 
     Args:
         bus: The bus, whose name is in the errors and whose ``stats`` count.
-        late_limit: How long after its request was given up an answer may still come, in
-            seconds. What comes even later is taken for another's: choose it for the
-            device.
+        late_limit: How long after it was due an answer may still come, in seconds; it is
+            due when the time of its request would be over that begins as it is sent.
+            What comes even later is taken for another's: choose it for the device.
         limit: How many requests may wait.
     """
 
@@ -74,6 +74,7 @@ class Exchanges:
         *kinds: Hashable,
         timeout: float,
         answers: Callable[[bytes], bool] | None = None,
+        patience: float | None = None,
     ) -> bytes:
         """Send a request in its turn, and return the message that answers it.
 
@@ -84,6 +85,8 @@ class Exchanges:
                 together, in seconds.
             answers: Tells its answer from those to all other requests, by a sequence
                 number, say; then late ones need not be waited for.
+            patience: How long after it was sent its answer is due, in seconds;
+                ``timeout`` if None.
 
         Raises:
             BusyError: Too many requests wait; it was not sent.
@@ -92,7 +95,7 @@ class Exchanges:
         async with self.request(*kinds, timeout=timeout, answers=answers) as exchange:
             exchange.begin()
             await send(exchange.left)
-            return await exchange.answer()
+            return await exchange.answer(patience=patience)
 
     def request(
         self,
@@ -167,7 +170,7 @@ class Exchanges:
         self._now = None
         self._waiting -= 1
         if exchange.is_owed:
-            exchange.until = _time() + self._late_limit
+            exchange.until = max(_time(), exchange.due) + self._late_limit
             self._owed.append(exchange)
             del self._owed[: -self._limit]
         self._turns.give()
@@ -212,6 +215,8 @@ class Exchange:
     Attributes:
         name: What it is called in errors.
         answers: What tells its answer from all others; None if nothing does.
+        due: When its answer is due, on the loop's clock, once it was sent: it may be given
+            up much earlier, or begin late.
         until: When its answer comes no more, on the loop's clock, once it is given up.
     """
 
@@ -225,7 +230,7 @@ class Exchange:
         answers: Callable[[bytes], bool] | None,
     ) -> None:
         self.answers = answers
-        self.until = 0.0
+        self.due = self.until = 0.0
         self._exchanges = exchanges
         self._kinds = kinds
         prefixes = kinds or (b"",)
@@ -256,8 +261,9 @@ class Exchange:
         """Its answer is there, or it was not sent: nothing is owed."""
         self._is_answered = True
 
-    async def answer(self) -> bytes:
-        """Wait for the answer."""
+    async def answer(self, *, patience: float | None = None) -> bytes:
+        """Wait for the answer; the request has been sent."""
+        self.due = _time() + (self._seconds if patience is None else patience)
         return await within(self._answer, max(0.0, self.left))
 
     def takes(self, message: bytes) -> bool:

@@ -160,7 +160,7 @@ async def test_cancelled_in_the_tick_its_turn_comes(
     await line.open()
     first = asyncio.create_task(line.ask(b"first", answers=cancel))
     second = asyncio.create_task(line.ask(b"second"))
-    third = asyncio.create_task(line.ask(b"third"))
+    third = asyncio.create_task(line.ask(b"third", timeout=2.0))
     if when == "after":
         first.add_done_callback(lambda _: second.cancel())
 

@@ -60,8 +60,9 @@ class SerialBus(Bus):
             table with its ``type`` and its parameters.
         out_limit: How many bytes may wait to be sent; more is refused.
         write_timeout: How long a write may take unless it says otherwise, in s.
-        late_limit: How long after its request was given up an answer may still come, in
-            s; see `ask`.
+        late_limit: How long after it was due an answer may still come, in s; see `ask`.
+            An answer that is later still is taken for that to another request: have
+            ``timeout`` and this together be more than the slowest device ever takes.
         bad_limit: After how many damaged messages in a row everybody who listens is
             told that the device is at fault.
         wire: What is opened instead of a port, such as a line in memory.

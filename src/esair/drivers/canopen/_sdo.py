@@ -81,6 +81,8 @@ class _Client(SdoClient):
 
         seconds = self.RESPONSE_TIMEOUT + LATE_LIMIT + LOOP_TIMEOUT
         try:
-            return await self._exchanges.ask(send, timeout=seconds)
+            return await self._exchanges.ask(
+                send, timeout=seconds, patience=self.RESPONSE_TIMEOUT
+            )
         finally:
             sent.set()
