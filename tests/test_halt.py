@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 import time
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 import esair
 from esair import BehaviorState, Refused
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -347,3 +349,30 @@ async def test_the_reason_of_every_other_way_out(fake_actuator: Any) -> None:
         async with robot:
             raise ValueError("bug")
     assert robot.stopped.reason == "ValueError: bug"
+
+
+@pytest.mark.promise("SEC-1", "ROB-4")
+async def test_no_reason_reaches_the_log_raw(caplog: pytest.LogCaptureFixture) -> None:
+    """A reason may come from a client, or from what a device has said."""
+    reason = "a cat\x1b[2J\u202e\nERROR all is well"
+
+    class Guard(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(float)
+
+        def react(self, sonar: float, wheels: float) -> float:
+            return wheels
+
+    sonar: FakeSensor[float] = FakeSensor("sonar", 1.0, type=float)
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    with caplog.at_level(logging.INFO, logger="esair"):
+        robot = esair.Robot(resources=[sonar, wheels], behaviors=[Guard()])
+        robot.halt(reason)
+        async with robot:
+            robot.behaviors.mute("guard", 0.1, reason)
+            await asyncio.sleep(0.2)
+            await robot.halt(reason)
+            await robot.stop(reason)
+    told = [record.getMessage() for record in caplog.records]
+    assert sum("a cat\\x1b[2J\\u202e" in line for line in told) >= 4
+    assert [line for line in told if not line.isprintable()] == []

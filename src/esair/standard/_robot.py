@@ -47,7 +47,7 @@ from esair.supervisors import (
     ResourceDeployment,
     ResourceSupervisor,
 )
-from esair.values import check_name, check_seconds
+from esair.values import check_name, check_seconds, printable
 from esair.watchdog import LIMIT
 
 if TYPE_CHECKING:
@@ -445,7 +445,7 @@ class Robot:
         reason = self._reason
         if self.halted is not None:
             reason = f"{reason}; halted: {self.halted}"
-        _log.info("robot %s: stops: %s", self.name, reason)
+        _log.info("robot %s: stops: %s", self.name, printable(str(reason)))
         if self._is_up:
             self._is_up = False
             self._care.is_down()

@@ -18,6 +18,7 @@ from esair.connections import (
 from esair.exceptions import AccessDeniedError
 from esair.journal import Journal, Kind
 from esair.loop import Door, News, clock_of, current_owner, portal, spawn
+from esair.values import printable
 
 TAKEN_WITHIN = 0.25
 """How long a thread that halts waits for a loop that is busy, in seconds."""
@@ -174,9 +175,9 @@ class Halts:
 
 
 def _words(reason: object) -> str:
-    """Put a reason into one line: a halt is refused for no reason at all."""
+    """Put a reason into one line that can be shown: a halt is refused for no reason at all."""
     try:
-        text = " ".join(str(reason).split())
+        text = printable(" ".join(str(reason).split()))
     except Exception:  # a user's __str__ may raise anything
         text = ""
     return text or "no reason was given"

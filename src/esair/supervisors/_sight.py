@@ -9,7 +9,7 @@ from esair.actions import Behavior, Guards, Need, Reads, Writes
 from esair.actions import ProfiledAction as Action
 from esair.connections import UNDECIDED, Protection, Protections
 from esair.exceptions import AccessDeniedError, BadValueError
-from esair.values import check_duration
+from esair.values import check_duration, printable
 
 _log = logging.getLogger("esair")
 
@@ -115,7 +115,8 @@ class Sight:
         if not isinstance(reason, str) or not reason.strip():
             raise BadValueError(self.name, "reason", "say why in a few words")
         self._table.mute(self.entries, seconds, reason)
-        _log.warning("%s: muted for %g s by the user: %s", self.name, seconds, reason)
+        told = printable(reason)
+        _log.warning("%s: muted for %g s by the user: %s", self.name, seconds, told)
 
     def reset(self) -> None:
         """End the latch of a guard.
