@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import enum
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -135,3 +136,17 @@ def test_an_object_without_parts_is_taken_as_a_whole() -> None:
     assert not is_weaker(other, one, safe)
     assert weaker_of(one, safe, safe) is safe
     assert weaker_of(one, other, safe) is one
+
+
+def test_a_choice_is_taken_as_a_whole() -> None:
+    """Its name and value, and the class that it refers to, are no parts of it."""
+
+    class Gear(enum.Enum):
+        PARK = 0
+        DRIVE = 1
+        BACK = -1
+
+    assert is_weaker(Gear.PARK, Gear.DRIVE, Gear.PARK)
+    assert not is_weaker(Gear.BACK, Gear.DRIVE, Gear.PARK)
+    assert weaker_of(Gear.DRIVE, Gear.PARK, Gear.PARK) is Gear.PARK
+    assert weaker_of(Gear.DRIVE, Gear.BACK, Gear.PARK) is Gear.DRIVE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import math
 import types
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,6 +11,9 @@ from typing import Any
 import attrs
 
 _MISSING: Any = object()
+
+_WHOLE = (str, bytes, bytearray, enum.Enum, type)
+"""What is compared as a whole."""
 
 
 def is_weaker(result: Any, command: Any, safe: Any) -> bool:
@@ -82,7 +86,7 @@ def _compares(command: Any) -> bool:
 
 def _parts(one: Any, other: Any) -> dict[Any, tuple[Any, Any]] | None:
     """The parts of two commands of one shape, by name or place; None if they have none."""
-    if type(one) is not type(other) or isinstance(one, str | bytes | bytearray):
+    if type(one) is not type(other) or isinstance(one, _WHOLE):
         return None
     if isinstance(one, Mapping):
         if one.keys() != other.keys():
