@@ -256,7 +256,9 @@ class _Task:
     def wake(self, **readings: "Any") -> None:
         """Let what it writes or guards be looked at closely."""
         for port in self.ports.values():
-            port.output.news, port.output.steady, port.time = True, None, -1
+            port.output.steady, port.time = None, -1
+            if hasattr(port, "latch"):
+                port.output.news = True
 
     def share(self, command: "Any", now: int) -> None:
         """Ask for what a reaction has decided for each of its ports."""
@@ -399,7 +401,7 @@ class _Output:
                 each = getattr(command, field) if field else command
                 if not low <= each <= high:
                     if not self.clamp or each - each != 0:  # no clamp is for NaN
-                        raise ValueError("over limits", command)
+                        raise ValueError("limits", command)
                     command = kind(low if each < low else high)
             return command
         except Exception as error:
@@ -588,11 +590,11 @@ class Loop:
                 node.due = node.phase >= every
                 node.phase %= every
             if dark:  # as it was since the last step, before anybody sees again
-                for node in dark:
+                for node in dark:  # reactions, then guards
                     node.lose_sight()
+                    for port in node.ports.values():
+                        port.output.settle(now, 1)
                 dark.clear()
-                for node in outputs:
-                    node.settle(now, 1)
             for node in inputs:
                 if node.due:
                     try:

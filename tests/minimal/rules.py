@@ -759,6 +759,59 @@ def rule_a_number_is_no_dictionary_of_commands():
         assert loop.faults == 1, (wrong, loop.fault)
 
 
+def rule_guards_that_lose_sight_together_latch_each():
+    """As it is in STD: one after the other, in the order in which they are listed."""
+
+    class Latches(Bumper):
+        motor = guards(float, latch=True)
+
+    class Stops(Bumper):
+        motor = guards(float, priority=5)
+
+    class On(Go):
+        motor = writes(float, hold=1.0)
+
+    class Long(Motor):
+        command_timeout = 1.0
+
+    eye, motor, latches = Sonar(0, *[OSError(5)] * 6 + [0]), Long(), Latches()
+    eye.name = "eye"
+    loop = Loop([latches, Stops(), On()], [Sonar(1), eye], [motor], rate=50)
+    for _ in range(9):
+        loop.step()
+    assert motor.told == [0.0, 1, 1, 1, 0.0], motor.told
+    assert loop.reset("latches")
+
+
+def rule_a_guard_is_not_asked_because_somebody_else_is_blind():
+    class Counts(Reaction):
+        rate = 1
+        motor = guards(float)
+        asked = 0
+
+        def react(self, motor):
+            self.asked += 1
+            return motor
+
+    class Above(Reaction):
+        rate = 1
+        motor = writes(float, priority=9, hold=1.0)
+
+        def react(self):
+            return 1.0
+
+    class Long(Motor):
+        command_timeout = 1.0
+
+    eye, motor, guard = Sonar(1, *[OSError(5)] * 9), Long(), Counts()
+    eye.name = "eye"
+    loop = Loop([guard, Above(), Blind()], [eye], [motor], rate=50)
+    for _ in range(9):
+        loop.step()
+    assert motor.told == [0.0, 1.0], motor.told
+    assert guard.asked == 1, guard.asked
+
+
 def rule_nothing_moves_before_it_is_armed():
     motor = Motor()
     loop = Loop([Go()], [Sonar(1)], [motor], rate=50, armed=False)
