@@ -12,10 +12,12 @@ from esair.testing import BusContract, FakeI2c
 class TestFakeI2c(BusContract):
     """On the virtual clock, in the event loop."""
 
+    timeout = 0.1
+
     def make(self) -> FakeI2c:
         numbers = bytes(range(256))
         return FakeI2c(
-            chips={0x68: {0x75: 0x68}, 0x40: b"", 0x41: numbers}, timeout=0.1
+            chips={0x68: {0x75: 0x68}, 0x40: b"", 0x41: numbers}, timeout=self.timeout
         )
 
     async def ask(self, bus: Any, number: int) -> int:
@@ -40,3 +42,5 @@ class TestUnnoticedLoss(TestFakeI2c):
 @pytest.mark.real_clock
 class TestFakeI2cOnItsThread(TestFakeI2c):
     """On the real clock, through the bus's thread."""
+
+    timeout = 0.5  # ten times the longest delay: the computer may be busy

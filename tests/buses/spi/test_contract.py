@@ -13,9 +13,11 @@ from esair.testing import BusContract
 class TestFakeSpi(BusContract):
     """On the virtual clock, in the event loop."""
 
+    timeout = 0.1
+
     def make(self) -> FakeSpi:
         return FakeSpi(
-            chips={0: {0x0F: 0x33}, 1: b"", 2: bytes(range(128))}, timeout=0.1
+            chips={0: {0x0F: 0x33}, 1: b"", 2: bytes(range(128))}, timeout=self.timeout
         )
 
     async def ask(self, bus: Any, number: int) -> int:
@@ -40,3 +42,5 @@ class TestUnnoticedLoss(TestFakeSpi):
 @pytest.mark.real_clock
 class TestFakeSpiOnItsThread(TestFakeSpi):
     """On the real clock, through the bus's thread."""
+
+    timeout = 0.5  # ten times the longest delay: the computer may be busy
