@@ -118,3 +118,22 @@ async def test_a_thread_begins_though_the_loop_is_never_quiet() -> None:
     (moved,) = [time for time, command in told if command == 1.0]
     after = [time for time, command in told if command == 0.0 and time > moved]
     assert after[0] - moved < 0.2 + 3 * 0.06
+
+
+async def test_a_thread_falls_asleep_while_the_loop_is_busy() -> None:
+    """A busy loop waits for no thread that would only wait for it."""
+    loop: Any = asyncio.get_running_loop()
+    goes_on = threading.Event()
+
+    def work() -> float:
+        goes_on.wait()
+        loop.wait_in_thread(1.0)
+        return float(loop.time())
+
+    begin = loop.time()
+    working = loop.run_in_executor(None, work)
+    await asyncio.sleep(0.0)
+    loop.advance(2.0)
+    goes_on.set()
+
+    assert await working - begin == pytest.approx(3.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import collections
 import concurrent.futures
 import heapq
 import math
@@ -55,6 +56,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._random = random.Random(seed) if seed else None
         self._turns = 0
         self._held = False
+        self._fall_asleep: collections.deque[Callable[[], None]] = collections.deque()
         self._threads = Threads()
         super().__init__()
 
@@ -96,8 +98,13 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             door.rest(thread)
             self.call_later(seconds, wake)
 
-        self.call_soon_threadsafe(begin)
+        self._fall_asleep.append(begin)
+        self.call_soon_threadsafe(self._let_fall_asleep)
         woken.wait()
+
+    def _let_fall_asleep(self) -> None:
+        while self._fall_asleep:
+            self._fall_asleep.popleft()()
 
     def run_in_executor(  # type: ignore[override]
         self, executor: Any, func: Callable[..., Any], *args: Any
@@ -140,7 +147,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         ready, scheduled = self._ready, self._scheduled  # type: ignore[attr-defined]
         self._turns += 1
         if self._held:
-            # Threads do not wait for a loop that is busy.
+            # Threads do not wait for a loop that is busy, nor it for one that would sleep.
+            self._let_fall_asleep()
             if not self._door_is_quiet() and self.threads_in_flight:
                 self._wait_for_threads()
                 return
