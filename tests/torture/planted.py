@@ -148,8 +148,9 @@ class Stubborn(esair.Behavior):
     sonar = esair.reads(float)
 
     async def run(self) -> None:
-        async for _ in esair.every(0.05):
+        while True:
             try:
+                await asyncio.sleep(0.05)
                 await self.sonar.read()
             except (esair.EsairError, asyncio.CancelledError):
                 continue

@@ -36,7 +36,7 @@ def rerun(pytester: pytest.Pytester, target: Target, report: Report) -> Path:
         ("no_deadline", "stop", "robot", 1),
         pytest.param("blind", "blind", "wheels", 1, marks=pytest.mark.long),
         pytest.param("no_bound", "queue", "diary", 0, marks=pytest.mark.long),
-        pytest.param("stubborn", "left", "stubborn", 1, marks=pytest.mark.long),
+        pytest.param("stubborn", "left", "stubborn", 0, marks=pytest.mark.long),
         ("no_safe", "start", "robot", 0),
         pytest.param("no_word_for_safe", "ready", "wheels", 0, marks=pytest.mark.long),
     ],

@@ -23,7 +23,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Deadlines, clock_of, spawn
+from esair.loop import REACHED, Deadlines, clock_of, spawn
 from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
@@ -310,7 +310,7 @@ class ActuatorDevice:
             self.state is ResourceState.READY and self._unsettled()
         ):
             seconds = give_up - self._time()
-            if seconds <= 0.0:
+            if seconds <= REACHED:
                 return
             pulse: asyncio.Future[None] = self._loop.create_future()
             self._pulses.append(pulse)
@@ -338,7 +338,7 @@ class ActuatorDevice:
     async def _send_safe(self) -> bool:
         try:
             until = self._time() + self._turn_within
-            while self._lane is not None and self._time() < until:
+            while self._lane is not None and self._time() + REACHED < until:
                 await self.calls.next_end(until)
             while True:
                 self._again = False

@@ -13,6 +13,7 @@ from esair.connections._threaded_call import ThreadedCall, awaited
 from esair.exceptions import DeviceFaultError, DriverStuckError, describe
 from esair.loop import (
     ENDED,
+    REACHED,
     Deadlines,
     Door,
     First,
@@ -321,7 +322,7 @@ class Calls:
 
     async def quiet(self, until: float) -> None:
         """Wait until no call is alive, or until a moment."""
-        while self.alive and self._time() < until:
+        while self.alive and self._time() + REACHED < until:
             await self.next_end(until)
 
     async def next_end(self, until: float) -> None:

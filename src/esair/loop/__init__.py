@@ -28,7 +28,7 @@ from esair.loop._ownership import (
 )
 from esair.loop._portal import Portal, portal
 from esair.loop._random import ComponentRandom, Stepping, Stream
-from esair.loop._rate_group import DerivedJob, Job, OneShot, Order, Step
+from esair.loop._rate_group import REACHED, DerivedJob, Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
 from esair.loop._signals import LateSignals, ProcessWatch, SignalWatch
 from esair.loop._stall import StallWatch
@@ -41,6 +41,7 @@ __all__ = [
     "ENDED",
     "GLANCE",
     "PUT_COST",
+    "REACHED",
     "SPENDABLE",
     "SPOILED",
     "WAITS",

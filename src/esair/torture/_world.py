@@ -323,11 +323,11 @@ class World:
     def _left_behind(self, problems: list[str]) -> None:
         left = [task for task in asyncio.all_tasks(self.loop) if not task.done()]
         name = self.robot.name
-        running = [e.action.name for e in self.levers.values() if e.is_running]
+        running = [each for each in self.levers.values() if each.is_running]
         for each in running:
-            text = "it goes on when its end has come: it catches CancelledError, or "
-            text += "BehaviorRemovedError, which its ports raise when it was removed"
-            self.judge.say("left", each, text)
+            if not each.was_deaf:  # else it never heard of its end
+                text = "it goes on when its end has come: it catches CancelledError"
+                self.judge.say("left", each.action.name, text)
         if left and not running:  # else they may be those that it waits for
             names = ", ".join(sorted(task.get_name() for task in left))
             self.judge.say("left", name, f"tasks are left behind: {names}"[:300])
