@@ -12,11 +12,14 @@ import attrs
 import pytest
 
 import esair
+from esair.journal import Kind
 from esair.testing import FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
 
 Arms = dict[str, float]
+
+KINDS = (Kind.COMMAND, Kind.SENT, Kind.APPLIED)
 
 
 class Both(esair.Actuator[Arms]):
@@ -182,3 +185,18 @@ async def test_a_guard_passes_a_command_that_cannot_be_compared() -> None:
         assert written
         assert written.by is None
         assert told[-1] == 0.5
+
+
+@pytest.mark.promise("TURN-5")
+async def test_the_journal_has_what_was_asked() -> None:
+    """Also where the command is another one when a listener hears of it."""
+    heard: list[Any] = []
+    arms, op = Both(), user()
+    robot = esair.Robot(resources=[arms], behaviors=[op])
+    robot.journal.listen(lambda event: heard.append(dict(event.value)), kinds=KINDS)
+    async with robot:
+        asked = {"left": 0.5, "right": 0.5}
+        await op.arms.write(asked)
+        asked["left"] = 0.9
+        await asyncio.sleep(0.01)
+    assert heard == [{"left": 0.5, "right": 0.5}] * len(KINDS)

@@ -231,7 +231,8 @@ class ActuatorChannel(HeldDevice):
         now = time()
         journal = self._journal
         if journal.heard:
-            journal.publish(Kind.COMMAND, self.name, registration.behavior, command)
+            asked = self._as_it_was(command)
+            journal.publish(Kind.COMMAND, self.name, registration.behavior, asked)
         blind = self._blind
         if (
             blind is not None
@@ -303,6 +304,13 @@ class ActuatorChannel(HeldDevice):
             return Written(command, asked, by) if told else _SENT
         self._took(command, sent)
         return self._applied(registration, command, sent, asked, by)
+
+    def _as_it_was(self, command: Any) -> Any:
+        """Return a command for the journal, which is read when it may have changed."""
+        try:
+            return self._copied(command)
+        except Exception:  # it may be an object of any class, and is checked later
+            return command
 
     def _slewed(self, command: Any, seconds: float) -> Any:
         before = self._base if self._told is HOLD else self._told

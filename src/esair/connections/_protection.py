@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from esair.connections._weaker import is_opaque, is_same, is_weaker
 from esair.exceptions import BadValueError, describe
-from esair.loop import Order, Scheduler, clock_of
+from esair.loop import OneShot, Order, Scheduler, clock_of
 from esair.messages import Refused
 from esair.resources import HOLD
 
@@ -279,6 +279,8 @@ class Protections:
     def __init__(self, channels: Mapping[str, Protected]) -> None:
         self._channels = channels
         self._entries: dict[str, list[Protection]] = {}
+        self._ends: list[OneShot] = []
+        """When what is muted now is in force again."""
 
     def __iter__(self) -> Iterator[Protection]:
         return iter([each for entries in self._entries.values() for each in entries])
@@ -331,7 +333,8 @@ class Protections:
             self._tell(entry.actuator, guards=entry.guards)
         if seconds > 0:
             loop = asyncio.get_running_loop()
-            Scheduler.of(loop).at(until, self._tell_all, order=Order.EXPIRY)
+            end = Scheduler.of(loop).at(until, self._tell_all, order=Order.EXPIRY)
+            self._ends.append(end)
 
     def reset(self, entries: Iterable[Protection]) -> None:
         """Take the latches of guards back."""
@@ -350,6 +353,12 @@ class Protections:
                 entry.reason = UNDECIDED
                 entry.since = _now()
         self._tell(actuator)
+
+    def close(self) -> None:
+        """Wait for no end of a mute any more: the robot has stopped."""
+        scheduler = Scheduler.of(asyncio.get_running_loop())
+        for end in self._ends:
+            scheduler.cancel(end)
 
     def _tell_all(self, _moment: float) -> None:
         for actuator in self._entries:

@@ -429,6 +429,7 @@ class ResourceDeployment:
     async def stop(self) -> None:
         """Close every device, all at the same time; each has a deadline."""
         self.control.closed = True
+        self.actuators.protections.close()
         await self.commands.close()
         # Deadlines do not add up: what comes last has what is left.
         until = min(self.deadline(), self._stops_since + self._grace + STOP_WITHIN)

@@ -1,0 +1,34 @@
+"""The user lets what is protected pass for a while."""
+
+from __future__ import annotations
+
+import pytest
+
+import esair
+from esair.testing import FakeActuator, FakeSensor
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("PRO-10", "ROB-5")
+async def test_a_mute_ends_with_its_robot() -> None:
+    """Nothing waits for its end any more: the leak check of this test sees to it."""
+
+    class Shut(esair.Reaction):
+        door = esair.reads(bool)
+        belt = esair.guards(float)
+
+        def react(self, door: bool, belt: float) -> None:
+            """Let nothing pass."""
+
+    class Turn(esair.Behavior):
+        belt = esair.writes(float)
+
+    turn = Turn()
+    door: FakeSensor[bool] = FakeSensor("door", True, type=bool)
+    belt: FakeActuator[float] = FakeActuator("belt", safe=0.0)
+    robot = esair.Robot(resources=[door, belt], behaviors=[Shut(), turn])
+    async with robot:
+        assert not await turn.belt.write(0.8)
+        robot.behaviors.mute("shut", 20.0, "a trial")
+        assert await turn.belt.write(0.8)
+    assert belt.commands[-1] == 0.0
