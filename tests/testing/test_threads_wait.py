@@ -11,7 +11,7 @@ import pytest
 
 import esair
 from esair.loop import Executor
-from esair.testing import FakeSensor, VirtualLoop
+from esair.testing import FakeActuator, FakeSensor, VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -137,3 +137,30 @@ async def test_a_thread_falls_asleep_while_the_loop_is_busy() -> None:
     goes_on.set()
 
     assert await working - begin == pytest.approx(3.0)
+
+
+async def test_a_thread_that_asks_the_loop_is_served_though_it_is_never_quiet() -> None:
+    """What was ready waits for the thread, not the thread's own request."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    sonar = FakeSensor("sonar", 1.0, type=float, rate=20.0)
+
+    class Heavy(esair.Reaction):
+        sonar = esair.reads(float)
+        rate = 20.0
+
+        def react(self, sonar: float) -> None:
+            if loop.time() < 2.0:
+                loop.advance(0.06)
+
+    class Drive(esair.ThreadBehavior):
+        wheels = esair.writes(float)
+
+        def run(self) -> None:
+            for number in range(1, 6):
+                self.wheels.write(float(number))
+                loop.wait_in_thread(0.2)
+
+    loop: Any = asyncio.get_running_loop()
+    async with esair.Robot(resources=[wheels, sonar], behaviors=[Heavy(), Drive()]):
+        await asyncio.sleep(3.0)
+    assert [each for each in wheels.commands if each] == [1.0, 2.0, 3.0, 4.0, 5.0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import collections
 import concurrent.futures
 import heapq
 import math
@@ -56,7 +55,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self._random = random.Random(seed) if seed else None
         self._turns = 0
         self._held = False
-        self._fall_asleep: collections.deque[Callable[[], None]] = collections.deque()
+        self._aside: list[Any] = []
+        """What is ready, and waits for the threads that began while it was held up."""
         self._threads = Threads()
         super().__init__()
 
@@ -98,13 +98,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             door.rest(thread)
             self.call_later(seconds, wake)
 
-        self._fall_asleep.append(begin)
-        self.call_soon_threadsafe(self._let_fall_asleep)
+        self.call_soon_threadsafe(begin)
         woken.wait()
-
-    def _let_fall_asleep(self) -> None:
-        while self._fall_asleep:
-            self._fall_asleep.popleft()()
 
     def run_in_executor(  # type: ignore[override]
         self, executor: Any, func: Callable[..., Any], *args: Any
@@ -147,21 +142,21 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         ready, scheduled = self._ready, self._scheduled  # type: ignore[attr-defined]
         self._turns += 1
         if self._held:
-            # Threads do not wait for a loop that is busy, nor it for one that would sleep.
-            self._let_fall_asleep()
-            if not self._door_is_quiet() and self.threads_in_flight:
-                self._wait_for_threads()
-                return
+            # Threads do not wait for a loop that is busy: they come first now.
             self._held = False
+            self._aside.extend(ready)
+            ready.clear()
         if ready:
             if self._random is not None and len(ready) > 1:
                 self._shuffle(ready)
         elif self._stopping:  # type: ignore[attr-defined]
-            pass
+            self._put_back(ready)
         elif not self._door_is_quiet():
             if not ready:
                 self._wait_for_threads()
                 return
+        elif self._aside:
+            self._put_back(ready)
         else:
             while scheduled and scheduled[0]._cancelled:
                 heapq.heappop(scheduled)._scheduled = False
@@ -182,6 +177,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             raise LivelockError(f"time does not pass:\n{self._tasks()}")
         del ready, scheduled  # asyncio makes new lists; the old ones keep tasks alive
         super()._run_once()  # type: ignore[misc]
+
+    def _put_back(self, ready: Any) -> None:
+        ready.extend(self._aside)
+        self._aside.clear()
 
     def _door_is_quiet(self) -> bool:
         """Let threads begin, and what they have done come in when all have ended."""
