@@ -23,7 +23,7 @@ pytestmark = pytest.mark.real_clock
 ROBOT = Path(__file__).with_name("robot.py")
 
 
-def run(way: str, seconds: float = 8.0) -> tuple[bytes, str, int | None]:
+def run(way: str, seconds: float = 30.0) -> tuple[bytes, str, int | None]:
     """Return what came over the line, what was said, and the exit code."""
     far, near = os.openpty()
     tty.setraw(near)
