@@ -69,7 +69,12 @@ async def test_every_mistake_of_a_configure_is_named_and_nothing_changes() -> No
         with pytest.raises(esair.BadValueError) as caught:
             await me.gain.configure(gian=1, gain=9, offset="far", rate=20.0)
 
-        for part in ("gian", "did you mean 'gain'", "at most 7", "expected a number in m"):
+        for part in (
+            "gian",
+            "did you mean 'gain'",
+            "at most 7",
+            "expected a number in m",
+        ):
             assert part in str(caught.value)
         assert sensor.log == []
         assert sensor.settings == {"rate": 10.0, "gain": 1, "offset": 0.0}

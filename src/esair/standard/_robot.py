@@ -35,7 +35,6 @@ from esair.messages import (
 )
 from esair.plan import Plan, errors_in, examine, refuse_while_looking
 from esair.resources import Resource, adapt_resource
-from esair.standard._buses import close_buses, open_buses
 from esair.standard._care import STALL_WARNING, LoopCare
 from esair.standard._recording import Keeping, repeats
 from esair.standard._seating import Seating
@@ -53,7 +52,6 @@ from esair.watchdog import LIMIT
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from esair.buses import Bus
 
 LAST_WAIT = 2.0
 """How long `run` may take to end beside the grace period, in seconds."""
@@ -194,7 +192,6 @@ class Robot:
         self.stopped = Stopped()
         """After the stop: what each actuator was told last, whether it answered, and
         in ``reason`` why the robot stopped."""
-        self._buses: list[Bus] = []
         self._entered = False
         self._signal: int | None = None
         self._host: asyncio.Task[Any] | None = None
@@ -300,9 +297,6 @@ class Robot:
             self._behaviors.accept(self._list_of_behaviors)
             if self._keeper is not None:
                 await self._keeper.start()
-            there = (each.bus for each in self._list_of_resources)
-            self._buses = list(dict.fromkeys(bus for bus in there if bus is not None))
-            await open_buses(self._buses)
             await self._resources.start(self._list_of_resources)
             await self._behaviors.start()
         except BaseException as error:
@@ -464,7 +458,6 @@ class Robot:
         finally:
             await self._halts.close()
             await self._resources.stop()
-            await close_buses({*self._buses, *self._resources.buses})
             if self._keeper is not None:
                 await self._keeper.close()
             self._care.stop()

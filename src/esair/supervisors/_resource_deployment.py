@@ -30,6 +30,7 @@ from esair.loop import spawn
 from esair.messages import Access, Policy, ResourceState, Restart
 from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
+from esair.supervisors._buses import BUS_TIMEOUT, close_buses, open_buses
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._control_path import ControlPath
 from esair.supervisors._derived_life import DerivedLife
@@ -278,6 +279,7 @@ class ResourceDeployment:
             try:
                 if self.lives.get(name) is life:
                     await self._undeploy(name, ResourceState.REMOVED, until)
+                    await self._let_go(life, until)
             finally:
                 self._has_departed(name)
         self.journal.publish(Kind.REMOVED, name, "resource")
@@ -316,6 +318,7 @@ class ResourceDeployment:
             else:
                 channel.removed()
             await life.stop(until)
+            await self._let_go(life, until, resource)
             if keep:
                 channel.attach(resource)  # type: ignore[arg-type]
                 new = self.deploy(resource, channel)
@@ -328,6 +331,22 @@ class ResourceDeployment:
             if self.lives.get(name) is life and keep:
                 channel.error = DeviceLostError(name, "nothing took its place")
             self._has_departed(name)
+
+    async def _let_go(
+        self, life: ResourceLife, until: float, new: Resource | None = None
+    ) -> None:
+        """Close the bus of a device that goes, unless others are on it.
+
+        What comes next, here or in another program, may want its port.
+        """
+        bus = life.resource.bus
+        stay = [each.resource for each in self.lives.values() if each is not life]
+        if new is not None:
+            stay.append(new)
+        if bus is None or any(each.bus is bus for each in stay):
+            return
+        left = until - asyncio.get_running_loop().time()
+        await close_buses([bus], within=max(0.1, min(left, BUS_TIMEOUT)))
 
     async def _make_safe(self, name: str, until: float = math.inf) -> None:
         channel = self.actuators.channels.get(name)
@@ -373,6 +392,9 @@ class ResourceDeployment:
         Raises:
             ExceptionGroup: Devices that are required are not there.
         """
+        there = (each.bus for each in resources)
+        self.buses = list(dict.fromkeys(bus for bus in there if bus is not None))
+        await open_buses(self.buses)
         self.began = asyncio.get_running_loop().time()
         # What is computed of others comes when they are there.
         for resource in sorted(resources, key=depths(resources).__getitem__):
@@ -427,7 +449,7 @@ class ResourceDeployment:
         return [each.told() for each in channels]
 
     async def stop(self) -> None:
-        """Close every device, all at the same time; each has a deadline."""
+        """Close every device, all at the same time; each has a deadline; then the buses."""
         self.control.closed = True
         self.actuators.protections.close()
         await self.commands.close()
@@ -442,6 +464,7 @@ class ResourceDeployment:
         await asyncio.gather(
             *(self._undeploy(name, closed, until) for name in tuple(self.lives))
         )
+        await close_buses(self.buses)
 
     # Inside.
 

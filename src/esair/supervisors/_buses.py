@@ -32,12 +32,12 @@ async def open_buses(buses: Iterable[Bus]) -> None:
     await _all(open_bus(bus) for bus in buses)
 
 
-async def close_buses(buses: Iterable[Bus]) -> None:
-    """Close buses, whatever state they are in."""
+async def close_buses(buses: Iterable[Bus], within: float = BUS_TIMEOUT) -> None:
+    """Close buses, whatever state they are in; each has so many seconds."""
 
     async def close_bus(bus: Bus) -> None:
         try:
-            async with asyncio.timeout(BUS_TIMEOUT):
+            async with asyncio.timeout(within):
                 await outside((bus.name, "close the bus"), bus.close)
         except Exception as error:
             _log.warning("bus %s: close: %s", bus.name, describe(error))
