@@ -1,11 +1,14 @@
 """``esair run`` and ``esair sim``: exit codes, and every actuator safe at the end."""
 
 import json
+import logging
 import re
 import signal
 import sys
 
 import pytest
+
+from esair.cli._log import shown_log
 
 pytestmark = pytest.mark.real_clock
 
@@ -283,3 +286,17 @@ def test_a_time_that_makes_no_sense_is_exit_code_2(
     assert esair_command("run", "robot.toml", f"--for={seconds}") == 2
     assert "--for: expected seconds > 0" in capsys.readouterr().err
     assert not (where / "log.jsonl").exists()
+
+
+@pytest.mark.parametrize("verbose", [False, True])
+@pytest.mark.usefixtures("capsys")
+def test_what_is_logged_afterwards_is_as_before(*, verbose: bool) -> None:
+    """A program that runs a robot as the command line does keeps its own levels."""
+    names = ("", "esair", "asyncio")
+    before = [logging.getLogger(name).level for name in names]
+
+    with shown_log(verbose=verbose):
+        inside = logging.getLogger("esair").level
+
+    assert inside == (logging.DEBUG if verbose else logging.INFO)
+    assert [logging.getLogger(name).level for name in names] == before

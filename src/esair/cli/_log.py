@@ -38,13 +38,18 @@ def shown_log(*, verbose: bool) -> Iterator[None]:
     """
     handler = _Beside(_shown(_console()), tracebacks=verbose)
     log = logging.getLogger()
+    levels = {"": logging.WARNING, "esair": logging.INFO, "asyncio": logging.WARNING}
+    if verbose:
+        levels |= {"": logging.DEBUG, "esair": logging.DEBUG}
+    before = {name: logging.getLogger(name).level for name in levels}
     log.addHandler(handler)
-    log.setLevel(logging.DEBUG if verbose else logging.WARNING)
-    logging.getLogger("esair").setLevel(logging.DEBUG if verbose else logging.INFO)
-    logging.getLogger("asyncio").setLevel(logging.WARNING)
+    for name, level in levels.items():
+        logging.getLogger(name).setLevel(level)
     try:
         yield
     finally:
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
         log.removeHandler(handler)
         handler.close()
 
