@@ -274,6 +274,22 @@ async def test_shots_that_were_cancelled_keep_nothing_alive() -> None:
     assert "esair scheduler" not in names
 
 
+async def test_a_shot_that_is_cancelled_at_the_end_of_the_loop_begins_nothing() -> None:
+    """Its scheduler was cancelled with the other tasks; another would never end."""
+
+    def leads() -> list[asyncio.Task[Any]]:
+        return [t for t in asyncio.all_tasks() if t.get_name() == "esair scheduler"]
+
+    shot = scheduler().at(clock() + 10.0, lambda _now: None)
+    await asyncio.sleep(0.1)
+    (lead,) = leads()
+    lead.cancel()
+    await asyncio.wait([lead])
+    scheduler().cancel(shot)
+
+    assert leads() == []
+
+
 @pytest.mark.promise("TURN-2")
 @pytest.mark.real_clock
 def test_what_the_end_of_a_turn_asks_for_comes_in_the_next_one() -> None:

@@ -270,7 +270,7 @@ class Scheduler:
             if each[-1] is not gone and not _is_cancelled(each[-1])
         ]
         heapq.heapify(self._heap)
-        if not self._heap:
+        if self._turning and not self._heap:
             self._wake()
 
     def _nanoseconds(self) -> int:
