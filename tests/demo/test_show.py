@@ -251,7 +251,7 @@ def digest(folder: Path, hash_seed: str) -> str:
     code = (
         "from pathlib import Path; from esair.demo._show import show; "
         f"file = open({str(record)!r}, 'w', encoding='ascii'); "
-        "raise SystemExit(show(fast=True, seed=5, duration=12.0, "
+        "raise SystemExit(show(fast=True, seed=5, duration=20.0, "
         f"out=Path({str(out)!r}), on_frame=lambda time, frame: "
         "print(f'{time:.6f} {frame.id:03X} {frame.data.hex()}', file=file)))"
     )
@@ -263,7 +263,7 @@ def digest(folder: Path, hash_seed: str) -> str:
         timeout=60,
     )
     lines = record.read_text("ascii").splitlines()
-    assert len(lines) > 500
+    assert len(lines) > 1000
     assert re.fullmatch(r"\d+\.\d{6} [0-9A-F]{3} [0-9a-f]{8,16}", lines[0])
     return hashlib.sha256(record.read_bytes()).hexdigest()
 
