@@ -239,11 +239,7 @@ class _Json:
 
 
 class _Words:
-    """Answers for people.
-
-    Args:
-        only_toml: Leave out all that does not belong into a robot.toml.
-    """
+    """Answers for people."""
 
     def __init__(self, *, only_toml: bool) -> None:
         self._only_toml = only_toml

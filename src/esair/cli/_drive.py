@@ -33,28 +33,7 @@ def drive(
     insecure: bool = False,
     loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None,
 ) -> int:
-    """Run the robot of a file until it ends, or until a signal.
-
-    Args:
-        file: The configuration of the robot.
-        simulated: Whether the ``sim`` tables count.
-        seconds: Stop after this many seconds; None to go on until the end.
-        verbose: Whether every line of the log is shown.
-        record: Where to record to: a file or a folder; empty for this folder; None if
-            only the file of the robot says so.
-        page: Where the page is served, HOST:PORT; empty for this computer; None if only
-            the file of the robot says so.
-        insecure: Whether another address may be without TLS.
-        loop_factory: Makes the event loop; asyncio's own if None.
-
-    Returns:
-        The exit code.
-
-    Raises:
-        ConfigError: The file cannot be read.
-        ExceptionGroup: Of `ConfigError`: every mistake in the file.
-        SystemExit: A signal came: 128 plus its number.
-    """
+    """Run the robot of a file until it ends, or until a signal."""
     if seconds is not None and not 0 < seconds < float("inf"):
         tell(f"--for: expected seconds > 0, not {seconds:g}")
         return CANNOT_USE

@@ -20,11 +20,7 @@ def tell(message: str) -> None:
 
 
 def show_mistakes(mistakes: Sequence[ConfigError]) -> int:
-    """Write every mistake of a configuration to the standard error.
-
-    Returns:
-        The exit code.
-    """
+    """Write every mistake of a configuration to the standard error."""
     from rich.console import Console
     from rich.text import Text
 
@@ -46,11 +42,7 @@ def show_mistakes(mistakes: Sequence[ConfigError]) -> int:
 
 
 def cannot_read(error: Exception) -> int:
-    """Say why a recording cannot be used.
-
-    Returns:
-        The exit code.
-    """
+    """Say why a recording cannot be used."""
     if isinstance(error, FileNotFoundError):
         tell(f"{error.filename}: there is no such file")
     else:
@@ -71,15 +63,7 @@ def has_unknown(option: str, given: Iterable[str], known: Collection[str]) -> bo
 
 
 def missing_extra(error: ModuleNotFoundError, extra: str) -> int | None:
-    """Say how to install what an import found missing.
-
-    Args:
-        error: What the import raised.
-        extra: The extra of esair that brings the package.
-
-    Returns:
-        The exit code; None if the missing module is one of esair's own.
-    """
+    """Say how to install what an import found missing."""
     package = (error.name or "").partition(".")[0]
     if package in {"", "esair"}:
         return None

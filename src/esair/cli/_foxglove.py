@@ -40,14 +40,7 @@ _HEAD: Final = struct.Struct("<BIQ")
 
 @attrs.define(eq=False)
 class _Viewer:
-    """One who looks.
-
-    Attributes:
-        link: Its connection.
-        wanted: The number of its subscription to each channel.
-        told: What it is told about channels.
-        waiting: The messages that are to be sent.
-    """
+    """One who looks."""
 
     link: ServerConnection
     wanted: dict[int, int] = attrs.field(factory=dict)
@@ -69,12 +62,7 @@ class _Viewer:
 
 
 class Views:
-    """Shows messages to viewers on this computer.
-
-    Args:
-        name: What is shown.
-        origins: Pages that may look, beside `ORIGINS`.
-    """
+    """Shows messages to viewers on this computer."""
 
     def __init__(self, name: str, origins: Sequence[str] = ()) -> None:
         self.name = name
@@ -86,11 +74,7 @@ class Views:
         self._session = str(time.time_ns())
 
     async def start(self, port: int) -> None:
-        """Let viewers come.
-
-        Raises:
-            OSError: The port cannot be had.
-        """
+        """Let viewers come."""
         from websockets.asyncio.server import serve
 
         self._server = await serve(

@@ -32,9 +32,6 @@ def shown_log(*, verbose: bool) -> Iterator[None]:
     A terminal gets columns; a file or a pipe gets one line for each record. A thread of
     its own writes, so a terminal that takes nothing more (a pipe that nobody reads, a
     suspended session) never holds up the robot, nor its end.
-
-    Args:
-        verbose: Whether every line is shown, with tracebacks.
     """
     handler = _Beside(_shown(_console()), tracebacks=verbose)
     log = logging.getLogger()

@@ -79,15 +79,7 @@ def _why_not(name: str, folder: Path) -> str | None:
 
 
 def write_project(name: str, project: Path) -> None:
-    """Write all files of a project, or none.
-
-    Args:
-        name: The name of the robot and of its package.
-        project: The directory; it must not exist.
-
-    Raises:
-        OSError: The directory exists, or cannot be written.
-    """
+    """Write all files of a project, or none."""
     project.mkdir()
     try:
         template = resources.files("esair.cli") / "templates" / "project"

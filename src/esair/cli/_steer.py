@@ -182,12 +182,7 @@ def remove(name: str, /, *, robot: Which = None) -> int:
 
 
 def replace(name: str, /, *, robot: Which = None) -> int:
-    """Put what the robot's file has of this name now in its place.
-
-    Args:
-        name: The behavior or device.
-        robot: The name of the robot, if several run.
-    """
+    """Put what the robot's file has of this name now in its place."""
     return act(robot, "replace", name=name)
 
 
@@ -247,19 +242,7 @@ def act(
     to: list[Any] | None = None,
     **fields: Any,
 ) -> int:
-    """Do one act and print its result.
-
-    Args:
-        robot: The name of the robot; may be left out if one runs.
-        verb: The act.
-        machine: Whether JSON is printed.
-        wait: How long its outcome is waited for, in seconds.
-        to: Where the result goes too.
-        **fields: What it is about.
-
-    Returns:
-        The exit code.
-    """
+    """Do one act and print its result."""
     try:
         with connect(robot) as client:
             result = client.do(verb, fields, timeout=wait)

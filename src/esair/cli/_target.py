@@ -7,15 +7,7 @@ from esair.plan import Finding, examine, protection
 
 
 def check_robot(target: str) -> Report:
-    """Find every mistake of a robot of a module, without starting it.
-
-    Args:
-        target: ``module:robot``, a module of this folder or an installed one, or
-            ``file.py:robot``.
-
-    Raises:
-        ConfigError: There is no such module, or no such robot in it.
-    """
+    """Find every mistake of a robot of a module, without starting it."""
     plan = find_robot(target).plan
     findings = [_shown(each) for each in examine(plan)]
     findings.sort(key=lambda each: each.severity)

@@ -56,12 +56,7 @@ def view(
 
 
 async def show(client: Client, views: Views, port: int) -> int:
-    """Show what a robot tells, as long as it tells.
-
-    Raises:
-        GoneError: The robot has ended.
-        OSError: The port cannot be had.
-    """
+    """Show what a robot tells, as long as it tells."""
     await views.start(port)
     print(  # noqa: T201 - this is the output
         f"{client.name}: ws://127.0.0.1:{views.port}/ for Foxglove or Lichtblick; "

@@ -25,10 +25,6 @@ def add_boards(source: Source, make: Callable[[Source], Draft]) -> None:
 
     A board has a bus and a sensor (how it is) of its own name, and its sensors and
     actuators have the names of its own file. A table of such a name adds keys to it.
-
-    Args:
-        source: The file; mistakes go there.
-        make: Makes the parts of a board's own file.
     """
     for name, table in named_tables(source, "board"):
         if _is_sound(source, name, table):

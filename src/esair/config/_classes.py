@@ -57,20 +57,7 @@ def find_class(
     kind: tuple[type, str] = (object, "a class"),
     built_in: Mapping[str, str] | None = None,
 ) -> type | None:
-    """Return the class that a file names, or note what is wrong with the name.
-
-    Args:
-        name: ``module:Class``, or the name of an entry point.
-        key: The key that holds the name.
-        mistakes: Where mistakes go.
-        group: The group of the entry points.
-        folder: The folder of the file; its modules are found first.
-        kind: The base of the class that is looked for in a module, and its words.
-        built_in: Names that are known without an entry point.
-
-    Returns:
-        The class; None if there was a mistake.
-    """
+    """Return the class that a file names, or note what is wrong with the name."""
     built_in = built_in or {}
     target = built_in.get(name, name)
     if matched := _MODULE_AND_CLASS.match(target):

@@ -45,16 +45,10 @@ class Place(enum.Enum):
 
 @attrs.frozen
 class Accepted:
-    """One key that a class accepts.
-
-    Attributes:
-        place: Where the value goes.
-        field: Its type, and whether it must be there.
-        setting: The setting, if it is one.
-    """
+    """One key that a class accepts."""
 
     place: Place
-    field: Field
+    field: Field  # Its type, and whether it must be there
     setting: Setting | None = None
 
 
@@ -93,17 +87,11 @@ def accepted_by(cls: type) -> Mapping[str, Accepted]:
 
 @attrs.frozen
 class Keywords:
-    """What the constructor of a class takes.
-
-    Attributes:
-        fields: Its keywords, by name.
-        takes_settings: Whether it takes the settings of a resource too.
-        takes_options: Whether it takes whatever a package behind it takes.
-    """
+    """What the constructor of a class takes."""
 
     fields: dict[str, Field]
-    takes_settings: bool = False
-    takes_options: bool = False
+    takes_settings: bool = False  # Whether it takes the settings of a resource too
+    takes_options: bool = False  # Whether it takes whatever a package behind it takes
 
 
 def keywords_of(cls: type) -> Keywords:
@@ -184,25 +172,7 @@ def construct(
     later: frozenset[str] = frozenset(),
     make: bool = True,
 ) -> Any:
-    """Make a component from its table, or note every mistake.
-
-    Args:
-        cls: The class of the component.
-        name: Its name.
-        table: What the file says about it.
-        keys: The key in the file of each key in the table.
-        key: The key of the component in the file.
-        mistakes: Where mistakes go.
-        folder: Where relative paths begin.
-        given: Objects that are no values of the file: the bus.
-        kinds: The types of keys whose types the class itself cannot say.
-        inherited: Keys that are left out if the class does not accept them.
-        later: Keys that somebody else takes care of.
-        make: Whether the component is made, or its table only checked.
-
-    Returns:
-        The component; None if there was a mistake.
-    """
+    """Make a component from its table, or note every mistake."""
     given = dict(given or {})
     accepted = accepted_by(cls)
     known = {each for each in accepted if each not in {"name", *given}}

@@ -18,19 +18,12 @@ from esair.resources import Resource
 
 @attrs.frozen(eq=False)
 class Part:
-    """One table of a file, and what was made of it.
+    """One table of a file, and what was made of it."""
 
-    Attributes:
-        kind: ``bus``, ``sensor``, ``actuator`` or ``behavior``.
-        name: Its name.
-        made: The object; None if that failed, for a reason that was told.
-        bus: The name of the bus that the table names.
-    """
-
-    kind: str
+    kind: str  # ``bus``, ``sensor``, ``actuator`` or ``behavior``
     name: str
-    made: Any
-    bus: str | None = None
+    made: Any  # The object; None if that failed, for a reason that was told
+    bus: str | None = None  # The name of the bus that the table names
 
     @property
     def key(self) -> str:
@@ -40,21 +33,15 @@ class Part:
 
 @attrs.define
 class Draft:
-    """What could be made of a file. Parts with mistakes are there, but not made.
-
-    Attributes:
-        source: The file.
-        simulated: Whether the ``sim`` tables were used.
-        robot: The keywords of the robot.
-        parts: The buses, resources and actions, in this order.
-        policies: Who may do what with a resource, by the name of the resource; under
-            ``behaviors`` who may manage others.
-    """
+    """What could be made of a file. Parts with mistakes are there, but not made."""
 
     source: Source
-    simulated: bool
+    simulated: bool  # Whether the ``sim`` tables were used
     robot: dict[str, Any] = attrs.field(factory=dict)
+    # The buses, resources and actions, in this order
     parts: list[Part] = attrs.field(factory=list)
+    # Who may do what with a resource, by the name of the resource; under ``behaviors``
+    # who may manage others
     policies: dict[str, Policy | BehaviorsPolicy] = attrs.field(factory=dict)
 
     @property

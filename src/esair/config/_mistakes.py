@@ -106,12 +106,7 @@ class ConfigFileError(ConfigError):
 
 
 class Mistakes:
-    """All mistakes of one file.
-
-    Args:
-        file: The file, as the user named it.
-        lines: Where its keys are.
-    """
+    """All mistakes of one file."""
 
     def __init__(self, file: str, lines: Lines) -> None:
         self.file = file
@@ -127,13 +122,7 @@ class Mistakes:
             self.errors.append(error)
 
     def caught(self, key: str, error: BaseException, doing: str) -> None:
-        """Note what a class raised while it was made from the file.
-
-        Args:
-            key: The key of the component.
-            error: What was raised.
-            doing: What was being done, in words.
-        """
+        """Note what a class raised while it was made from the file."""
         if isinstance(error, BaseExceptionGroup):
             for part in error.exceptions:
                 self.caught(key, part, doing)
@@ -144,11 +133,7 @@ class Mistakes:
             self.add(key, f"{doing} raised {describe(error)}")
 
     def raise_all(self) -> None:
-        """Raise every mistake at once, in the order of the file.
-
-        Raises:
-            ExceptionGroup: Of `ConfigError`; there is at least one mistake.
-        """
+        """Raise every mistake at once, in the order of the file."""
         if self.errors:
             count = len(self.errors)
             raise ExceptionGroup(

@@ -49,14 +49,7 @@ def set_profile(
     keys: Mapping[str, str],
     source: Source,
 ) -> None:
-    """Change what an action reads, writes or guards as the file says, or note why not.
-
-    Args:
-        action: A behavior or reaction, or a derived sensor.
-        table: Its table in the file.
-        keys: The key in the file of each key in the table.
-        source: The file.
-    """
+    """Change what an action reads, writes or guards as the file says, or note why not."""
     before = len(source.mistakes.errors)
     given: dict[str, dict[str, Any]] = {flow: {} for flow in FLOWS}
     needs: Mapping[str, Need]

@@ -17,15 +17,10 @@ _KNOWN: Final = {"Path": Path}
 
 @attrs.frozen
 class Field:
-    """One field of a record, or one keyword of a constructor.
-
-    Attributes:
-        kind: Its type.
-        required: Whether it has no default.
-    """
+    """One field of a record, or one keyword of a constructor."""
 
     kind: Any
-    required: bool
+    required: bool  # Whether it has no default
 
 
 def fields_of(kind: type) -> Mapping[str, Field] | None:

@@ -31,18 +31,10 @@ _INTEGER: Final = 2**63  # what TOML promises to keep
 
 @attrs.frozen
 class Source:
-    """The text of one configuration file, parsed.
-
-    Attributes:
-        path: The file.
-        digest: SHA-256 of its bytes, in hexadecimal: what was loaded, exactly.
-        text: What it says.
-        data: Its tables.
-        mistakes: Where mistakes go.
-    """
+    """The text of one configuration file, parsed."""
 
     path: Path
-    digest: str
+    digest: str  # SHA-256 of its bytes, in hexadecimal: what was loaded, exactly
     text: str
     data: dict[str, Any]
     mistakes: Mistakes
@@ -61,15 +53,7 @@ class Source:
 
 
 def read_source(path: str | os.PathLike[str], text: str | None = None) -> Source:
-    """Read and parse a configuration file, once.
-
-    Args:
-        path: The file.
-        text: What it says; it is read unless given.
-
-    Raises:
-        ConfigFileError: It cannot be read, or is no TOML.
-    """
+    """Read and parse a configuration file, once."""
     shown = str(path)
     raw = _bytes_of(path, shown) if text is None else text.encode()
     try:

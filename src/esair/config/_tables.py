@@ -45,19 +45,13 @@ def named_tables(source: Source, kind: str) -> list[tuple[str, dict[str, Any]]]:
 
 @attrs.frozen
 class Variant:
-    """One table, real or simulated.
-
-    Attributes:
-        table: The values that count.
-        keys: The key in the file of each.
-        inherited: What a simulated device has from the real one's table.
-        is_simulated: Whether there was a table ``sim``.
-    """
+    """One table, real or simulated."""
 
     table: dict[str, Any]
-    keys: dict[str, str]
+    keys: dict[str, str]  # The key in the file of each
+    # What a simulated device has from the real one's table
     inherited: frozenset[str] = frozenset()
-    is_simulated: bool = False
+    is_simulated: bool = False  # Whether there was a table ``sim``
 
 
 def variant_of(

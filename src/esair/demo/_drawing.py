@@ -17,17 +17,11 @@ COLORS = ("#1c1f26", "#c9cdd4", "#3b6ea5", "#e08a3c", "#d62828")
 
 @attrs.frozen(eq=False)
 class Drawing:
-    """A map with what was driven on it.
-
-    Attributes:
-        floor: The map.
-        track: Where the rover has been, in metres.
-        place: Where it is, in metres.
-    """
+    """A map with what was driven on it."""
 
     floor: FloorMap
-    track: tuple[tuple[float, float], ...]
-    place: tuple[float, float]
+    track: tuple[tuple[float, float], ...]  # Where the rover has been, in metres
+    place: tuple[float, float]  # Where it is, in metres
 
     def __call__(self, width: int, height: int) -> Text:
         """Draw it on so many columns and lines: as fine as there is room."""
@@ -42,14 +36,7 @@ def draw_map(
     place: tuple[float, float],
     factor: int = 2,
 ) -> Text:
-    """Draw a map.
-
-    Args:
-        floor: The map.
-        track: Where the rover has been, in metres.
-        place: Where it is, in metres.
-        factor: How many cells of the map, across and along, are one point.
-    """
+    """Draw a map."""
     height, width = (length // factor * factor for length in floor.odds.shape)
     cut = floor.odds[:height, :width]
     blocks = cut.reshape(height // factor, factor, width // factor, factor)

@@ -54,12 +54,7 @@ _BLIND = (DeviceLostError, DeviceFaultError, StaleReadingError)
 
 
 class Journey(Behavior):
-    """Drives along ways over floor that it knows, and only while it can see.
-
-    Attributes:
-        blind: How many commands it did not make because it could not see.
-        refused: How many commands were refused because somebody else drove.
-    """
+    """Drives along ways over floor that it knows, and only while it can see."""
 
     ranges = reads(Scan, max_age=0.4)
     wheels = writes(Twist)
@@ -67,8 +62,8 @@ class Journey(Behavior):
     def __init__(self, *, mapper: str = "mapper", name: str | None = None) -> None:
         super().__init__(name=name)
         self.mapper = mapper
-        self.blind = 0
-        self.refused = 0
+        self.blind = 0  # How many commands it did not make because it could not see
+        self.refused = 0  # How many commands were refused because somebody else drove
         self.way: Way | None = None
         self.tried: tuple[Point, ...] = ()
 

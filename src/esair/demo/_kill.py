@@ -37,15 +37,11 @@ QUIET = 0.6
 
 @attrs.frozen
 class Death:
-    """What was seen from the far end of the wheels' line.
+    """What was seen from the far end of the wheels' line."""
 
-    Attributes:
-        lines: Each line, and when it came, in seconds from the signal on.
-        said: What the watchdog said.
-    """
-
+    # Each line, and when it came, in seconds from the signal on
     lines: tuple[tuple[float, bytes], ...]
-    said: str
+    said: str  # What the watchdog said
 
     @property
     def safe_after(self) -> float | None:

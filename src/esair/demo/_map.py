@@ -44,18 +44,13 @@ class Position:
 
 @attrs.frozen(eq=False)
 class FloorMap:
-    """A grid over the floor.
+    """A grid over the floor."""
 
-    Attributes:
-        odds: Log odds that a cell is occupied, 0 if unknown, shape (rows, columns);
-            row 0 is at the least y.
-        cell: The width of a cell in metres.
-        origin: x and y of the corner of cell (0, 0), in metres.
-    """
-
+    # Log odds that a cell is occupied, 0 if unknown, shape (rows, columns); row 0 is at
+    # the least y
     odds: Grid
-    cell: float
-    origin: tuple[float, float]
+    cell: float  # The width of a cell in metres
+    origin: tuple[float, float]  # x and y of the corner of cell (0, 0), in metres
 
     @classmethod
     def empty(cls, size: tuple[float, float], cell: float = 0.05) -> FloorMap:
@@ -114,14 +109,7 @@ class FloorMap:
         ranges: NDArray[np.float64],
         reach: float,
     ) -> None:
-        """Take in one sweep.
-
-        Args:
-            position: Where it was made.
-            angles: Directions from straight ahead, in rad, shape (n,).
-            ranges: Distances in metres, infinite where nothing is, shape (n,).
-            reach: How far it can be seen, in metres.
-        """
+        """Take in one sweep."""
         directions = angles + position.heading
         cos, sin = np.cos(directions), np.sin(directions)
         seen = np.isfinite(ranges)
@@ -137,14 +125,7 @@ class FloorMap:
         )
 
     def feel(self, x: float, y: float, direction: float) -> None:
-        """Take in that something was touched at a point.
-
-        Args:
-            x: Of the point, in metres.
-            y: Of the point, in metres.
-            direction: From the rover to it, in rad; what is touched is taken to lie
-                across, a quarter of a metre wide.
-        """
+        """Take in that something was touched at a point."""
         across = np.linspace(-0.12, 0.12, 9)
         xs, ys = x - across * math.sin(direction), y + across * math.cos(direction)
         deep = 0.04

@@ -53,11 +53,7 @@ HOLDERS = {
 
 
 def draw(run: Run, path: Path) -> None:
-    """Write the picture.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Write the picture."""
     with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 9}):
         figure = Figure(figsize=(12.0, 8.6), dpi=130, facecolor=PAPER)
         FigureCanvasAgg(figure)

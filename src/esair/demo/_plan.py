@@ -25,15 +25,10 @@ Point = tuple[float, float]
 
 @attrs.frozen
 class Way:
-    """A way over the floor.
+    """A way over the floor."""
 
-    Attributes:
-        points: In metres, from the rover to the goal.
-        gain: How many unknown cells begin near the goal.
-    """
-
-    points: tuple[Point, ...]
-    gain: int = 0
+    points: tuple[Point, ...]  # In metres, from the rover to the goal
+    gain: int = 0  # How many unknown cells begin near the goal
 
     @property
     def goal(self) -> Point:
@@ -74,14 +69,6 @@ def way_to_frontier(
     """Return the way to where most can be learned at least cost.
 
     A frontier is where the floor known to be free meets the unknown.
-
-    Args:
-        floor: What is known.
-        position: Where the rover is.
-        avoid: Goals that were tried in vain.
-
-    Returns:
-        The way; None if nothing unknown can be reached.
     """
     passable = _passable(floor, position)
     steps = _steps(passable, floor.cell_of(position.x, position.y))

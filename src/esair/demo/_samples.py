@@ -26,47 +26,25 @@ STILL = Twist(0.0, 0.0)
 
 @attrs.frozen
 class Sample:
-    """How things were at a moment.
+    """How things were at a moment."""
 
-    Attributes:
-        time: In seconds since the show began.
-        place: Where the rover really was, in metres.
-        heading: In rad.
-        holder: Who held the wheels; None if nobody did.
-        asked: The speed that the holder had asked for last, in m/s.
-        linear: The speed that the wheels were told last, in m/s.
-        sees: Whether the range finder was there.
-    """
-
-    time: float
-    place: tuple[float, float]
-    heading: float
-    holder: str | None
-    asked: float
-    linear: float
-    sees: bool
+    time: float  # In seconds since the show began
+    place: tuple[float, float]  # Where the rover really was, in metres
+    heading: float  # In rad
+    holder: str | None  # Who held the wheels; None if nobody did
+    asked: float  # The speed that the holder had asked for last, in m/s
+    linear: float  # The speed that the wheels were told last, in m/s
+    sees: bool  # Whether the range finder was there
 
 
 class Witness:
-    """Sees everything and changes nothing: it is no part of the robot.
-
-    Args:
-        robot: The robot.
-        simulation: The world that it is in.
-        mapper: The behavior that knows where the rover is.
-
-    Attributes:
-        samples: How things were, the oldest first.
-        belief: What the mapper believed last.
-        asked: What the wheels were asked for by who moves them.
-        told: What they were told.
-        turns: When each device was lost, and when it was back, the newest.
-    """
+    """Sees everything and changes nothing: it is no part of the robot."""
 
     def __init__(self, robot: Robot, simulation: Simulation, mapper: Mapper) -> None:
         self.samples: collections.deque[Sample] = collections.deque(maxlen=SAMPLE_LIMIT)
-        self.belief = mapper.belief()
+        self.belief = mapper.belief()  # What the mapper believed last
         self.asked = self.told = STILL
+        # When each device was lost, and when it was back, the newest
         self.turns: dict[tuple[str, Kind], float] = {}
         self._robot = robot
         self._simulation = simulation

@@ -36,10 +36,6 @@ class Screen(logging.Handler):
     """Shows a robot while it runs, if anybody looks at the terminal.
 
     Where no terminal is, each event is one line of text.
-
-    Args:
-        console: Where to show it.
-        live: Whether to draw; else lines of text only.
     """
 
     def __init__(self, console: Console, *, live: bool) -> None:

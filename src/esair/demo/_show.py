@@ -48,18 +48,11 @@ OnFrame = Callable[[float, Frame], None]
 
 @attrs.define
 class Ending:
-    """What is left of a run.
+    """What is left of a run."""
 
-    Attributes:
-        robot: The robot, which has stopped.
-        run: What the picture shows; None if the run was cut short.
-        summary: What is printed; None if the run was cut short.
-        frames: All frames that were on the CAN bus, with their times.
-    """
-
-    robot: Robot | None = None
-    run: Run | None = None
-    summary: Summary | None = None
+    robot: Robot | None = None  # The robot, which has stopped
+    run: Run | None = None  # What the picture shows; None if the run was cut short
+    summary: Summary | None = None  # What is printed; None if the run was cut short
     frames: list[tuple[float, Frame]] = attrs.field(factory=list)
 
 
@@ -139,16 +132,7 @@ async def perform(
     record: Path | None = None,
     on_frame: OnFrame | None = None,
 ) -> None:
-    """Let the rover run through all events, in the running event loop.
-
-    Args:
-        ending: Gets what is left at the end.
-        screen: Shows it.
-        seed: Decides all noise.
-        duration: How long it may take, in seconds.
-        record: Where the recording goes; None for none.
-        on_frame: Called with the time and each frame on the CAN bus.
-    """
+    """Let the rover run through all events, in the running event loop."""
     described = load(_robot_file(), simulated=True)
     async with Simulation(seed=seed) as simulation:
         simulation.on_frame = on_frame

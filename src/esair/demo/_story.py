@@ -31,43 +31,26 @@ PATIENCE = 6.0
 
 @attrs.frozen
 class Event:
-    """Something that happened.
+    """Something that happened."""
 
-    Attributes:
-        time: In seconds since the show began.
-        kind: ``person``, ``unplug``, ``plug``, ``refuse``, ``swap``, ``bump`` or
-            ``end``.
-        text: What it was, in one line.
-        detail: What came of it, in one line.
-        place: Where the rover was, in metres.
-    """
-
-    time: float
+    time: float  # In seconds since the show began
+    # ``person``, ``unplug``, ``plug``, ``refuse``, ``swap``, ``bump`` or ``end``
     kind: str
-    text: str
-    detail: str
-    place: tuple[float, float]
+    text: str  # What it was, in one line
+    detail: str  # What came of it, in one line
+    place: tuple[float, float]  # Where the rover was, in metres
 
 
 @attrs.frozen
 class Fault:
-    """A fault and what it cost.
-
-    Attributes:
-        text: What it was.
-        noticed: Until the robot knew, in seconds.
-        safe: Until the last wheel had its stop frame, in seconds.
-        back: From the return of the device to the first reading, in seconds.
-        moved: From the return of the device to the first motion, in seconds.
-        cost: What did not happen meanwhile.
-    """
+    """A fault and what it cost."""
 
     text: str
-    noticed: float
-    safe: float
-    back: float
-    moved: float
-    cost: str
+    noticed: float  # Until the robot knew, in seconds
+    safe: float  # Until the last wheel had its stop frame, in seconds
+    back: float  # From the return of the device to the first reading, in seconds
+    moved: float  # From the return of the device to the first motion, in seconds
+    cost: str  # What did not happen meanwhile
 
     def __str__(self) -> str:
         return (
@@ -78,11 +61,7 @@ class Fault:
 
 
 class Passenger(Behavior):
-    """Wants to drive too, but comes last.
-
-    Attributes:
-        answer: What it was told.
-    """
+    """Wants to drive too, but comes last."""
 
     wheels = writes(Twist, priority=-10)
 
@@ -102,21 +81,7 @@ class Passenger(Behavior):
 
 
 class Story:
-    """Lets the events happen, and tells what came of them.
-
-    Args:
-        robot: The running robot.
-        simulation: The world that it is in.
-        witness: Knows what the wheels were asked for and told.
-        tell: Called with each event.
-        explore: The behavior that explores.
-        duration: How long it may take, in seconds.
-
-    Attributes:
-        faults: What went wrong, and what it cost.
-        unmet: What should have happened and did not, in words.
-        home: The behavior that has taken its place; None before.
-    """
+    """Lets the events happen, and tells what came of them."""
 
     def __init__(
         self,
@@ -128,9 +93,10 @@ class Story:
         explore: Explore,
         duration: float,
     ) -> None:
-        self.faults: list[Fault] = []
-        self.unmet: list[str] = []
+        self.faults: list[Fault] = []  # What went wrong, and what it cost
+        self.unmet: list[str] = []  # What should have happened and did not, in words
         self.explore = explore
+        # The behavior that has taken its place; None before
         self.home: Home | None = None
         self._robot = robot
         self._simulation = simulation

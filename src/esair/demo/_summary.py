@@ -18,48 +18,29 @@ from esair.sim import Arena
 
 @attrs.frozen
 class Run:
-    """What the picture shows.
-
-    Attributes:
-        arena: What there really was.
-        belief: What the rover believes at the end.
-        samples: Where it was, and who drove it, in order.
-        events: What happened, in order.
-        headline: The run in one line.
-    """
+    """What the picture shows."""
 
     arena: Arena
-    belief: Belief
-    samples: tuple[Sample, ...]
+    belief: Belief  # What the rover believes at the end
+    samples: tuple[Sample, ...]  # Where it was, and who drove it, in order
     events: tuple[Event, ...]
     headline: str
 
 
 @attrs.frozen
 class Summary:
-    """The run in numbers.
+    """The run in numbers."""
 
-    Attributes:
-        seconds: How long it took.
-        distance: How far the rover drove, in metres.
-        known: Which part of the floor it knows at the end, 0 to 1.
-        error: How far its belief of where it is was off at the end, in metres.
-        bumps: How often it touched something.
-        status: The picture of the robot at the end.
-        faults: What went wrong, and what it cost.
-        told: What each actuator was told last, and whether it answered.
-        unmet: What should have happened and did not.
-    """
-
-    seconds: float
-    distance: float
-    known: float
-    error: float
-    bumps: int
+    seconds: float  # How long it took
+    distance: float  # How far the rover drove, in metres
+    known: float  # Which part of the floor it knows at the end, 0 to 1
+    error: float  # How far its belief of where it is was off at the end, in metres
+    bumps: int  # How often it touched something
     status: dict[str, Any]
-    faults: tuple[Fault, ...]
+    faults: tuple[Fault, ...]  # What went wrong, and what it cost
+    # What each actuator was told last, and whether it answered
     told: tuple[LastCommand, ...]
-    unmet: tuple[str, ...]
+    unmet: tuple[str, ...]  # What should have happened and did not
 
     @property
     def headline(self) -> str:

@@ -47,14 +47,7 @@ def used_already(component: Component) -> Finding:
 def taken(
     kind: str, about: Iterable[object], everybody: Sequence[object], missing: set[str]
 ) -> Iterator[Finding]:
-    """Find the components whose name another one has.
-
-    Args:
-        kind: The word for them: resource, behavior.
-        about: Those that are looked at.
-        everybody: All of the robot, in their order.
-        missing: Names that are taken by what could not be made.
-    """
+    """Find the components whose name another one has."""
     owners: dict[str, object] = {}
     for each in everybody:
         if name := name_of(each):

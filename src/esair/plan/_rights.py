@@ -61,14 +61,7 @@ def not_alone(policy: Policy, behavior: str, other: str) -> AccessDeniedError:
 def denied(
     plan: Plan, action: Behavior | Reaction, need: Need, *, user: str
 ) -> Iterator[Finding]:
-    """Find out if a policy denies what a port of an action asks for.
-
-    Args:
-        plan: The robot.
-        action: Whose port it is.
-        need: What it asks for.
-        user: The name in which it is registered.
-    """
+    """Find out if a policy denies what a port of an action asks for."""
     policy = plan.policy_of.get(need.provider)
     if policy is None:
         return

@@ -51,14 +51,7 @@ class _Out:
 
 
 class Segment:
-    """Writes messages to one file.
-
-    Args:
-        path: Where; it must not exist.
-
-    Raises:
-        RecordingError: It cannot be written.
-    """
+    """Writes messages to one file."""
 
     def __init__(self, path: Path) -> None:
         import foxglove
@@ -94,14 +87,7 @@ class Segment:
         self._guarded(self._writer.write_metadata, name, dict(facts))
 
     def write(self, topic: str, schema: str, message: Any, when: float) -> None:
-        """Write a message.
-
-        Args:
-            topic: Its topic.
-            schema: The name of its kind; the first of a topic counts.
-            message: Plain values.
-            when: The wall clock, in seconds.
-        """
+        """Write a message."""
         data = json.dumps(message, allow_nan=False).encode()
         channel = self._channels.get(topic)
         if channel is None:

@@ -14,10 +14,6 @@ def known(value: Any, seconds: float) -> tuple[str, dict[str, Any]] | None:
 
     It goes by what a value has: a place on earth, a turn of a laser, a picture. None
     if it is of no kind that viewers know.
-
-    Args:
-        value: What a sensor has given.
-        seconds: When, by the wall clock.
     """
     kind: object = type(value)
     form = _form(kind)

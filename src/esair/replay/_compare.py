@@ -24,17 +24,11 @@ _OF_ACTUATORS = {
 
 @attrs.frozen
 class Seen:
-    """A reading that was there when something was decided.
-
-    Attributes:
-        sensor: The name of the sensor.
-        value: What it had given.
-        time: When, on the robot's clock, in seconds.
-    """
+    """A reading that was there when something was decided."""
 
     sensor: str
     value: Any
-    time: float
+    time: float  # When, on the robot's clock, in seconds
 
 
 @attrs.frozen

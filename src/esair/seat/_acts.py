@@ -30,15 +30,10 @@ REQUIRED: Any = object()
 
 
 class Field(NamedTuple):
-    """One thing that an act is about.
+    """One thing that an act is about."""
 
-    Attributes:
-        kind: The types that its value may have.
-        default: Its value if it is not given.
-    """
-
-    kind: tuple[type, ...]
-    default: Any = REQUIRED
+    kind: tuple[type, ...]  # The types that its value may have
+    default: Any = REQUIRED  # Its value if it is not given
 
 
 NAME = Field((str,))

@@ -192,11 +192,7 @@ class Client:
 
 
 def result_of(found: dict[str, Any]) -> Any:
-    """Return the result in an answer.
-
-    Raises:
-        RefusedActError: It was not done.
-    """
+    """Return the result in an answer."""
     if found["ok"]:
         return found["result"]
     error = found["error"]

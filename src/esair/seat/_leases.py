@@ -62,23 +62,14 @@ class Driver(Protocol):
 
 @attrs.define(eq=False)
 class Lease:
-    """The right of one session to drive one actuator, as long as it has fresh input.
+    """The right of one session to drive one actuator, as long as it has fresh input."""
 
-    Attributes:
-        number: Grows: what has lapsed never comes back.
-        registration: The right by which it writes.
-        seconds: How long it lasts after the beat that the last input answers.
-        owner: Who drives.
-        until: When it lapses unless input renews it; on the loop's clock.
-        command: What it was told last; None before that.
-    """
-
-    number: int
-    registration: Registration
-    seconds: float
+    number: int  # Grows: what has lapsed never comes back
+    registration: Registration  # The right by which it writes
+    seconds: float  # How long it lasts after the beat that the last input answers
     owner: Driver
-    until: float
-    command: Any = None
+    until: float  # When it lapses unless input renews it; on the loop's clock
+    command: Any = None  # What it was told last; None before that
     timer: asyncio.TimerHandle | None = None
     repeats: Job | None = None
     writing: bool = False
@@ -91,14 +82,7 @@ class Lease:
 
 
 class Leases:
-    """All leases of a robot; one for each actuator at a time.
-
-    Args:
-        resources: Who gives the rights and takes them.
-        actuators: The way to the actuators.
-        name: In whose name is driven.
-        priority: With which priority.
-    """
+    """All leases of a robot; one for each actuator at a time."""
 
     def __init__(
         self,
@@ -126,12 +110,7 @@ class Leases:
         return iter(tuple(self._live.values()))
 
     def take(self, actuator: str, seconds: float, owner: Driver) -> Lease:
-        """Give somebody the lease of an actuator; whoever has it loses it.
-
-        Raises:
-            UnknownNameError: No actuator has the name.
-            BadValueError: It may not last that long.
-        """
+        """Give somebody the lease of an actuator; whoever has it loses it."""
         self._actuators.channel(actuator)
         check_duration("drive", "seconds", seconds)
         if seconds > LONGEST:
@@ -158,18 +137,7 @@ class Leases:
     async def drive(
         self, number: int, owner: Driver, beat: int, command: Callable[[Any], Any]
     ) -> Written[Any] | Refused:
-        """Write what fresh input says, and renew the lease.
-
-        Args:
-            number: Of the lease.
-            owner: Who has it.
-            beat: The newest beat that the input has seen.
-            command: Makes the command for the actuator.
-
-        Raises:
-            BadValueError: The lease has lapsed, or the input is too old.
-            EsairError: As a write.
-        """
+        """Write what fresh input says, and renew the lease."""
         lease, now = self._live.get(number), self._time()
         if lease is not None and now >= lease.until:
             self._lapse(lease)

@@ -95,35 +95,19 @@ class Session:
 
 
 class Given(NamedTuple):
-    """An act as it comes in by the door, and as it is kept for a replay.
-
-    Attributes:
-        session: The number of the session.
-        number: Of the act, among those of the session.
-        who: The user, and how it comes in, in words.
-        drives: Whether the session can drive.
-        act: The name of the act.
-        fields: What it is about; of a secret only that there is one.
-        until: When it is too late for it, on the robot's clock; or None.
-    """
+    """An act as it comes in by the door, and as it is kept for a replay."""
 
     session: int
-    number: int
-    who: str
-    drives: bool
+    number: int  # Of the act, among those of the session
+    who: str  # The user, and how it comes in, in words
+    drives: bool  # Whether the session can drive
     act: str
-    fields: dict[str, Any]
-    until: float | None
+    fields: dict[str, Any]  # What it is about; of a secret only that there is one
+    until: float | None  # When it is too late for it, on the robot's clock; or None
 
 
 class Waiting(NamedTuple):
-    """An act that has been given and has not begun.
-
-    Attributes:
-        session: Who has given it.
-        fields: What it is about.
-        outcome: What comes of it.
-    """
+    """An act that has been given and has not begun."""
 
     session: Session
     fields: dict[str, Any]

@@ -77,11 +77,7 @@ _PACKAGES = (
 
 
 def import_packages() -> None:
-    """Import what the page needs, which takes its time, before anything moves.
-
-    Raises:
-        ConfigError: A package is missing.
-    """
+    """Import what the page needs, which takes its time, before anything moves."""
     try:
         for package in _PACKAGES:
             __import__(package)
@@ -91,15 +87,7 @@ def import_packages() -> None:
 
 
 class PageServer:
-    """Serves the page of a robot in its own event loop.
-
-    Args:
-        console: Does what browsers want.
-        page: Where, and for whom.
-
-    Raises:
-        ConfigError: The address is in use.
-    """
+    """Serves the page of a robot in its own event loop."""
 
     def __init__(self, console: Console, page: Page) -> None:
         self.console = console

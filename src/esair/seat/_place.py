@@ -55,13 +55,7 @@ def _is_live(path: Path) -> bool:
 
 
 class Place:
-    """The place of one robot's socket: taken once, given back at its end.
-
-    Raises:
-        ConfigError: A robot of this name runs already, or the folder belongs to
-            somebody else, or is no folder.
-        OSError: The folder cannot be made.
-    """
+    """The place of one robot's socket: taken once, given back at its end."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -133,11 +127,7 @@ def secret_file(name: str, secret: str) -> Path:
 
 
 def reach(path: Path) -> socket.socket:
-    """Return a connection to a socket, however long its path is.
-
-    Raises:
-        OSError: Nobody is there, or one may not connect.
-    """
+    """Return a connection to a socket, however long its path is."""
     place = os.open(path.parent, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:

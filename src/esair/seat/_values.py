@@ -15,11 +15,7 @@ Range = tuple[float, float] | None
 
 
 def typed(value: Any, kind: Any, component: str, field: str) -> Any:
-    """Return a value of JSON as the type that is asked for.
-
-    Raises:
-        BadValueError: It is none; every mistake is named.
-    """
+    """Return a value of JSON as the type that is asked for."""
     wrong: list[str] = []
 
     def note(where: str, told: str) -> None:

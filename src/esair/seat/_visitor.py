@@ -21,22 +21,14 @@ from esair.seat._wire import (
 
 
 class Visitor:
-    """One who operates, by whatever way its lines come and go.
-
-    Args:
-        console: Does what it wants.
-
-    Attributes:
-        dropped: How many pushed lines it has missed because it was slow.
-        garbage: How many of its lines were no messages.
-        narrow: How many clients there are, if it is one too many: it can only stop.
-    """
+    """One who operates, by whatever way its lines come and go."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
         self.session = Session("", hand=self)
-        self.dropped = 0
-        self.garbage = 0
+        self.dropped = 0  # How many pushed lines it has missed because it was slow
+        self.garbage = 0  # How many of its lines were no messages
+        # How many clients there are, if it is one too many: it can only stop
         self.narrow = 0
         self._feeds: dict[str, Feed] = {}
 

@@ -22,27 +22,17 @@ _OWN = frozenset({"v", "id", "act", "until"})
 
 
 class Message(NamedTuple):
-    """What a client wants.
+    """What a client wants."""
 
-    Attributes:
-        id: How the client names it: the same id is done once.
-        act: The name of the act.
-        fields: What the act is about.
-        until: When it is too late for it, in seconds of the monotonic clock; or None.
-    """
-
-    id: str
+    id: str  # How the client names it: the same id is done once
     act: str
     fields: Mapping[str, Any]
+    # When it is too late for it, in seconds of the monotonic clock; or None
     until: float | None = None
 
 
 def decode(line: bytes) -> dict[str, Any]:
-    """Return the object of a line.
-
-    Raises:
-        BadValueError: It is none, or has what no message may have.
-    """
+    """Return the object of a line."""
     try:
         text = line.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -70,11 +60,7 @@ def decode(line: bytes) -> dict[str, Any]:
 
 
 def message_of(found: Mapping[str, Any]) -> Message:
-    """Return the message that an object is.
-
-    Raises:
-        BadValueError: A field is missing or of the wrong type.
-    """
+    """Return the message that an object is."""
     version = found.get("v")
     if type(version) is not int or version != VERSION:
         raise BadValueError("message", "v", f"expected {VERSION}, not {version!r:.40}")

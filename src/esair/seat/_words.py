@@ -34,9 +34,6 @@ def fields_of_words(act: Act, words: list[str]) -> dict[str, Any]:
     """Return the fields of an act from the words after its name, in their order.
 
     A field that takes a table gets the words ``name=value`` that are left.
-
-    Raises:
-        ConfigError: There are too many words, or too few.
     """
     names = list(act.fields)
     fields: dict[str, Any] = {}

@@ -43,12 +43,7 @@ class Threads:
         return any(outside for _, outside, _ in door.at_hand())
 
     def look(self, door: Door) -> None:
-        """Let time pass by those that wait for the outside.
-
-        Raises:
-            BlockedError: Another one sleeps, or one of them does and there is nothing
-                else that time could pass to.
-        """
+        """Let time pass by those that wait for the outside."""
         stuck = []
         at_hand = door.at_hand()
         for thread, outside, holds in at_hand:

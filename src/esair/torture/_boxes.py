@@ -23,13 +23,10 @@ DEPTH = 3
 
 
 class Boxes:
-    """Counts, four times in a story, what lies in the boxes of the user's own code.
-
-    Attributes:
-        sizes: The sizes of each box so far, by component and name.
-    """
+    """Counts, four times in a story, what lies in the boxes of the user's own code."""
 
     def __init__(self) -> None:
+        # The sizes of each box so far, by component and name
         self.sizes: dict[tuple[str, str], list[int]] = {}
 
     def look(self, world: World) -> None:

@@ -27,19 +27,12 @@ SOON = 0.1
 
 @attrs.define(eq=False)
 class Told:
-    """One command that a driver was called with.
-
-    Attributes:
-        command: The command.
-        safe: Whether it is the safe one, or to stay.
-        begun: When the driver was called, in seconds of the loop's clock.
-        landed: When the device had it; None if it never did.
-    """
+    """One command that a driver was called with."""
 
     command: Any
-    safe: bool
-    begun: float
-    landed: float | None = None
+    safe: bool  # Whether it is the safe one, or to stay
+    begun: float  # When the driver was called, in seconds of the loop's clock
+    landed: float | None = None  # When the device had it; None if it never did
 
 
 class Watcher(Protocol):
@@ -75,22 +68,6 @@ class Gate:
     """Every call of one driver passes here.
 
     Each fault is a moment until which it lasts, on the loop's clock.
-
-    Args:
-        resource: Whose driver's methods are called through it from now on.
-        loop: The event loop, on the virtual clock.
-        seed: Decides what a stand-in of a sensor says.
-        watcher: Who judges what the device is told.
-        alone: Whether the driver itself is never called: a stand-in answers.
-
-    Attributes:
-        told: Every command, in the order in which the driver was called.
-        heard: When the robot got a good value from it last.
-        left: When it was taken away from the robot; None while it belongs to it.
-        faulty: When its last fault is over.
-        was_here: Whether its driver was ever called.
-        in_thread: Whether it is read or told in a thread.
-        speechless: Why a stand-in has nothing to say; empty if it has.
     """
 
     def __init__(
@@ -105,15 +82,16 @@ class Gate:
         self.resource = resource
         self.name = resource.name
         self.told: list[Told] = []
-        self.heard = -1e9
+        self.heard = -1e9  # When the robot got a good value from it last
+        # When it was taken away from the robot; None while it belongs to it
         self.left: float | None = None
-        self.faulty = -1.0
+        self.faulty = -1.0  # When its last fault is over
         self.gone = self.silent = self.late = self.fails = -1.0
         self.bad = self.frozen = self.flood = -1.0
         self.deaf = self.unpowered = self._opens = False
-        self.was_here = False
-        self.in_thread = False
-        self.speechless = ""
+        self.was_here = False  # Whether its driver was ever called
+        self.in_thread = False  # Whether it is read or told in a thread
+        self.speechless = ""  # Why a stand-in has nothing to say; empty if it has
         self.before = self.after = 0.0
         self.error = "OSError"
         self.how_bad = "nan"

@@ -57,19 +57,12 @@ class Violation:
 
 
 class Judge:
-    """Watches what every device is told.
-
-    Args:
-        world: The robot and what is done to it.
-
-    Attributes:
-        found: Every violation, in order.
-        slowest: For each kind of fault, how long after the last of that kind an
-            actuator that moved had its safe command, at most, in seconds.
-    """
+    """Watches what every device is told."""
 
     def __init__(self, world: World) -> None:
         self.found: list[Violation] = []
+        # For each kind of fault, how long after the last of that kind an actuator that
+        # moved had its safe command, at most, in seconds
         self.slowest: dict[str, float] = {}
         self._world = world
         self._causes: dict[str, tuple[float, float, str]] = {}

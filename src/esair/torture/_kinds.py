@@ -76,11 +76,7 @@ def _kind(group: str, on: str, **options: Any) -> Callable[[Do], Do]:
 
 @attrs.frozen
 class Cast:
-    """Who is in a robot: what steps can be done to, by name.
-
-    Attributes:
-        of: The names in each group.
-    """
+    """Who is in a robot: what steps can be done to, by name."""
 
     of: Mapping[str, tuple[str, ...]]
 

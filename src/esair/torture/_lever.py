@@ -16,26 +16,15 @@ from esair.torture._values import has_number, wrong
 
 
 class Lever:
-    """What one action is made to do.
-
-    Args:
-        action: Whose ``run`` or ``react`` obeys from now on; a plain ``run`` where its
-            thread calls something of esair, or the next time.
-        loop: The event loop, on the virtual clock.
-
-    Attributes:
-        hangs: Until when it does not go on, on the loop's clock.
-        deaf: Whether it does not hear its cancellation meanwhile, as no thread does.
-        was_deaf: Whether there was ever a time when it did not hear that.
-        mad: Until when its commands are no good.
-        slow: Until when each step takes ``seconds``.
-        crashed: Whether the last step of a reaction has raised.
-    """
+    """What one action is made to do."""
 
     def __init__(self, action: Any, loop: Any) -> None:
         self.action = action
+        # Until when it does not go on, its commands are no good, each step takes long
         self.hangs = self.mad = self.slow = -1.0
-        self.deaf = self.was_deaf = self.crashed = False
+        # Deaf: it does not hear its cancellation meanwhile, as no thread does
+        self.deaf = self.was_deaf = False
+        self.crashed = False  # Whether the last step of a reaction has raised
         self.how = "nan"
         self.seconds = 0.0
         self._loop = loop

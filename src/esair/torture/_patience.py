@@ -15,15 +15,11 @@ PATIENCE = 10.0
 
 
 class HeldError(BaseException):
-    """Code of the robot has held the loop, or its thread, in real time.
-
-    Attributes:
-        component: Whose code, as far as its file tells.
-    """
+    """Code of the robot has held the loop, or its thread, in real time."""
 
     def __init__(self, component: str, text: str) -> None:
         super().__init__(text)
-        self.component = component
+        self.component = component  # Whose code, as far as its file tells
 
 
 class Patience:
@@ -31,16 +27,10 @@ class Patience:
 
     It can do so in the main thread only. However busy the computer is, a story that goes
     on may go on.
-
-    Args:
-        loop: The loop of the story.
-
-    Attributes:
-        lost: What has held it; None if nothing has.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self.lost: HeldError | None = None
+        self.lost: HeldError | None = None  # What has held it; None if nothing has
         self._loop = loop
         self._main = threading.current_thread() is threading.main_thread()
         self._before: Any = None

@@ -13,16 +13,7 @@ Shows = Callable[[Story], bool]
 
 
 def shrink(story: Story, shows: Shows, *, tries: int = 400) -> Story:
-    """Leave out, shorten and simplify what the finding does not need.
-
-    Args:
-        story: One that shows it.
-        shows: Tells whether another one does, too.
-        tries: How many are tried at most.
-
-    Returns:
-        The shortest that was found.
-    """
+    """Leave out, shorten and simplify what the finding does not need."""
     left = tries
 
     def better(candidates: Iterator[Story]) -> Story | None:

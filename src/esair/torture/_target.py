@@ -123,11 +123,7 @@ class Target:
 
 
 def _loads(path: Path, *, simulated: bool = False) -> bool:
-    """Tell whether a file describes a robot; one that does not ends the first story.
-
-    Raises:
-        ConfigError: The file cannot be read.
-    """
+    """Tell whether a file describes a robot; one that does not ends the first story."""
     try:
         config.load(path, simulated=simulated)
     except ExceptionGroup:

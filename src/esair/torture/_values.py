@@ -29,17 +29,7 @@ class CannotMakeError(TypeError):
 
 
 def make(kind: Any, dice: random.Random, limits: Limits = None, depth: int = 0) -> Any:
-    """Make a value of a type.
-
-    Args:
-        kind: The type, as it is annotated.
-        dice: Decides which.
-        limits: Least and greatest value: of the value, or of its fields by name.
-        depth: How deep it lies in another one.
-
-    Raises:
-        CannotMakeError: Nothing says how.
-    """
+    """Make a value of a type."""
     if depth > DEPTH:
         raise CannotMakeError("its type contains itself")
     if kind is None or kind is type(None):
