@@ -457,11 +457,7 @@ class Behavior(ProfiledAction):
 
 
 def portal_of(behavior: Behavior) -> Portal:
-    """Return the portal through which a thread of a behavior calls.
-
-    Raises:
-        NotRegisteredError: It is not in a running robot.
-    """
+    """Return the portal through which a thread of a behavior calls."""
     host = behavior._host  # noqa: SLF001 - the same idea, for a thread
     found = portal.get(None) if host is None else host.portal
     if found is None:

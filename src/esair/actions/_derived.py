@@ -154,15 +154,7 @@ class _Tap(Input):
 
 
 class Derivation(ReactionRunner):
-    """Computes one derived sensor until it is stopped.
-
-    Args:
-        derived: What is computed.
-        channel: Where its values go.
-        on_change: Called when one of its sources is gone (why), or back (None).
-        began: When the robot has started, in seconds of the loop's clock.
-        owner: Whose random numbers it draws.
-    """
+    """Computes one derived sensor until it is stopped."""
 
     __slots__ = ("_began", "_channel", "_derived", "on_change")
 
@@ -206,18 +198,11 @@ class Derivation(ReactionRunner):
         )
 
     def stop(self) -> None:
-        """Compute nothing any more, and follow nothing."""
         super().stop()
         self._channel.sources = ()
         self._channel.catch_up = None
 
     def begin(self) -> None:
-        """Begin anew, if every source is there.
-
-        Raises:
-            DeviceLostError: One is not.
-            Exception: Whatever ``open`` has raised.
-        """
         for each in self._inputs:
             ready = each.channel.state is ResourceState.READY
             if not each.optional and not (ready and each.registration.usable):

@@ -26,19 +26,6 @@ class GuardRunner(ReactionRunner):
     Its ``react`` is called at the commit point of the actuator, for each command, and
     from there again when a sensor has a new reading, or at its rate: then the command
     that was asked for last is put to it.
-
-    Args:
-        reaction: What to run.
-        port: The name of its port, by which it gets the command.
-        protection: Its entry in the table of the robot.
-        on_state: Called with True when it runs and False when it is parked, and
-            the reason.
-        on_crash: Called with what it raised; it has been stopped.
-        on_sight: Called when all its sensors are heard.
-        until: Ends it, as a step of a behavior; asked when it looks again.
-        on_end: Called when ``until`` came true.
-        began: When the robot has started, in seconds of the loop's clock.
-        owner: Whose random numbers it draws.
     """
 
     grace = 2e-5  # what moves by the same reading is safe before: that latches nothing

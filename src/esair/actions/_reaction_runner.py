@@ -175,7 +175,6 @@ class ReactionRunner:
         """The tasks of writes whose drivers wait."""
 
     def counts(self) -> dict[str, int]:
-        """Return the counters, by name."""
         return {
             "steps": self.steps,
             "late": self.late,
@@ -202,12 +201,6 @@ class ReactionRunner:
         inputs: Mapping[str, tuple[SensorChannel, Registration, float | None]],
         outputs: Mapping[str, tuple[ActuatorChannel, Registration]],
     ) -> None:
-        """Begin to follow the sensors and to run.
-
-        Args:
-            inputs: For each reading its channel, registration, and greatest age.
-            outputs: For each command its channel and registration.
-        """
         needs, place = self.reaction.inputs, self._names.index
         self._inputs = [
             self.input_type(
@@ -305,7 +298,6 @@ class ReactionRunner:
         return None
 
     def arrived(self) -> None:
-        """A sensor has a reading again."""
         self.missing -= 1
         if self.missing == 0:
             self._unpark()
@@ -370,7 +362,6 @@ class ReactionRunner:
 
     @property
     def _turn(self) -> Step:
-        """What the scheduler calls."""
         return self._step if self._step_time is None else self._timed_step
 
     def _timed_step(self, now: float) -> Awaitable[object] | None:
@@ -401,7 +392,6 @@ class ReactionRunner:
         return None
 
     def _decide(self, now: float) -> None:
-        """Make one step on the values that there are now."""
         self.steps += 1
         clock = self._clock  # `StepClock.step` in its place: each step comes here
         clock.before = clock.now
@@ -435,7 +425,6 @@ class ReactionRunner:
             output.decide(result)
 
     def readings(self) -> dict[str, Any]:
-        """Return the newest readings by their names."""
         return dict(zip(self._names, self.values, strict=True))
 
     def queue(self, place: int, value: Any) -> None:

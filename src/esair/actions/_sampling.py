@@ -25,14 +25,6 @@ class Sampling:
     """Has a step wait for the polls of its own instant, half a period at most.
 
     A sensor that lately took longer than that is not waited for.
-
-    Args:
-        scheduler: Who calls the step.
-        polled: Its sensors that are asked.
-        moved: The decisions in which it takes part, each with its priority there.
-        step: What decides.
-        name: Of the reaction.
-        rate: How often it steps, in Hz.
     """
 
     __slots__ = (
@@ -92,7 +84,6 @@ class Sampling:
         return True
 
     def stop(self) -> None:
-        """Never step again."""
         self._deferred.stop()
         self._lose_patience()
 

@@ -9,12 +9,7 @@ _EARLY = 1e-3
 
 
 class StepClock:
-    """Knows the moments of a reaction's steps, and computes them when it asks.
-
-    Args:
-        began: When its robot has started, in seconds.
-        reaction: Who is told at each step, because it cannot ask: one of MIN.
-    """
+    """Knows the moments of a reaction's steps, and computes them when it asks."""
 
     __slots__ = ("_began", "before", "now", "reaction")
 
@@ -27,7 +22,6 @@ class StepClock:
         self.reaction = reaction
 
     def step(self, now: float) -> None:
-        """Begin a step."""
         self.before = self.now
         self.now = now
         if self.reaction is not None:

@@ -13,13 +13,7 @@ _log = logging.getLogger("esair")
 
 
 class StepTime:
-    """Counts the steps that take longer than their budget.
-
-    Args:
-        reaction: Whose steps.
-        loop: The event loop.
-        budget: How long one may take, in seconds.
-    """
+    """Counts the steps that take longer than their budget."""
 
     __slots__ = ("_budget", "_clock", "_reaction", "in_row", "overruns")
 
@@ -35,7 +29,6 @@ class StepTime:
         """and how many of them the last ones."""
 
     def begin(self) -> float:
-        """Return the moment at which a step begins."""
         return self._clock()
 
     def end(self, begin: float) -> BehaviorFailedError | None:

@@ -254,5 +254,4 @@ def _or_none(kind: Any) -> Any:
 
 
 def is_request(kind: Any) -> typing.TypeGuard[type[Request[Any]]]:
-    """Tell whether something is a class of requests."""
     return inspect.isclass(kind) and issubclass(kind, Request) and kind is not Request

@@ -20,5 +20,4 @@ async def forever() -> None:
 
 
 async def next_of(values: AsyncIterator[T]) -> T:
-    """Return the next value of a port."""
     return await anext(values)

@@ -134,7 +134,6 @@ class ActuatorChannel(HeldDevice):
 
     @property
     def halts(self) -> int:
-        """How often it was halted."""
         return self._halts
 
     @property
@@ -143,7 +142,6 @@ class ActuatorChannel(HeldDevice):
         return self._fence
 
     def counts(self) -> dict[str, int]:
-        """Return the counters, by name."""
         return {
             "writes": self.writes,
             "refusals": self.refusals,
@@ -207,24 +205,7 @@ class ActuatorChannel(HeldDevice):
         hold: float | None,
         told: bool = True,
     ) -> Sent:
-        """Check everything and send a command, without a wait if the driver has none.
-
-        Args:
-            registration: The right to write.
-            command: What to send.
-            hold: For how long it holds the actuator, in seconds; None for the usual.
-            told: Whether anybody looks at what was sent; making the answer takes time.
-
-        Returns:
-            The outcome, or what to await for it.
-
-        Raises:
-            NotRegisteredError: The registration is not valid (any more).
-            DeviceLostError: The device is not there.
-            StoppingError: The robot is stopping.
-            BadValueError: The command must not be sent.
-            DeviceFaultError: The device did not take it.
-        """
+        """Check everything and send a command, without a wait if the driver has none."""
         if not (registration.usable and self._accepts):
             return self._turned_away(registration, command)
         time = self._time  # by itself: called in place it is sought as a method

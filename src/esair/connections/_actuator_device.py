@@ -195,7 +195,6 @@ class ActuatorDevice:
             channel.down(self.state, self.error)
 
     def _took(self, command: Any, answer: Any) -> None:
-        """Tell the readers what the device has applied."""
         if self.applied is None or isinstance(answer, Refused):
             return
         if isinstance(answer, Written):
@@ -277,14 +276,7 @@ class ActuatorDevice:
     # The safe command.
 
     def make_safe(self, *, stay: bool = False) -> asyncio.Task[bool]:
-        """Send the safe command, before anything else.
-
-        Args:
-            stay: Tell it to stay instead, if its safe command is a place to go.
-
-        Returns:
-            The sending; its result tells whether the device took it.
-        """
+        """Send the safe command, before anything else."""
         task = self._safe_task
         stay = stay and self.actuator.safe_moves
         self._stays = stay and (task is None or self._stays)
@@ -298,12 +290,7 @@ class ActuatorDevice:
         return task
 
     async def safe_now(self, until: float = math.inf) -> None:
-        """Wait until the safe command is the last thing on the wire; bounded.
-
-        Args:
-            until: When to give up, on the loop's clock; sooner if the device's own
-                deadline is.
-        """
+        """Wait until the safe command is the last thing on the wire; bounded."""
         turn = self._turn_within + self.actuator.deadline + 0.1
         give_up = min(self._time() + turn, self._last_moment, until)
         while self._safe_task is not None or (
@@ -414,12 +401,7 @@ class ActuatorDevice:
                 self._lane = call  # its driver still has the device
 
     async def open_safe(self) -> None:
-        """Send the safe command to a device that was just opened.
-
-        Raises:
-            DeviceLostError: The device is gone again.
-            DeviceFaultError: It does not take its safe command.
-        """
+        """Send the safe command to a device that was just opened."""
         self._again = self._stays = False  # what has ended until now, it is sent after
         try:
             await self._tell_safe()
@@ -439,7 +421,6 @@ class ActuatorDevice:
         self._told_error = describe(error)
 
     def told(self) -> LastCommand:
-        """Tell what the device was told last."""
         error = self._told_error
         earlier = self._unsettled()
         if earlier is not None:

@@ -21,7 +21,6 @@ class Applied(Sensor[Any]):
 
     @property
     def value_type(self) -> Any:
-        """The type of the commands."""
         return self._type
 
 

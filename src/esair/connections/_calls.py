@@ -38,13 +38,6 @@ class Calls:
     A call has one outcome, within its deadline, whatever the driver does with a
     cancellation: then it is abandoned, listed and counted, and nothing that it does
     later has an effect, but that whoever owns it hears of its end (``on_late``).
-
-    Args:
-        driver: Whose methods are called.
-        loop: The event loop.
-        on_late: Told of the end of a call that was abandoned before.
-        on_stuck: Told of a call that was given up, and does not end.
-        left: Gets each abandoned call while it is alive; shared by a whole robot.
     """
 
     __slots__ = (
@@ -112,24 +105,6 @@ class Calls:
         limit: float | None,
         guard: Guard | None = None,
     ) -> Any:
-        """Call a method of the driver, now.
-
-        Args:
-            kind: What it is called for.
-            method: What is called.
-            args: What with.
-            limit: The deadline, in seconds; None for a stream, which has none.
-            guard: Asked on a thread immediately before the call.
-
-        Returns:
-            What the driver returned; or a `Call`, which waits. Who sets its ``apply``
-            at once is told its outcome before anybody else.
-
-        Raises:
-            DriverStuckError: Too many abandoned calls are alive.
-            BusyError: Too many calls wait for the thread.
-            Exception: Whatever the driver has raised in its first step.
-        """
         self.number += 1
         if self.alive and len(self.alive) > ABANDONED_LIMIT:
             self._check_abandoned(kind)
@@ -249,12 +224,7 @@ class Calls:
     async def run(
         self, kind: str, method: Method, *args: Any, limit: float | None
     ) -> Any:
-        """Call a method of the driver and wait for its outcome.
-
-        Raises:
-            DriverStuckError: It did not end in time.
-            Exception: Whatever the driver has raised.
-        """
+        """Call a method of the driver and wait for its outcome."""
         value = self.begin(kind, method, args, limit)
         return await self.outcome(value) if type(value) is Call else value
 
@@ -276,7 +246,6 @@ class Calls:
         return outcome.value
 
     def over(self, call: Call, end: End) -> None:
-        """Bring in the end of a call that has ended in the loop."""
         self._door.end(("call", self.resource), self.ended, call, end)
 
     def ended(self, call: Call, end: End) -> None:
@@ -310,11 +279,7 @@ class Calls:
         self._tell(call, end)
 
     def next_opening(self, error: BaseException) -> None:
-        """Fence every call that is alive: they belong to an opening that is over.
-
-        Args:
-            error: What those are told that wait for them.
-        """
+        """Fence every call that is alive: they belong to an opening that is over."""
         self.opening += 1
         for call in tuple(self.alive.values()):
             if call.outcome is None:

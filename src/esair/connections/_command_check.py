@@ -109,16 +109,7 @@ class CommandCheck:
             ) from error
 
     def slewed(self, command: Any, last: Any, seconds: float) -> Any:
-        """Return the command, moved towards the last one if it changes too fast.
-
-        Args:
-            command: A command that was checked.
-            last: What the device was told last.
-            seconds: How long ago that was.
-
-        Raises:
-            BadValueError: One of the two lacks a field whose change is limited.
-        """
+        """Return the command, moved towards the last one if it changes too fast."""
         changes: dict[str, float] = {}
         for field, slew in self._slew.items():
             try:
@@ -227,7 +218,6 @@ def limits_by_field(value: Any) -> dict[str, Any]:
 
 
 def _number_fields(safe: Any) -> list[str]:
-    """The fields of a structured command that are numbers."""
     if isinstance(safe, Collection | int | float) or hasattr(safe, "__array__"):
         return []
     return [

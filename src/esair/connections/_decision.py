@@ -57,10 +57,6 @@ class Decision:
     All steps of a turn decide before anything is sent. Then those who give the
     actuator back do so, and the highest priority wins (among equals the holder, then
     the name), whatever the order in which they decided.
-
-    Args:
-        channel: The way to the actuator.
-        loop: In whose turns it is decided.
     """
 
     __slots__ = ("_channel", "_others", "_scheduler", "_wish", "sights")

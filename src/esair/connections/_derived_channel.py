@@ -59,7 +59,6 @@ class DerivedChannel(SensorChannel):
 
     @property
     def sampled(self) -> tuple[SensorChannel, ...]:
-        """The sensors that are asked for its readings."""
         found = (each for source in self.sources for each in source.channel.sampled)
         return tuple(dict.fromkeys(found))
 
@@ -74,13 +73,7 @@ class DerivedChannel(SensorChannel):
         return 1 + max(below) if below else 0
 
     def publish_until(self, value: Any, oldest: float, stale_at: float) -> None:
-        """Give a value to everybody who waits or follows.
-
-        Args:
-            value: What was computed.
-            oldest: When the oldest reading was measured that it was computed of.
-            stale_at: When the first of them becomes too old; so does the value then.
-        """
+        """Give a value to everybody who waits or follows."""
         time: float | str = oldest
         if type(value) is Stamped:
             time = measured_at(value, self.time())
@@ -98,14 +91,7 @@ class DerivedChannel(SensorChannel):
     async def ask(
         self, registration: Registration, *, fresh: bool, max_age: float, timeout: float
     ) -> Reading[Any]:
-        """Return a reading that is good enough; a fresh one is of fresh readings.
-
-        Raises:
-            StaleReadingError: There is none in time.
-            DeviceLostError: A sensor that it is computed of is not there.
-            DeviceFaultError: One of them answered wrongly, or nothing good was computed.
-            BusyError: Too many readers wait.
-        """
+        """Return a reading that is good enough; a fresh one is of fresh readings."""
         until = self.time() + timeout
         if fresh and self.state is ResourceState.READY:
             self._check(registration)

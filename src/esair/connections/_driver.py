@@ -57,11 +57,7 @@ class Method:
 
 
 class Driver:
-    """The calls of one resource: in the loop, or on the executor of its bus.
-
-    Args:
-        resource: Whose methods are called.
-    """
+    """The calls of one resource: in the loop, or on the executor of its bus."""
 
     def __init__(self, resource: Resource) -> None:
         self.resource = resource
@@ -86,11 +82,7 @@ class Driver:
         return executor is not None and executor.stuck_since is not None
 
     async def stream_executor(self) -> Executor:
-        """Return the one thread that waits for the next value of a blocking stream.
-
-        Raises:
-            DriverStuckError: It still waits for a value of the stream before.
-        """
+        """Return the one thread that waits for the next value of a blocking stream."""
         resource = self.resource
         executor = self._stream_executor
         if executor is None:
@@ -170,14 +162,7 @@ def translate(resource: str, error: BaseException) -> EsairError:
 def translate_call(
     resource: str, kind: str, limit: float, error: BaseException
 ) -> EsairError:
-    """Turn what came of a call into the error that its caller gets.
-
-    Args:
-        resource: The name of the resource.
-        kind: What was called.
-        limit: Its deadline, in seconds: what a bare TimeoutError tells of.
-        error: What was raised.
-    """
+    """Turn what came of a call into the error that its caller gets."""
     if isinstance(error, TimeoutError) and not isinstance(error, EsairError):
         stuck = DriverStuckError(resource, kind, limit)
         stuck.__cause__ = error

@@ -142,16 +142,7 @@ class HeldDevice(ProtectedDevice):
     def _turned_away(
         self, registration: Registration, command: Any, halts: int | None = None
     ) -> Refused:
-        """Answer a write that may not even be looked at.
-
-        Args:
-            registration: Who writes.
-            command: What.
-            halts: How many halts there were when the write began to wait.
-
-        Raises:
-            EsairError: It is no act of the user that keeps it.
-        """
+        """Answer a write that may not even be looked at."""
         halt = self.registrations.halt
         if halt is None and halts is not None and halts != self._halts:
             halt = Halt("it was asked for before the robot was halted", self._time())
@@ -183,14 +174,7 @@ class HeldDevice(ProtectedDevice):
     # The safe command.
 
     def make_safe(self, *, stay: bool = False) -> asyncio.Task[bool]:
-        """Send the safe command, before anything else; nobody holds it afterwards.
-
-        Args:
-            stay: Tell it to stay instead, if its safe command is a place to go.
-
-        Returns:
-            The sending; its result tells whether the device took it.
-        """
+        """Send the safe command, before anything else; nobody holds it afterwards."""
         self._disarm()
         if self.operations.running:
             self.operations.end(self._safe_instead())
@@ -219,12 +203,7 @@ class HeldDevice(ProtectedDevice):
             self.make_safe(stay=True)
 
     def ready_for(self, operation: Operating) -> bool:
-        """Tell whether an operation may begin now: what moves is made safe first.
-
-        Raises:
-            AccessDeniedError: Somebody else holds the actuator, or is blind.
-            StoppingError: The robot is stopping.
-        """
+        """Tell whether an operation may begin now: what moves is made safe first."""
         right, now = operation.registration, self._time()
         if self.latched:
             raise StoppingError(self.name, "stopping")

@@ -20,13 +20,7 @@ LISTEN_AGAIN = 0.1
 
 
 class Listening:
-    """Brings in what one sensor pushes, while the opening lasts that it belongs to.
-
-    Args:
-        channel: Whose sensor is heard.
-        loop: The event loop.
-        hear: Gets each value, or the error of the stream.
-    """
+    """Brings in what one sensor pushes, while the opening lasts that it belongs to."""
 
     __slots__ = ("_channel", "_door", "_hear", "_tag")
 

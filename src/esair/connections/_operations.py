@@ -32,11 +32,7 @@ class Device(Protocol):
     registrations: Registrations
 
     def ready_for(self, operation: Operating) -> bool:
-        """Tell whether it may begin now; or see to it that it soon may.
-
-        Raises:
-            EsairError: It must not begin.
-        """
+        """Tell whether it may begin now; or see to it that it soon may."""
 
     def operating(self, operation: Operating, call: Call) -> None:
         """The device has begun with it, and is busy."""
@@ -73,13 +69,7 @@ class Operating:
 
 
 class Operations:
-    """Runs the operations of a device; its caller sees to it that there is one.
-
-    Args:
-        device: The channel of the resource.
-        loop: The event loop.
-        on_error: Told of a device that is lost.
-    """
+    """Runs the operations of a device; its caller sees to it that there is one."""
 
     __slots__ = ("_deadlines", "_device", "_loop", "_on_error", "_time", "current")
 
@@ -105,9 +95,6 @@ class Operations:
         """Call an operation when the device is free, and wait for its outcome.
 
         Whoever is cancelled here ends it.
-
-        Raises:
-            EsairError: What has come of it instead.
         """
         assert self.current is None
         outcome: asyncio.Future[Any] = self._loop.create_future()
@@ -162,11 +149,7 @@ class Operations:
             device.operated(None)
 
     def check(self, registration: Registration) -> None:
-        """Pass if a registration is valid, the device is there, and nothing is halted.
-
-        Raises:
-            EsairError: It is not so.
-        """
+        """Pass if a registration is valid, the device is there, and nothing is halted."""
         device = self._device
         table = device.registrations
         if table.live.get(registration.number) is not registration:
@@ -190,7 +173,6 @@ class Operations:
 
     @property
     def running(self) -> bool:
-        """Whether the device is at work for one."""
         return self.current is not None and self.current.call is not None
 
     def gone(self, error: EsairError) -> None:
@@ -220,7 +202,6 @@ class Operations:
         self._device.operated(call)
 
     def _over(self, this: Operating, end: End) -> None:
-        """Tell the one outcome of an operation."""
         self.current = None
         device = self._device
         error = this.ended_by

@@ -282,12 +282,6 @@ _DONE = _Done()
 
 
 def way_of(registration: object, channels: Mapping[str, C], kind: str) -> C:
-    """Return the way that a registration gives a right to.
-
-    Raises:
-        NotRegisteredError: It is none, or it is not valid (any more).
-        UnknownNameError: It is for a resource of the other kind.
-    """
     channel = channels.get(getattr(registration, "resource", ""))
     if channel is not None:
         channel.registrations.check(registration)  # type: ignore[arg-type]

@@ -47,7 +47,6 @@ class ProtectedDevice(ActuatorDevice):
     _writer: Registration | None
 
     def attach(self, actuator: Any) -> None:
-        """Protect this actuator from now on."""
         if not hasattr(self, "_guards"):  # else what protects the name goes on
             self._blind: Protection | None = None
             self._guards: tuple[Protection, ...] = ()
@@ -69,12 +68,7 @@ class ProtectedDevice(ActuatorDevice):
     def protect(
         self, holds: tuple[Protection, ...], guards: tuple[Protection, ...]
     ) -> None:
-        """Obey these from this moment on; the table calls it at each change.
-
-        Args:
-            holds: Those of components that cannot see, the highest first.
-            guards: All guards, the first to be asked first.
-        """
+        """Obey these from this moment on; the table calls it at each change."""
         self._blind = holds[0] if holds else None
         self._guards = guards
         if holds:
@@ -128,11 +122,6 @@ class ProtectedDevice(ActuatorDevice):
     def _pass_guards(
         self, command: Any, now: float
     ) -> tuple[Protection | None, str | None, Any]:
-        """Put a command to all guards.
-
-        Returns:
-            Who stops it, or None; who made it weaker, or None; what may leave.
-        """
         self._asked = command
         moving, still = self.moves, self._still
         by: str | None = None

@@ -178,16 +178,6 @@ class Protection:
         """Decide, at the commit point, what of a command a guard lets pass.
 
         The guard is another component's code: whatever it does ends here.
-
-        Args:
-            command: What passed the checks, and the guards before.
-            safe: The safe command of the actuator.
-            now: The moment.
-            moving: Whether the actuator was told something else than safe.
-            hand: Makes what it is given: it may change that, and nothing else.
-
-        Returns:
-            The command, a weaker one, or None.
         """
         if now + _EARLY < self.muted_until:
             return command
@@ -270,11 +260,7 @@ class Protection:
 
 
 class Protections:
-    """The one table of a robot.
-
-    Args:
-        channels: The way to each actuator that is there now.
-    """
+    """The one table of a robot."""
 
     def __init__(self, channels: Mapping[str, Protected]) -> None:
         self._channels = channels
@@ -317,7 +303,6 @@ class Protections:
                 self._tell(entry.actuator, guards=entry.guards)
 
     def sees(self, entries: Iterable[Protection]) -> None:
-        """Take note that a component has decided."""
         for entry in entries:
             if entry.reason:
                 entry.reason = ""

@@ -90,11 +90,7 @@ class ReadingCheck:
 
 
 class FrozenCheck:
-    """Says so when a device gives the same value too often: it may be frozen.
-
-    Args:
-        limit: How many times in a row it may.
-    """
+    """Says so when a device gives the same value too often: it may be frozen."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit

@@ -114,11 +114,7 @@ class Registrations:
         priority: int = 0,
         hold: float | None = None,
     ) -> Registration:
-        """Enter a new registration; the caller has checked that it is allowed.
-
-        Raises:
-            BusyError: There are too many.
-        """
+        """Enter a new registration; the caller has checked that it is allowed."""
         if len(self.live) >= LIMIT:
             raise BusyError("resources", "number of registrations", LIMIT)
         registration = Registration(
@@ -132,15 +128,6 @@ class Registrations:
     def revoke(
         self, registration: Registration, reason: Callable[[], EsairError] | None = None
     ) -> bool:
-        """Make a registration void, from this moment on.
-
-        Args:
-            registration: What is revoked.
-            reason: Makes the error that its holder gets from now on.
-
-        Returns:
-            Whether it was valid until now.
-        """
         if self.live.get(registration.number) is not registration:
             return False
         del self.live[registration.number]
@@ -175,15 +162,10 @@ class Registrations:
         return None
 
     def of_resource(self, resource: str) -> list[Registration]:
-        """Return who is registered for a resource."""
         return [r for r in self.live.values() if r.resource == resource]
 
     def check(self, registration: Registration) -> None:
-        """Pass if this is one of the table's own registrations, valid and for data.
-
-        Raises:
-            NotRegisteredError: It is not.
-        """
+        """Pass if this is one of the table's own registrations, valid and for data."""
         if (
             not isinstance(registration, Registration)
             or self.live.get(registration.number) is not registration

@@ -128,7 +128,6 @@ class SensorChannel(SensorDevice):
         return (self,) if self.sensor.can_be_asked else ()
 
     def counts(self) -> dict[str, int]:
-        """Return the counters, by name."""
         return {
             "readings": self.sequence,
             "transactions": self.transactions,
@@ -183,12 +182,7 @@ class SensorChannel(SensorDevice):
     # Readers.
 
     def cached(self, registration: Registration, limit: float) -> Reading[Any] | None:
-        """Return the newest reading if it is good enough, without any wait.
-
-        Args:
-            registration: The right to read.
-            limit: The greatest age in seconds.
-        """
+        """Return the newest reading if it is good enough, without any wait."""
         if not registration.usable:
             raise self.registrations.refusal(registration)
         reading = self.newest
@@ -197,12 +191,7 @@ class SensorChannel(SensorDevice):
         return None
 
     def known(self, registration: Registration, limit: float) -> Reading[Any]:
-        """Return the newest reading, or raise because there is none that is current.
-
-        Raises:
-            StaleReadingError: There is none, or it is older than the limit.
-            DeviceLostError: The device is not there.
-        """
+        """Return the newest reading, or raise because there is none that is current."""
         self._check(registration)
         reading = self.newest
         age = None if reading is None else self.time() - reading.time
@@ -213,14 +202,7 @@ class SensorChannel(SensorDevice):
     async def ask(
         self, registration: Registration, *, fresh: bool, max_age: float, timeout: float
     ) -> Reading[Any]:
-        """Return a reading that is good enough, asking the device or waiting for it.
-
-        Raises:
-            StaleReadingError: There is none in time.
-            DeviceLostError: The device is not there.
-            DeviceFaultError: The device answered wrongly.
-            BusyError: Too many readers wait.
-        """
+        """Return a reading that is good enough, asking the device or waiting for it."""
         self._check(registration)
         if not fresh and not self.sensor.can_be_asked and self.newest is not None:
             # A device that pushes cannot be asked; it has been silent for too long.
@@ -272,7 +254,6 @@ class SensorChannel(SensorDevice):
             self._start_polling()
 
     def unfollow(self, follower: Follower) -> None:
-        """Stop feeding a follower."""
         self._followers = tuple(f for f in self._followers if f is not follower)
         if not self._followers:
             self._stop_polling()
@@ -369,7 +350,6 @@ class SensorChannel(SensorDevice):
         self._on_error(translated)
 
     def drop(self, registration: Registration) -> None:
-        """Feed nothing more to the followers with this registration."""
         error = self.registrations.refusal(registration)
         self.operations.drop(registration)
         for follower in self._followers:

@@ -86,7 +86,6 @@ class SensorDevice:
         self.attach(sensor)
 
     def attach(self, sensor: Sensor[Any]) -> None:
-        """Ask this sensor from now on."""
         self.sensor = sensor
         self.driver = Driver(sensor)
         self.calls = Calls(
@@ -166,11 +165,9 @@ class SensorDevice:
             self._ask()
 
     def ready_for(self, operation: Operating) -> bool:
-        """Tell whether an operation may begin now."""
         return not self._asking
 
     def operating(self, operation: Operating, call: Call) -> None:
-        """The device has begun with an operation."""
         self._asking = call
 
     def operated(self, call: Call | None) -> None:

@@ -18,13 +18,7 @@ Waiter = tuple[float, asyncio.Future[Reading[Any]]]
 
 
 class WaitingReaders:
-    """Keeps readers until the answer to a question that came after theirs.
-
-    Args:
-        name: The name of the sensor.
-        loop: The event loop.
-        silent: Makes the error of who has waited for some seconds in vain.
-    """
+    """Keeps readers until the answer to a question that came after theirs."""
 
     __slots__ = ("_deadlines", "_loop", "_name", "_silent", "readers")
 
@@ -42,11 +36,7 @@ class WaitingReaders:
         """Who waits."""
 
     def add(self, need: float) -> Waiter:
-        """Take a reader in; it gets what transaction `need` gives, or a later one.
-
-        Raises:
-            BusyError: Too many wait.
-        """
+        """Take a reader in; it gets what transaction `need` gives, or a later one."""
         if len(self.readers) >= WAITING_LIMIT:
             raise BusyError(self._name, "number of waiting readers", WAITING_LIMIT)
         waiter = (need, self._loop.create_future())
@@ -54,11 +44,6 @@ class WaitingReaders:
         return waiter
 
     async def reading(self, waiter: Waiter, timeout: float) -> Reading[Any]:
-        """Wait for what a reader gets.
-
-        Raises:
-            EsairError: It gets none, or not in time.
-        """
         future = waiter[1]
         deadline = self._deadlines.after(timeout, self._expire, future, timeout)
         try:

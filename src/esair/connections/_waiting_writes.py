@@ -37,7 +37,6 @@ class WaitingWrite:
         self.turn = turn
 
     def end(self, end: Sent | Exception) -> None:
-        """Tell the writer what has become of it."""
         if self.turn.done():
             return
         if isinstance(end, Exception):
@@ -48,12 +47,7 @@ class WaitingWrite:
 
 
 class WaitingWrites:
-    """Keeps writes in order: the highest priority goes first, then the oldest.
-
-    Args:
-        name: The name of the actuator.
-        loop: The event loop.
-    """
+    """Keeps writes in order: the highest priority goes first, then the oldest."""
 
     __slots__ = ("_loop", "_name", "_writes")
 
@@ -71,11 +65,7 @@ class WaitingWrites:
     async def turn(
         self, registration: Registration, command: Any, hold: float | None, halts: int
     ) -> Sent:
-        """Wait until somebody has said what becomes of a write.
-
-        Raises:
-            BusyError: Too many wait.
-        """
+        """Wait until somebody has said what becomes of a write."""
         if len(self._writes) >= WAITING_LIMIT:
             raise BusyError(self._name, "number of waiting writes", WAITING_LIMIT)
         turn: asyncio.Future[Sent] = self._loop.create_future()
@@ -100,7 +90,6 @@ class WaitingWrites:
         return first
 
     def remove(self, write: WaitingWrite) -> None:
-        """Take one out, if it still waits."""
         if write in self._writes:
             self._writes.remove(write)
 

@@ -131,7 +131,6 @@ def _part(whole: Any, key: Any) -> Any:
 
 
 def _rebuilt(command: Any, parts: dict[Any, Any]) -> Any:
-    """Return a command of the same kind with these parts."""
     if isinstance(command, Mapping):
         return {**command, **parts}
     if hasattr(command, "tolist"):

@@ -20,9 +20,6 @@ class Arrivals:
     no turn of the loop for that; but only when all of it is there, so that nothing that
     came before the driver went on is taken for what came after it.
 
-    Args:
-        loop: The event loop.
-
     Example:
         >>> with Arrivals.of(loop):
         ...     for message in framing.feed(data):
@@ -36,7 +33,6 @@ class Arrivals:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Arrivals:
-        """Return those of a loop."""
         return of_loop(loop, cls)
 
     def __enter__(self) -> None:

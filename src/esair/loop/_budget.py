@@ -40,7 +40,6 @@ class Budget:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Budget:
-        """Return that of a loop."""
         return of_loop(loop, cls)
 
     @classmethod

@@ -27,12 +27,7 @@ class Mortal(Protocol):
 
 
 class DeadMan:
-    """Watches one thing that must not stay silent.
-
-    Args:
-        loop: Whose clock counts.
-        mortal: What is watched, from `arm` to `disarm`.
-    """
+    """Watches one thing that must not stay silent."""
 
     __slots__ = ("_all", "armed", "moment", "mortal", "number")
 
@@ -51,7 +46,6 @@ class DeadMan:
             self._all.add(self)
 
     def disarm(self) -> None:
-        """Watch it no more."""
         if self.armed:
             self.armed = False
             self._all.drop()
@@ -79,11 +73,9 @@ class DeadMen:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> DeadMen:
-        """Return those of a loop."""
         return of_loop(loop, cls)
 
     def add(self, man: DeadMan) -> None:
-        """Begin to look after one."""
         self._armed += 1
         moment = man.mortal.dies
         if man.number and man.moment <= moment:

@@ -60,9 +60,6 @@ class Deadlines:
     When it fires for an entry that has gone, it looks for the next. The timer only
     rings: the functions are called by the scheduler, when all that is due at the same
     moment has been done, so it does not matter who set what first.
-
-    Args:
-        loop: Whose clock counts.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -77,7 +74,6 @@ class Deadlines:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Deadlines:
-        """Return those of a loop."""
         return of_loop(loop, cls)
 
     @classmethod

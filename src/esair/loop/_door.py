@@ -30,10 +30,6 @@ class Door:
 
     However many entries there are, one wake-up of the loop is under way at a time:
     what comes in until the loop gets to it goes with it.
-
-    Args:
-        loop: An attribute ``takes_entries`` says that it calls `take` by itself, and
-            ``holds_work`` that threads begin only when it lets them.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -70,7 +66,6 @@ class Door:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Door:
-        """Return the door of a loop."""
         return of_loop(loop, cls)
 
     @property
@@ -90,14 +85,7 @@ class Door:
         *,
         outside: bool = False,
     ) -> None:
-        """Let a thread begin with a work; its end comes back by `post`.
-
-        Args:
-            begin: Called in the loop with the number of the work, at once or, on a
-                virtual clock, when nothing else is ready; must not raise.
-            lane: The thread, if its works wait for one another.
-            outside: It waits for something to happen outside, for as long as it takes.
-        """
+        """Let a thread begin with a work; its end comes back by `post`."""
         work = next(self._works)
         if self._holds:
             if outside:
@@ -123,11 +111,7 @@ class Door:
             self._lanes[work] = threading.current_thread()
 
     def at_hand(self) -> list[tuple[threading.Thread, bool, bool]]:
-        """Return the threads that have work, where work is held.
-
-        Returns:
-            Each thread; whether it works for the outside; whether it holds time up.
-        """
+        """Return the threads that have work, where work is held."""
         with self._lock:
             lanes = dict.fromkeys(self._lanes.values())
             return [
@@ -158,11 +142,7 @@ class Door:
     def post(
         self, work: int, tag: Tag, function: Callable[..., object], *arguments: Any
     ) -> None:
-        """Bring in the end of a work, from any thread.
-
-        Raises:
-            RuntimeError: The loop is closed.
-        """
+        """Bring in the end of a work, from any thread."""
         with self._lock:
             if work:
                 lane = self._lanes.pop(work, None)
@@ -184,11 +164,6 @@ class Door:
         # Else it is news from outside: in a replay they come from the tape.
 
     def bring(self, entry: Entry) -> None:
-        """Bring in an entry, from any thread.
-
-        Raises:
-            RuntimeError: The loop is closed.
-        """
         with self._lock:
             self._entries.append(entry)
             if self._wakes:
@@ -197,11 +172,7 @@ class Door:
         self._loop.call_soon_threadsafe(self._woken)
 
     def tell(self, tag: Tag, function: Callable[..., object], *arguments: Any) -> None:
-        """Bring in news that are the end of no work, from any thread.
-
-        Raises:
-            RuntimeError: The loop is closed.
-        """
+        """Bring in news that are the end of no work, from any thread."""
         self.post(0, tag, function, *arguments)
 
     def end(self, tag: Tag, function: Callable[..., object], *arguments: Any) -> None:
@@ -227,11 +198,7 @@ class Door:
             self.take()
 
     def take(self, *, by_work: bool = False) -> None:
-        """Let what has come in take effect; called in the loop.
-
-        Args:
-            by_work: In the order in which the work was given out, not as it came in.
-        """
+        """Let what has come in take effect; called in the loop."""
         entries = self._entries
         if by_work:
             with self._lock:

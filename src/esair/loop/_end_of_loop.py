@@ -22,12 +22,7 @@ def run_and_end(
     work: Coroutine[Any, Any, None],
     loop_factory: Callable[[], asyncio.AbstractEventLoop] | None,
 ) -> None:
-    """Do what `asyncio.run` does, but do not wait for ever for tasks and threads.
-
-    Args:
-        work: What to run.
-        loop_factory: Makes the event loop; asyncio's own unless given.
-    """
+    """Do what `asyncio.run` does, but do not wait for ever for tasks and threads."""
     loop = asyncio.new_event_loop() if loop_factory is None else loop_factory()
     asyncio.set_event_loop(loop)
     try:

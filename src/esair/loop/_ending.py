@@ -51,11 +51,6 @@ class Ending:
 
     A loop that does not hear is held by some code: that code is interrupted, as
     Ctrl-C would do it, so that every actuator can still be told its safe command.
-
-    Args:
-        loop: The event loop.
-        hear: Called in the loop when there is a reason to end.
-        patience: How long after it the process is ended whatever it does, in seconds.
     """
 
     def __init__(
@@ -79,20 +74,13 @@ class Ending:
         """Whether the loop has heard of it."""
 
     def start(self) -> None:
-        """Begin to watch."""
         overseer.join(self)
 
     def stop(self) -> None:
-        """It has ended: watch no more."""
         overseer.leave(self)
 
     def because(self, moment: float, code: int = 1) -> None:
-        """Take note of a reason to end; the earliest counts.
-
-        Args:
-            moment: When it came or will come, on the monotonic clock.
-            code: The exit code if the process has to be ended for it.
-        """
+        """Take note of a reason to end; the earliest counts."""
         if moment < self._reason:
             self._reason, self._code = moment, code
             self._limit = moment + self._patience
@@ -151,25 +139,19 @@ def kick(thread: int) -> None:
 
 
 class Kicks:
-    """The signals that interrupt the main thread, where nobody else uses them.
-
-    Args:
-        kicked: Called in the main thread at each.
-    """
+    """The signals that interrupt the main thread, where nobody else uses them."""
 
     def __init__(self, kicked: Callable[[int, FrameType | None], None]) -> None:
         self._kicked = kicked
         self._mine: list[int] = []
 
     def start(self) -> None:
-        """Take them over."""
         for number in (_KICK_SIGNAL, _TIMER_SIGNAL):
             if number is not None and signal.getsignal(number) is signal.SIG_DFL:
                 signal.signal(number, self._kicked)
                 self._mine.append(number)
 
     def stop(self) -> None:
-        """Give them back."""
         self.disarm()
         for number in self._mine:
             signal.signal(number, signal.SIG_DFL)
@@ -181,18 +163,12 @@ class Kicks:
             signal.setitimer(signal.ITIMER_REAL, PATIENCE, KICK)
 
     def disarm(self) -> None:
-        """Have the kernel kick no more."""
         if _TIMER_SIGNAL in self._mine:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def break_out(frame: FrameType | None, *, forced: bool) -> None:
-    """Raise in the code that holds the loop, unless it is the loop's own.
-
-    Raises:
-        CancelledError: In code of a component, which a removal cancels likewise.
-        LoopHeldError: In code that nobody owns, such as a step of a reaction.
-    """
+    """Raise in the code that holds the loop, unless it is the loop's own."""
     if asyncio._get_running_loop() is None:  # noqa: SLF001 - public, but for its name
         return  # nobody holds it: it has ended, or is being ended
     if not _is_of_a_user(frame, forced=forced):
@@ -203,13 +179,7 @@ def break_out(frame: FrameType | None, *, forced: bool) -> None:
 
 
 def _is_of_a_user(frame: FrameType | None, *, forced: bool) -> bool:
-    """Whether it is a user's code, or a library that this has called.
-
-    Args:
-        frame: What runs.
-        forced: Look through the code of esair and asyncio too, for who has called it;
-            what the loop itself does, nobody has.
-    """
+    """Whether it is a user's code, or a library that this has called."""
     while frame is not None:
         module = str(frame.f_globals.get("__name__", ""))
         inside = module.startswith(_INSIDE)

@@ -143,11 +143,7 @@ class Executor:
         bounded: bool = True,
         outside: bool = False,
     ) -> None:
-        """Have a blocking function called; its outcome comes in the loop, however late.
-
-        Raises:
-            BusyError: Too many calls wait, or there can be no more threads.
-        """
+        """Have a blocking function called; its outcome comes in the loop, however late."""
         if bounded and self._jobs.qsize() >= self.limit:
             raise BusyError(
                 f"executor {self.name}", "number of waiting calls", self.limit
@@ -181,11 +177,7 @@ class Executor:
             self._thread = None
 
     async def join(self, timeout: float) -> bool:
-        """Wait until the calls that it has are done, and end the thread.
-
-        Returns:
-            Whether they were done in time.
-        """
+        """Wait until the calls that it has are done, and end the thread."""
         if self._thread is None:
             return True
         try:

@@ -133,11 +133,9 @@ class Gaps:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Gaps:
-        """Return those of a loop."""
         return of_loop(loop, cls)
 
     def start(self) -> None:
-        """Begin to look for gaps."""
         collector.start()
         self._users += 1
         # On a virtual clock a job that never ends would hide a deadlock.

@@ -87,10 +87,6 @@ class LightTask(asyncio.Future[None]):
     asyncio's page on extending it. Whoever began it is never waited with: a coroutine
     that swallows its cancellation holds nobody up. It has a context of its own, so that
     what it starts belongs to nobody.
-
-    Args:
-        loop: The event loop.
-        name: The name of the task, unless it is that of a caller.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, name: str = "") -> None:
@@ -114,14 +110,7 @@ class LightTask(asyncio.Future[None]):
         self._num_cancels_requested = 0
 
     def begin(self, coroutine: Coroutine[Any, Any, Any]) -> Any:
-        """Run a coroutine to its end or its first wait, now.
-
-        Returns:
-            Its result; or `WAITS`, and then `then` has to be called at once.
-
-        Raises:
-            BaseException: Whatever the coroutine raises in its first step.
-        """
+        """Run a coroutine to its end or its first wait, now."""
         loop = self._running_on
         current = current_tasks
         caller = current.get(loop)
@@ -179,11 +168,9 @@ class LightTask(asyncio.Future[None]):
         return self._num_cancels_requested
 
     def get_name(self) -> str:
-        """Return the name."""
         return self._name or (self.caller.task_name if self.caller else "")
 
     def set_name(self, value: object) -> None:
-        """Change the name."""
         self._name = str(value)
 
     def get_coro(self) -> Coroutine[Any, Any, Any] | None:
@@ -191,7 +178,6 @@ class LightTask(asyncio.Future[None]):
         return self._coroutine
 
     def get_context(self) -> contextvars.Context:
-        """Return the context that the coroutine runs in."""
         if self._context is None:
             if self.caller is not None:
                 return self.caller.context
@@ -253,11 +239,7 @@ class LightTask(asyncio.Future[None]):
 
 
 class FirstSteps:
-    """Begins coroutines, most of which end at once: all of a loop share a light task.
-
-    Args:
-        loop: The event loop.
-    """
+    """Begins coroutines, most of which end at once: all of a loop share a light task."""
 
     __slots__ = ("_loop", "spare")
 
@@ -268,24 +250,10 @@ class FirstSteps:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> FirstSteps:
-        """Return that of a loop."""
         return of_loop(loop, cls)
 
     def begin(self, coroutine: Coroutine[Any, Any, Any], caller: Caller) -> Any:
-        """Run a coroutine to its end or its first wait, now.
-
-        Args:
-            coroutine: What to run.
-            caller: Whose it is; if another one is in its first step it runs in a
-                context of its own.
-
-        Returns:
-            Its result; or the `LightTask` that it goes on in, whose `then` has to be
-            called at once.
-
-        Raises:
-            BaseException: Whatever the coroutine raises in its first step.
-        """
+        """Run a coroutine to its end or its first wait, now."""
         light = self.spare
         if light is None:  # one begins another: each has a task and a context
             light = LightTask(self._loop, caller.task_name)

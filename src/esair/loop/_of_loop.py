@@ -13,10 +13,6 @@ def of_loop(loop: asyncio.AbstractEventLoop, kind: type[T]) -> T:
 
     It is an attribute of the loop and they go together. In a table elsewhere it would
     keep every loop that ever was, because it refers to its loop.
-
-    Args:
-        loop: Whose it is.
-        kind: Its class, which is made with the loop.
     """
     attributes: dict[str, Any] = vars(loop)
     key = _KEYS[kind]

@@ -15,12 +15,7 @@ T = TypeVar("T")
 
 
 def ask_outside(tag: Tag, look: Callable[[], T]) -> T:
-    """Look at something outside of the robot, now; a replay does not look.
-
-    Args:
-        tag: What is looked at.
-        look: Returns what it is like.
-    """
+    """Look at something outside of the robot, now; a replay does not look."""
     tape = Door.of(asyncio.get_running_loop()).tape
     if isinstance(tape, Player):
         _, first = tape.first(tag)
@@ -37,13 +32,6 @@ async def outside(tag: Tag, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
     """Await work outside of the robot; in a replay only its outcome comes again.
 
     On a loop whose turns have a border the outcome takes effect at one.
-
-    Args:
-        tag: Whose work it is.
-        work: A coroutine function.
-
-    Raises:
-        Exception: Whatever the work raises.
     """
     loop = asyncio.get_running_loop()
     door = Door.of(loop)
@@ -95,13 +83,7 @@ def _end_of(task: asyncio.Task[Any]) -> tuple[Any, BaseException | None]:
 
 
 class News:
-    """What is told from outside, in the loop or in a thread: kept, and told again.
-
-    Args:
-        loop: The event loop in which it takes effect.
-        tag: Whose news they are.
-        function: Called with each.
-    """
+    """What is told from outside, in the loop or in a thread: kept, and told again."""
 
     def __init__(
         self,
@@ -121,11 +103,6 @@ class News:
         self._door.end(self._tag, self._take, told)
 
     def tell_from_thread(self, *told: Any) -> None:
-        """Tell it in any thread.
-
-        Raises:
-            RuntimeError: The loop is closed.
-        """
         if self._door.has_border:
             self._door.tell(self._tag, self._take, told)
         else:

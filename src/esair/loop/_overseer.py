@@ -40,7 +40,6 @@ class Overseer:
         """Called with what else was written there, in whatever thread has read it."""
 
     def join(self, sentinel: Sentinel) -> None:
-        """Look at something from now on."""
         with self._lock:
             self._sentinels = (*self._sentinels, sentinel)
             if self._thread is None:

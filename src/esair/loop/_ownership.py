@@ -119,11 +119,7 @@ def script_context() -> contextvars.Context:
 
 
 class Contained(Coroutine[Any, Any, Any]):
-    """A coroutine whose ``sys.exit()`` ends its own task, and not the event loop.
-
-    Raises:
-        RuntimeError: In place of SystemExit and KeyboardInterrupt.
-    """
+    """A coroutine whose ``sys.exit()`` ends its own task, and not the event loop."""
 
     __slots__ = ("_inner",)
 
@@ -169,11 +165,9 @@ class OwnedTasks:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> OwnedTasks:
-        """Return that of a loop."""
         return of_loop(loop, cls)
 
     def install(self) -> None:
-        """Begin to tell owners of their tasks."""
         self._users += 1
         if self._users == 1:
             self.script = script_context()

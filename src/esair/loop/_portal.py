@@ -22,10 +22,6 @@ class Portal:
     The thread calls `call`, which waits there while the coroutine runs in the
     loop. Once the portal is closed every call raises `BehaviorRemovedError`, so a
     function that still runs learns of its end at its next call.
-
-    Args:
-        name: The name of the behavior.
-        owner: Whose tasks the calls are.
     """
 
     def __init__(self, name: str, owner: Owner) -> None:
@@ -97,12 +93,7 @@ class Portal:
         *args: Any,
         **options: Any,
     ) -> T:
-        """Run a coroutine function in the loop and wait for it, in the thread.
-
-        Raises:
-            BehaviorRemovedError: The behavior was removed.
-            RuntimeError: It was called in the loop itself, which must not wait.
-        """
+        """Run a coroutine function in the loop and wait for it, in the thread."""
         if threading.current_thread() is self._home:
             raise RuntimeError(
                 f"{self.name}: a call that waits, in the event loop: its run is a "

@@ -23,7 +23,6 @@ class Stepping:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Stepping:
-        """Return that of a loop."""
         return of_loop(loop, cls)
 
 
@@ -41,7 +40,6 @@ class Stream:
         self._made: random.Random | None = None
 
     def __call__(self) -> random.Random:
-        """Return the numbers."""
         if self._made is None:
             self._made = random.Random(self._seed)
         return self._made

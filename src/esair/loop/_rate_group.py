@@ -184,14 +184,7 @@ class DerivedJob(Job):
 
 
 class RateGroup:
-    """The jobs that share an order, a period and a phase. It never drifts.
-
-    Args:
-        order: When in an instant its jobs are called.
-        period: In nanoseconds; a fraction, so that 30 and 60 Hz meet as well.
-        phase: By how much it is shifted on the grid, in nanoseconds.
-        after: Its first moment is the first of the grid that is not before this.
-    """
+    """The jobs that share an order, a period and a phase. It never drifts."""
 
     __slots__ = (
         "_count",
@@ -230,7 +223,6 @@ class RateGroup:
         return self._phase + self._count * self._numerator // self._denominator
 
     def add(self, job: Job) -> None:
-        """Call a job from now on."""
         jobs = list(self.jobs)
         bisect.insort(jobs, job, key=_rank)
         self.jobs = tuple(jobs)

@@ -95,7 +95,6 @@ class Scheduler:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Scheduler:
-        """Return the scheduler of a loop."""
         return of_loop(loop, cls)
 
     @classmethod
@@ -134,15 +133,7 @@ class Scheduler:
         name: str = "",
         phase: int = 0,
     ) -> Job:
-        """Call a step each period (seconds), the first time within one period.
-
-        Args:
-            period: In seconds.
-            function: What to call.
-            order: When in an instant it is called.
-            name: Its place among those of the same order.
-            phase: By how much it is shifted on the grid of all periods, in ns.
-        """
+        """Call a step each period (seconds), the first time within one period."""
         whole = whole_period(period)
         key = (order, whole, int(phase % whole))
         group = self._groups.get(key)
@@ -159,13 +150,7 @@ class Scheduler:
         return self._job(function, None, Order.STEP, name)
 
     def derived(self, function: Step, *, name: str, depth: int) -> DerivedJob:
-        """Return a step that computes something of new readings before others decide.
-
-        Args:
-            function: What to call.
-            name: Its place among those of the same depth.
-            depth: How many of its kind are computed before it, one of the other.
-        """
+        """Return a step that computes something of new readings before others decide."""
         return DerivedJob(self, function, name, depth)
 
     def _job(
@@ -175,13 +160,7 @@ class Scheduler:
         return Job(self, function, group, order=order, name=name, number=number)
 
     def at(self, due: float, function: Step, *, order: Order = Order.WAKE) -> OneShot:
-        """Call a function once, at a moment of the loop's clock.
-
-        Args:
-            due: The moment, in seconds.
-            function: What to call.
-            order: `Order.WAKE`, or what expires after it.
-        """
+        """Call a function once, at a moment of the loop's clock."""
         one_shot = OneShot(round(due * SECOND), order, function)
         self._push(one_shot.due, one_shot)
         return one_shot
@@ -229,7 +208,6 @@ class Scheduler:
             self._wake()
 
     def is_due(self, now: float) -> bool:
-        """Tell whether it has to be woken at a moment."""
         if self._has_later:
             return True
         if not self._turning:
@@ -254,7 +232,6 @@ class Scheduler:
         self._begin()
 
     def drop(self, group: RateGroup) -> None:
-        """Call nothing of a group any more."""
         del self._groups[group.key]
         self._forget(group)
 

@@ -40,14 +40,7 @@ LAST_WORD = 0.6
 
 
 class SignalWatch:
-    """Tells one robot of the signals that end it.
-
-    Args:
-        on_first: Told the number of the first signal.
-        on_second: Told when somebody becomes impatient.
-        is_safe: Asked at the third signal, in another thread, whether every actuator
-            was told its safe command.
-    """
+    """Tells one robot of the signals that end it."""
 
     def __init__(
         self,
@@ -71,10 +64,6 @@ class SignalWatch:
 
         Only signals that would kill the program without any clean-up are taken over,
         and only in the main thread.
-
-        Args:
-            interrupts: Whether to watch SIGINT too, which `asyncio.run` handles by
-                itself.
         """
         self.loop = asyncio.get_running_loop()
         self.host = asyncio.current_task()
@@ -129,7 +118,6 @@ class SignalDesk:
         self._code = 1
 
     def join(self, watch: SignalWatch, *, interrupts: bool) -> None:
-        """Tell a robot of the signals from now on."""
         if not self._watches:
             overseer.join(self)
         self._watches = (*self._watches, watch)
@@ -282,7 +270,6 @@ class LateSignals:
 
     @property
     def number(self) -> int | None:
-        """The first signal of the run, if there was one."""
         return self._watch.number
 
 

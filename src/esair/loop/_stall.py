@@ -37,7 +37,6 @@ class StallWatch:
 
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> StallWatch:
-        """Return that of a loop."""
         return of_loop(loop, cls)
 
     def start(self, limit: float) -> None:
@@ -48,7 +47,6 @@ class StallWatch:
             overseer.join(self)
 
     def stop(self, limit: float) -> None:
-        """Watch no more with that limit."""
         self._limits.remove(limit)
         if not self._limits:
             overseer.leave(self)
@@ -81,11 +79,7 @@ class StallWatch:
 
 
 def describe_holder(frame: FrameType) -> tuple[int, str]:
-    """Name the component whose code a thread executes, the line, and its stack.
-
-    Returns:
-        The level of what there is to say, and its text, with a place for the limit.
-    """
+    """Name the component whose code a thread executes, the line, and its stack."""
     if frame.f_code.co_filename == selectors.__file__:
         return logging.INFO, "the computer is busy: no turn for more than %g s"
     name, where = "the program", ""

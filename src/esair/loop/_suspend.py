@@ -27,9 +27,6 @@ class SuspendWatch:
     It compares the clock that goes on while the computer sleeps with the one that
     does not. The scheduler looks at it each time it begins to turn, so listeners hear
     of a sleep before the next step.
-
-    Args:
-        loop: The event loop whose computer is watched.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:

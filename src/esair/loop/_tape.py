@@ -54,11 +54,7 @@ WAITS = First(waits=True, value=None, error=None)
 
 
 class TapeWriter:
-    """Writes what comes into a run on a tape.
-
-    Args:
-        put: Keeps one item: a moment (float), or a tuple of a tag and what came.
-    """
+    """Writes what comes into a run on a tape."""
 
     def __init__(self, put: Callable[[Any], object]) -> None:
         self._put = put
@@ -68,7 +64,6 @@ class TapeWriter:
         self._calls: collections.Counter[Tag] = collections.Counter()
 
     def close(self) -> None:
-        """Keep nothing any more."""
         self._put = self.turn = _keep_nothing
 
     def spoil(self, why: str) -> None:
@@ -97,10 +92,6 @@ class Player:
 
     When the tape is over every call is answered with `DeviceLostError`, so that the
     robot can stop.
-
-    Args:
-        items: What a `TapeWriter` has put.
-        over: Called in the loop once, when the tape is over.
     """
 
     def __init__(

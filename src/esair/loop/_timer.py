@@ -41,12 +41,7 @@ class LoopTimer:
 
 
 class DescriptorTimer:
-    """Linux's timerfd: the kernel wakes the selector, some 50 us after the moment.
-
-    Raises:
-        OSError: The kernel gives no descriptor.
-        NotImplementedError: The loop watches no descriptors.
-    """
+    """Linux's timerfd: the kernel wakes the selector, some 50 us after the moment."""
 
     def __init__(
         self, loop: asyncio.AbstractEventLoop, function: Callable[[], None]

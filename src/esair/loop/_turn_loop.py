@@ -46,19 +46,13 @@ class TurnSelector(selectors.DefaultSelector):
     border: Callable[[float | None, Callable[[float | None], Any]], Any] | None = None
 
     def select(self, timeout: float | None = None) -> Any:
-        """Wait for descriptors, and begin a turn."""
         if self.border is None:
             return super().select(timeout)
         return self.border(timeout, super().select)
 
 
 class TurnLoop(asyncio.SelectorEventLoop):
-    """The event loop of `esair.run`: what happens in it can be kept and repeated.
-
-    Args:
-        player: Repeats a run that was kept, from `begin` on; what is before it is not
-            part of the run.
-    """
+    """The event loop of `esair.run`: what happens in it can be kept and repeated."""
 
     takes_entries = True
     wakes_scheduler = True
@@ -83,7 +77,6 @@ class TurnLoop(asyncio.SelectorEventLoop):
         selector.border = self._border
 
     def keep(self, tape: TapeWriter | None) -> None:
-        """Begin to keep what comes in, on a tape; None ends that."""
         if self._tape is not None:
             self._tape.close()
         self._tape = self._door.tape = tape

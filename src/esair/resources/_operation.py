@@ -160,11 +160,6 @@ def operations_of(component: type[abc.Resource]) -> dict[str, Operation]:
 
 
 def operation_of(resource: abc.Resource, name: str) -> Operation:
-    """Return one operation of a resource.
-
-    Raises:
-        UnknownNameError: Its class declares no such operation.
-    """
     for each, marked in _marked(type(resource)):
         if each == name:
             return _described(type(resource), name, marked)

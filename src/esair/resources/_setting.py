@@ -64,12 +64,7 @@ class Setting:
         return type(self.default)
 
     def check(self, component: str, value: object) -> object:
-        """Return the value in the type of the setting.
-
-        Raises:
-            BadValueError: The type is wrong, or it is not finite, outside the
-                limits, or not one of the choices.
-        """
+        """Return the value in the type of the setting."""
         if not self.secret:
             return self._check(component, value)
         try:
@@ -184,11 +179,7 @@ def shown(resource: abc.Resource, values: Mapping[str, object]) -> dict[str, obj
 def check_settings(
     resource: abc.Resource, changes: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return the changes in the right types, or name every mistake at once.
-
-    Raises:
-        BadValueError: A name is unknown or a value is not allowed.
-    """
+    """Return the changes in the right types, or name every mistake at once."""
     known = settings_of(type(resource))
     checked: dict[str, object] = {}
     mistakes: list[str] = []

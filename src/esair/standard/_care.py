@@ -12,13 +12,7 @@ STALL_WARNING = 0.1
 
 
 class LoopCare:
-    """Owns tasks, looks for stalls and sleep, and collects garbage in gaps.
-
-    Args:
-        stall_warning: How long code may hold the loop before it is named, in seconds;
-            None for never.
-        resumed: Called after the computer slept, with the seconds.
-    """
+    """Owns tasks, looks for stalls and sleep, and collects garbage in gaps."""
 
     def __init__(
         self, stall_warning: float | None, resumed: Callable[[float], None]

@@ -32,11 +32,7 @@ def repeats(loop: asyncio.AbstractEventLoop) -> bool:
 
 
 class Keeping:
-    """Keeps a run from its start to its end, or repeats one that was kept.
-
-    Args:
-        recording: Where it is kept; None if nowhere.
-    """
+    """Keeps a run from its start to its end, or repeats one that was kept."""
 
     def __init__(self, recording: Recording | None) -> None:
         self.recording = recording
@@ -50,17 +46,6 @@ class Keeping:
     def begin(
         self, plan: Plan, journal: Journal, seed: int, source: tuple[Path, bool] | None
     ) -> None:
-        """Begin with the start of a robot.
-
-        Args:
-            plan: The robot.
-            journal: What happens.
-            seed: That of its random numbers.
-            source: The file it was made from, and whether simulated.
-
-        Raises:
-            ConfigError: A package is missing.
-        """
         loop = asyncio.get_running_loop()
         if isinstance(loop, TurnLoop) and loop.player is not None:
             loop.play()
@@ -118,7 +103,6 @@ class Keeping:
         self.recorder = recorder
 
     async def end(self) -> None:
-        """Keep nothing any more, and write what waits."""
         if self.recorder is None:
             return
         loop = asyncio.get_running_loop()

@@ -145,24 +145,12 @@ async def run_to_its_end(
 
 
 def recorded_as(robot: Robot, script: str, **options: Any) -> None:
-    """Say what repeats a robot's run, if it is not `run` that runs it.
-
-    Args:
-        robot: The robot, not started.
-        script: A function of esair, ``module:function``; it gets the `Replay`.
-        **options: What else it gets; plain values.
-    """
+    """Say what repeats a robot's run, if it is not `run` that runs it."""
     robot._keeping.script = script, options  # noqa: SLF001 - the robot's own entry
 
 
 def prepare_replay(robot: Robot, seed: int, *, has_seat: bool) -> None:
-    """Make a robot as it was when it was recorded, for `run_to_its_end`.
-
-    Args:
-        robot: The robot, not started.
-        seed: The seed that the recorded one has begun with.
-        has_seat: Whether that one had a control socket or a page.
-    """
+    """Make a robot as it was when it was recorded, for `run_to_its_end`."""
     robot.seed = seed
     robot._seat.socket, robot._seat.page = has_seat, None  # noqa: SLF001 - the robot's own entry
     robot._care.stall_warning = None  # noqa: SLF001 - as above

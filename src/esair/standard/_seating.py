@@ -13,17 +13,7 @@ if TYPE_CHECKING:
 
 
 class Seating:
-    """The seat of a robot: there if somebody may sit in it, or once somebody types.
-
-    Args:
-        name: The name of the robot.
-        socket: Whether it has a control socket.
-        page: Where its page is served; None for nowhere.
-        rights: What its operator may do; None for everything.
-
-    Raises:
-        ConfigError: The rights name an act that does not exist.
-    """
+    """The seat of a robot: there if somebody may sit in it, or once somebody types."""
 
     def __init__(
         self, name: str, *, socket: bool, page: Page | None, rights: Operator | None
@@ -43,11 +33,7 @@ class Seating:
         return self.socket or self.page is not None
 
     def take(self, *, closed: bool) -> Seat:
-        """Take its place, which nobody else may have, or none if it is closed.
-
-        Raises:
-            ConfigError: A robot of this name runs already.
-        """
+        """Take its place, which nobody else may have, or none if it is closed."""
         from esair.seat import Seat
 
         socket, page = (False, None) if closed else (self.socket, self.page)
@@ -55,20 +41,17 @@ class Seating:
         return self.seat
 
     async def start(self, robot: Robot) -> None:
-        """Take acts from now on, if it was taken."""
         if self.seat is not None:
             self.seat.begin(robot)
             await outside(("seat", "start"), self.seat.start)
 
     async def typed(self, robot: Robot, text: str) -> str:
-        """Do what somebody has typed, and return the answer."""
         if self.seat is None:
             self.take(closed=True).begin(robot)
         assert self.seat is not None
         return await self.seat.typed(text)
 
     def leave(self) -> None:
-        """The robot begins to stop."""
         if self.seat is not None:
             self.seat.leave()
 

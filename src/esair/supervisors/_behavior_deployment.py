@@ -61,16 +61,7 @@ class Zombie(NamedTuple):
 
 
 class BehaviorDeployment:
-    """The behaviors of one robot: it starts and stops them, BS adds and removes some.
-
-    Args:
-        resources: What they may use.
-        grace: How long one may take to end, in seconds.
-        start_patience: How long the start waits for the first decisions, in seconds.
-        halt: Halts the robot: why, and who says so.
-        stop: Stops the robot: why.
-        policies: The developer's rules: which behaviors may manage others.
-    """
+    """The behaviors of one robot: it starts and stops them, BS adds and removes some."""
 
     def __init__(
         self,
@@ -123,17 +114,11 @@ class BehaviorDeployment:
 
     @property
     def mediator(self) -> Mediator:
-        """The mediator of all data between behaviors."""
         if self._mediator is None:
             self._mediator = Mediator(self.members, self.journal)
         return self._mediator
 
     def member(self, name: str) -> Member:
-        """Return a behavior or reaction and its life.
-
-        Raises:
-            UnknownNameError: No behavior has the name.
-        """
         member = self.members.get(name)
         if member is None:
             raise UnknownNameError("behavior", name, self.members)
@@ -142,20 +127,10 @@ class BehaviorDeployment:
     # What its members ask (`Crew`).
 
     def query(self, name: str) -> BehaviorStatus:
-        """Tell what a behavior is doing."""
         return self.member(name).status()
 
     async def managed_by(self, name: str, verb: str, *args: Any) -> Any:
-        """Do what a behavior has asked for, if a policy gives it the right.
-
-        Args:
-            name: The behavior.
-            verb: ``add``, ``remove``, ``replace`` or ``restart``.
-            *args: What the method of that name takes.
-
-        Raises:
-            AccessDeniedError: It has no right to manage others.
-        """
+        """Do what a behavior has asked for, if a policy gives it the right."""
         if not {name, "*"} & self._managers:
             raise AccessDeniedError(
                 name,
@@ -168,15 +143,12 @@ class BehaviorDeployment:
         return await getattr(self.verbs, verb)(*args)
 
     def halt_robot(self, reason: str, by: str) -> Halting:
-        """Halt the robot in the name of a member."""
         return self._halt(reason, by)
 
     async def stop_robot(self, reason: str) -> Stopped:
-        """Stop the robot."""
         return await self._stop(reason)
 
     def is_adding(self, member: Mailbox) -> bool:
-        """Tell whether somebody waits for the setup of a member."""
         return member in self.coming
 
     def ended(self) -> None:
@@ -226,7 +198,6 @@ class BehaviorDeployment:
         return self.resources.plan([*(each.action for each in members), *new])
 
     def declared(self, behavior: str, resource: str) -> Access:
-        """Return what the class of a behavior declares to do with a resource."""
         access = Access(0)
         for member in (self.members.get(behavior), *self.coming):
             if member is None or member.name != behavior:
@@ -245,7 +216,6 @@ class BehaviorDeployment:
         await asyncio.shield(self._all_ended)
 
     def failures(self) -> list[BehaviorFailedError]:
-        """Return an error for each behavior that has failed for good."""
         failed = []
         for member in self.members.values():
             if member.state is BehaviorState.FAILED and member.error is not None:
@@ -434,12 +404,7 @@ class Verbs(Protocol):
 
 
 def refuse_all(found: list[Finding], action: Behavior | Reaction) -> None:
-    """Raise what is wrong with a component, if anything is.
-
-    Raises:
-        EsairError: The one mistake.
-        ExceptionGroup: Several.
-    """
+    """Raise what is wrong with a component, if anything is."""
     refuse(found, f"{name_of(action)} is described wrongly")
 
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 def circle_of_ask(order: Order, queue: RequestQueue) -> list[str]:
-    """Return the circle that an ask would close, or nothing."""
     links = list(chain())
     peer = order.peer
     busy = queue.busy()
@@ -42,14 +41,6 @@ def circle_of_get(
     members: Mapping[str, Mailbox],
     gets: Mapping[str, list[Request]],
 ) -> list[str]:
-    """Return the circle that a get would close, or nothing.
-
-    Args:
-        asker: Who would wait.
-        giver: Whom for.
-        members: The behaviors by name.
-        gets: For each behavior that waits in a get: its requests.
-    """
     if asker == giver:
         return [asker, asker]
     links = list(chain())

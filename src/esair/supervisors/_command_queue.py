@@ -24,10 +24,6 @@ class CommandQueue:
     any moment without leaving it half done. It changes the table of its supervisor in
     one step and says so by `changed`; what it waits for then, a ``setup`` or an end,
     keeps no other command waiting.
-
-    Args:
-        name: The name of the supervisor, for errors.
-        asleep: Refuse commands until `wake`: nobody would ever see to them.
     """
 
     def __init__(self, name: str, *, asleep: bool = False) -> None:
@@ -53,18 +49,7 @@ class CommandQueue:
         name: str,
         undo: bool,
     ) -> T:
-        """Do a command of the user when its turn has come.
-
-        Args:
-            work: Makes the coroutine that does it.
-            name: The name of its task.
-            undo: Whether cancelling the caller cancels, and so undoes, the work.
-                Else it is finished without the caller.
-
-        Raises:
-            StoppingError: The supervisor has stopped.
-            BusyError: Too many commands wait.
-        """
+        """Do a command of the user when its turn has come."""
         loop = asyncio.get_running_loop()
         await self._turn(loop)
         me = asyncio.current_task()

@@ -33,16 +33,7 @@ from esair.values import check_name, is_positive
 
 
 class ControlPath:
-    """Issues registrations by the rules, and lets their holders configure.
-
-    Args:
-        registrations: The table of who is registered for what.
-        rules: Decide who may.
-        lives: The resources that are there, by name.
-        leaving: The names of those that are about to go.
-        sensors: The way to the sensors.
-        actuators: The way to the actuators.
-    """
+    """Issues registrations by the rules, and lets their holders configure."""
 
     def __init__(
         self,
@@ -72,22 +63,7 @@ class ControlPath:
         hold: float | None = None,
         instead_of: str | None = None,
     ) -> Registration:
-        """Register a behavior, in one step without an await.
-
-        Args:
-            behavior: The name of who asks.
-            resource: What for.
-            access: What it wants to do.
-            priority: With which priority it writes; higher wins.
-            hold: For how long its writes hold an actuator, in seconds.
-            instead_of: A behavior that is about to give its place to this one.
-
-        Raises:
-            UnknownNameError: No resource has the name.
-            ResourceRemovedError: It is about to go.
-            AccessDeniedError: A rule denies it.
-            StoppingError: The robot is stopping.
-        """
+        """Register a behavior, in one step without an await."""
         check_name("behavior", behavior)
         provider = self._provider(resource)
         self._check_there(resource, provider)
@@ -113,13 +89,7 @@ class ControlPath:
     def admit(
         self, principal: str, resource: str, access: Access, *, priority: int = 0
     ) -> Registration:
-        """Register somebody who is no component: people rank above the rules.
-
-        Raises:
-            UnknownNameError: No resource has the name.
-            ResourceRemovedError: It is about to go.
-            StoppingError: The robot is stopping.
-        """
+        """Register somebody who is no component: people rank above the rules."""
         self._check_there(resource, resource)
         return self.registrations.issue(principal, resource, access, priority=priority)
 

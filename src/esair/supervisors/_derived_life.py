@@ -50,16 +50,13 @@ class DerivedLife(ResourceLife):
         self._owner.stream = Stream(f"{deployment.seed}/{self.name}")
 
     def start(self) -> None:
-        """Begin to follow the sources."""
         self.bind()
         super().start()
 
     def reads(self, resource: str) -> bool:
-        """Tell whether it is computed of a resource."""
         return any(each.provider == resource for each in self._derived.inputs.values())
 
     def bind(self) -> None:
-        """Follow the sources that are there now."""
         self._leave()
         try:
             sources = self._sources()
@@ -80,13 +77,6 @@ class DerivedLife(ResourceLife):
         self._hear(None)
 
     def _sources(self) -> dict[str, Source]:
-        """Register for what it is computed of.
-
-        Raises:
-            UnknownNameError: It is not there.
-            ConfigError: It is of another kind or type.
-            AccessDeniedError: A rule denies it.
-        """
         found: dict[str, Source] = {}
         resources, plan = self._deployment, self._deployment.plan(())
         for attribute, need in self._derived.inputs.items():
@@ -126,6 +116,5 @@ class DerivedLife(ResourceLife):
         self._derivation.begin()
 
     async def stop(self, until: float) -> None:
-        """Follow nothing any more."""
         self._leave()
         await super().stop(until)

@@ -72,7 +72,6 @@ class Grants:
     def of_need(
         self, need: Need, owned: list[Registration] | None = None
     ) -> Registration:
-        """Return a registration for what an action declares."""
         return self.grant(
             need.resource,
             need.access,
@@ -86,19 +85,16 @@ class Grants:
         return need.provider in self._crew.resources.lives
 
     def channel(self, resource: str) -> SensorChannel | ActuatorChannel:
-        """Return the way to a resource."""
         sensor = self._crew.resources.sensors.channels.get(resource)
         return sensor or self._crew.resources.actuators.channels[resource]
 
     def port(self, registration: Registration, max_age: float | None) -> Port:
-        """Make a port of a registration."""
         resources = self._crew.resources
         if registration.resource in resources.sensors.channels:
             return resources.sensors.port(registration, max_age=max_age)
         return resources.actuators.port(registration)
 
     def declare(self, attribute: str, need: Need) -> Port:
-        """Make the port that a behavior declares."""
         port = self._ports[attribute] = self.port(self.of_need(need), age_limit(need))
         return port
 
@@ -125,17 +121,7 @@ def bind(
     grants: Grants,
     owned: list[Registration] | None = None,
 ) -> list[Registration]:
-    """Register for what a reaction reads and moves, and let it run.
-
-    Args:
-        runner: What runs it.
-        reaction: The reaction; it gets its ports.
-        grants: Who registers.
-        owned: Where new registrations are noted; in those of the component unless given.
-
-    Returns:
-        The registrations that it cannot do without.
-    """
+    """Register for what a reaction reads and moves, and let it run."""
     inputs: dict[str, tuple[SensorChannel, Registration, float | None]] = {}
     outputs: dict[str, tuple[ActuatorChannel, Registration]] = {}
     guarded: ActuatorChannel | None = None

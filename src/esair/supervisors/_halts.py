@@ -31,13 +31,6 @@ class Halts:
 
     A halt is two steps. The latch goes down in the thread that asks: from then on no
     command passes the commit block. The safe commands are sent by the event loop.
-
-    Args:
-        name: The name of the robot.
-        actuators: The way to each actuator.
-        registrations: Where the commit block looks whether it is halted.
-        journal: What is told of it.
-        forget: Drops the commands that components keep for later.
     """
 
     def __init__(
@@ -64,7 +57,6 @@ class Halts:
 
     @property
     def reason(self) -> str | None:
-        """Why the robot is halted; None if it is not."""
         halt = self._registrations.halt
         return None if halt is None else halt.reason
 
@@ -86,12 +78,7 @@ class Halts:
         self._loop = None
 
     def halt(self, reason: str, by: str = "the user") -> Halting:
-        """Make every actuator safe and keep it so, until `resume`.
-
-        Args:
-            reason: Why, for people.
-            by: Who halts.
-        """
+        """Make every actuator safe and keep it so, until `resume`."""
         halting = Halting()
         loop = self._loop
         halt = Halt(_words(reason), 0.0 if loop is None else clock_of(loop)())
@@ -118,11 +105,7 @@ class Halts:
         return halting
 
     def resume(self) -> None:
-        """End all halts: who writes next moves.
-
-        Raises:
-            AccessDeniedError: A behavior asks; only the user may.
-        """
+        """End all halts: who writes next moves."""
         if current_owner() is not None or portal.get(None) is not None:
             raise AccessDeniedError(
                 "a behavior", "robot", "resume", "only the user ends a halt"

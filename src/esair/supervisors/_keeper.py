@@ -27,17 +27,7 @@ _log = logging.getLogger("esair")
 
 
 class Keeper:
-    """Has the watchdog process of one robot run as long as the robot does.
-
-    Args:
-        resources: Whose actuators are watched.
-        robot: The name of the robot.
-        limit: How long the scheduler may stand still while something moves, in s.
-        policy: What becomes of a process that the watchdog has stopped.
-        on_death: What is done when the watchdog dies: ``"stop"`` halts the robot until
-            the user resumes it, ``"alarm"`` only says so. It is started anew.
-        halt: Halts the robot: why, and who says so.
-    """
+    """Has the watchdog process of one robot run as long as the robot does."""
 
     def __init__(
         self,

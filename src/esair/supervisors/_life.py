@@ -30,16 +30,10 @@ class Life:
     def tell(
         self, kind: Kind, error: BaseException | None = None, text: str = ""
     ) -> None:
-        """Publish what has become of it."""
         self.journal.publish(kind, self.name, "", error, text)
 
     def pause_after(self, error: BaseException, now: float) -> float | None:
-        """Take a restart from the budget, after an error.
-
-        Returns:
-            How long to wait before it, in seconds; None if there is none left: it has
-            failed for good, and that has been told.
-        """
+        """Take a restart from the budget, after an error."""
         pause = self.restarts.spend(now)
         if pause is None:
             self.tell(Kind.FAILED, error, describe(error))

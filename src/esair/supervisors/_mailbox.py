@@ -41,13 +41,7 @@ _ALIVE = frozenset(
 
 
 class Mailbox:
-    """Holds what was put for a behavior and what it offers; the mediator fills it.
-
-    Args:
-        action: The behavior; a reaction has no room for data.
-        mediator: Who hands data over.
-        name: The name of the behavior.
-    """
+    """Holds what was put for a behavior and what it offers; the mediator fills it."""
 
     __slots__ = (
         "_mediator",
@@ -120,7 +114,6 @@ class Mailbox:
 
     @property
     def state(self) -> BehaviorState:
-        """What it is doing."""
         return self._state
 
     @state.setter
@@ -147,23 +140,13 @@ class Mailbox:
         return failed
 
     def absence(self, data: Any = None) -> EsairError:
-        """Return what whoever needs it gets when it is not alive.
-
-        Args:
-            data: What it would have got.
-        """
+        """Return what whoever needs it gets when it is not alive."""
         if self.state is BehaviorState.FAILED:
             return self.failure()
         return BehaviorRemovedError(self.name, data)
 
     def check_speaker(self) -> None:
-        """Pass if the code that runs now may act in the name of the behavior.
-
-        Raises:
-            BehaviorRemovedError: It was removed.
-            BehaviorFailedError: It has failed for good.
-            NotRegisteredError: The run that the code belongs to has ended.
-        """
+        """Pass if the code that runs now may act in the name of the behavior."""
         if not self.alive:
             raise self.absence()
         if speaks_for_nobody():
@@ -245,7 +228,6 @@ class Mailbox:
     def put(
         self, receiver: str, data: Any, interval: float
     ) -> Coroutine[Any, Any, None]:
-        """Hand data to another behavior."""
         self.check_speaker()
         return self._mediator.put(data, self.name, receiver, interval, self)
 

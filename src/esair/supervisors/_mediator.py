@@ -52,9 +52,6 @@ class Mediator:
 
     When the other side is ready a request is a look-up, a check, an append and a
     wake-up; a task, a timer or a queue is made only when it has to wait.
-
-    Args:
-        members: The behaviors by name.
     """
 
     def __init__(self, members: Mapping[str, Mailbox], journal: Journal) -> None:
@@ -87,7 +84,6 @@ class Mediator:
         return [Record(*line) for line in self.ledger]
 
     def counts(self) -> dict[str, int]:
-        """Return the counters, by name."""
         return {
             "delivered": self.delivered,
             "pending": self.pending.count,
@@ -404,11 +400,7 @@ class Mediator:
         return request
 
     def check_bounds(self, kind: str, sender: str, receiver: str, asker: str) -> None:
-        """Pass if one more request of an asker may wait.
-
-        Raises:
-            BusyError: Too many wait.
-        """
+        """Pass if one more request of an asker may wait."""
         busy = self.pending.full(asker)
         if busy is not None:
             self.record(kind, sender, receiver, Outcome.REFUSED)

@@ -94,7 +94,6 @@ class Member(Life, Mailbox):
     # What the behavior asks (`Host`).
 
     def query(self, name: str) -> BehaviorStatus:
-        """Tell what a behavior is doing."""
         return self.crew.query(name)
 
     async def manage(self, verb: str, *args: Any) -> Any:
@@ -112,7 +111,6 @@ class Member(Life, Mailbox):
         hold: float | None,
         max_age: float | None,
     ) -> SensorPort[Any] | ActuatorPort[Any]:
-        """Register for a resource at run time."""
         await Budget.spend()
         self.check_speaker()
         if max_age is not None:
@@ -160,11 +158,6 @@ class Member(Life, Mailbox):
         return [*own, *(step.runner for step in self.steps.now)]
 
     def start(self) -> None:
-        """Register what it declares, and begin.
-
-        Raises:
-            EsairError: It may not, or a resource is not there.
-        """
         self.state = BehaviorState.STARTING
         if isinstance(self.action, Reaction):
             self.sight.blind(UNDECIDED)
@@ -342,7 +335,6 @@ class Member(Life, Mailbox):
             self._crashed(error)
 
     def uses(self) -> list[Registration]:
-        """Return every registration that it has now."""
         performed = (r for step in self.steps.now for r in step.own)
         return [*self.grants.registrations, *performed]
 
@@ -379,11 +371,7 @@ class Member(Life, Mailbox):
         return undead
 
     def end_run(self, grace: float) -> Awaitable[None]:
-        """End the run, so that another may begin; awaiting waits until it has ended.
-
-        Raises:
-            BehaviorRemovedError: It was removed meanwhile.
-        """
+        """End the run, so that another may begin; awaiting waits until it has ended."""
         self.state = BehaviorState.RESTARTING
         self._no_restart()
         self._is_ready()
@@ -420,12 +408,10 @@ class Member(Life, Mailbox):
             self._mediator.asker_ended(self, removed=removed)
 
     def run_tasks(self) -> list[asyncio.Task[Any]]:
-        """Return the tasks that only wait for its threads."""
         return [] if self.task is None or self._portal is None else [self.task]
 
     @property
     def portal(self) -> Portal | None:
-        """The way of its thread into the loop, if it has a thread."""
         return self._portal
 
     def _start_runner(self, runner: ReactionRunner, reaction: Reaction) -> None:
@@ -466,13 +452,11 @@ class Member(Life, Mailbox):
             self._crashed(error)
 
     def counts(self) -> dict[str, int]:
-        """Return the counters, by name."""
         found = {"restarts": self.restarts.count, "inbox": len(self.inbox)}
         found["waiting"] = self.senders.count
         return found | (self.runner.counts() if self.runner is not None else {})
 
     def status(self) -> BehaviorStatus:
-        """Tell what it is doing."""
         runner = self.runner
         return BehaviorStatus(
             self.name,

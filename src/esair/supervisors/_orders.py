@@ -84,18 +84,15 @@ class Order(Link):
 
     @property
     def over(self) -> bool:
-        """Whether it has its outcome."""
         return self._over
 
     @property
     def sender(self) -> str:
-        """Who asks."""
         return self.asker
 
     # What the asker does.
 
     async def outcome(self, progress: Callable[[Any], object] | None) -> Any:
-        """Wait for the outcome, and tell of progress meanwhile."""
         while not self.over:
             self._wake = self._loop.create_future()
             await self._wake
@@ -205,7 +202,6 @@ class Order(Link):
             self._wake.set_result(None)
 
     def works(self, task: asyncio.Task[Any]) -> None:
-        """A task of its own works on it."""
         self._worker = task
         task.add_done_callback(self._rests)
 

@@ -18,13 +18,7 @@ from esair.values import check_duration
 
 
 class Steps:
-    """The reactions that one behavior performs now.
-
-    Args:
-        name: The name of the behavior.
-        crew: The behaviors of the robot.
-        grants: What it may use.
-    """
+    """The reactions that one behavior performs now."""
 
     __slots__ = ("_crew", "_grants", "_name", "now")
 

@@ -27,10 +27,6 @@ class RequestQueue:
     """Holds the orders of one type for one behavior; it is the source of its port.
 
     Orders that wait outlive a run of the behavior; those that are worked on do not.
-
-    Args:
-        member: The behavior.
-        terms: What it declares.
     """
 
     def __init__(self, member: Mailbox, terms: Takes[Any] | Answers) -> None:
@@ -53,11 +49,7 @@ class RequestQueue:
         return [loop.current for loop in self._loops]
 
     def push(self, order: Order) -> None:
-        """Let an order wait for its turn.
-
-        Raises:
-            BusyError: Too many wait.
-        """
+        """Let an order wait for its turn."""
         if self.newest:
             for other in (*self.working, *self.waiting):
                 reason = f"superseded by {order.asker}"
@@ -97,7 +89,6 @@ class RequestQueue:
         return loop
 
     async def take(self) -> Order:
-        """Wait for an order, and take it."""
         while True:
             self.member.check_speaker()
             if self.waiting:
@@ -188,7 +179,6 @@ class RequestQueue:
             order.fail(detail, error)
 
     def refuse_all(self, reason: str) -> None:
-        """Refuse what waits."""
         for order in tuple(self.waiting):
             error = RefusedError(reason, self.member.name)
             order.withdraw(Outcome.REFUSED, error)
@@ -202,7 +192,6 @@ class RequestQueue:
         self.roused()
 
     def end_all(self, outcome: Outcome, error: Any) -> None:
-        """End everything from elsewhere, each with an error of its own."""
         for order in (*self.waiting, *self.working):
             order.withdraw(outcome, error())
 

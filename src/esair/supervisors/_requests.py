@@ -181,7 +181,6 @@ class FairQueue:
         return None
 
     def drain(self) -> list[Request]:
-        """Take everything."""
         requests = [request for queue in self._queues.values() for request in queue]
         self._queues.clear()
         self.count = 0

@@ -49,16 +49,7 @@ less than `run` has, for what cannot be hurried."""
 
 
 class ResourceDeployment:
-    """The resources of one robot: it starts and stops them, RS adds and removes some.
-
-    Args:
-        sensors: The way to the sensors; filled here.
-        actuators: The way to the actuators; filled here.
-        registrations: The table of who is registered for what.
-        policies: The developer's rules.
-        declared: What the class of a behavior declares to do with a resource.
-        grace: How long it may take to take a resource away, in seconds.
-    """
+    """The resources of one robot: it starts and stops them, RS adds and removes some."""
 
     def __init__(
         self,
@@ -104,11 +95,6 @@ class ResourceDeployment:
         self.journal.count("resources", self._counted)
 
     def life(self, name: str) -> ResourceLife:
-        """Return a resource and its life.
-
-        Raises:
-            UnknownNameError: No resource has the name.
-        """
         life = self.lives.get(name)
         if life is None:
             raise UnknownNameError("resource", name, self.lives)
@@ -137,7 +123,6 @@ class ResourceDeployment:
         )
 
     def plan(self, behaviors: Sequence[Any]) -> Plan:
-        """Return what this robot is made of now, with some behaviors."""
         return Plan(
             resources=[life.resource for life in self.lives.values()],
             behaviors=behaviors,
@@ -146,7 +131,6 @@ class ResourceDeployment:
         )
 
     def plan_with(self, new: Any, without: Resource | None = None) -> Plan:
-        """Return the resources there are, with a new one, or one in another's place."""
         there = [life.resource for life in self.lives.values()]
         return Plan(resources=[*(each for each in there if each is not without), new])
 
@@ -238,15 +222,7 @@ class ResourceDeployment:
     def replace(
         self, name: str, resource: Resource, *, keep: bool, until: float, title: str
     ) -> asyncio.Task[ResourceLife]:
-        """Fence a resource off, and begin to put another one in its place.
-
-        Args:
-            name: Which one.
-            resource: The other one.
-            keep: Registrations go on.
-            until: When to give up what the old one does, on the loop's clock.
-            title: The name of the task.
-        """
+        """Fence a resource off, and begin to put another one in its place."""
         self._depart(name)
         channel = self.lives[name].channel
         if not keep:
@@ -387,11 +363,7 @@ class ResourceDeployment:
         self.commands.wake()
 
     async def start(self, resources: Sequence[Resource]) -> None:
-        """Deploy the configuration list; returns when each device was tried once.
-
-        Raises:
-            ExceptionGroup: Devices that are required are not there.
-        """
+        """Deploy the configuration list; returns when each device was tried once."""
         there = (each.bus for each in resources)
         self.buses = list(dict.fromkeys(bus for bus in there if bus is not None))
         await open_buses(self.buses)
@@ -420,11 +392,7 @@ class ResourceDeployment:
             channel.latch()
 
     def resumed(self, slept: float) -> None:
-        """The computer slept: no reading is current, and nothing moves as before.
-
-        Args:
-            slept: For how long, in seconds.
-        """
+        """The computer slept: no reading is current, and nothing moves as before."""
         for sensor in self.sensors.channels.values():
             sensor.forget_age()
         for actuator in self.actuators.channels.values():
@@ -438,12 +406,7 @@ class ResourceDeployment:
                 await life.watch.arm()
 
     async def make_safe(self) -> list[LastCommand]:
-        """Send every actuator its safe command, whatever was sent before.
-
-        Returns:
-            What each actuator was told, and whether it answered; also of those that
-            the user is taking away just now.
-        """
+        """Send every actuator its safe command, whatever was sent before."""
         channels = tuple(self.actuators.channels.values())
         await asyncio.gather(*(self._make_safe(each.name) for each in channels))
         return [each.told() for each in channels]

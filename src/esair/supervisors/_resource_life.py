@@ -118,7 +118,6 @@ class ResourceLife(Life):
         self._forget_bus: tuple[Callable[[], None], ...] = ()
 
     def start(self) -> None:
-        """Begin to open the device."""
         self.resource._listener = self._told  # noqa: SLF001 - the resource's own supervisor
         if self.resource.bus is not None:
             bus: Bus = self.resource.bus
@@ -140,7 +139,6 @@ class ResourceLife(Life):
             self._hear(None)
 
     def on_error(self, error: Exception) -> None:
-        """Take note of an error that the connection met."""
         if isinstance(error, DeviceLostError):
             self._hear(error)
             return
@@ -182,14 +180,7 @@ class ResourceLife(Life):
             self._arrived = True
 
     async def configure(self, changes: dict[str, Any]) -> None:
-        """Apply changed settings, all of them or none; ``configuring`` is held.
-
-        Raises:
-            DeviceLostError: The device went away meanwhile; it comes back with the
-                settings from before.
-            DeviceFaultError: It did not take them; it was put back.
-            DriverStuckError: It did not answer in time; it was put back.
-        """
+        """Apply changed settings, all of them or none; ``configuring`` is held."""
         resource = self.resource
         before = {name: resource.settings[name] for name in changes}
         try:
@@ -212,7 +203,6 @@ class ResourceLife(Life):
             await self.watch.arm()
 
     def status(self) -> ResourceStatus:
-        """Tell what it is doing, and who uses it."""
         channel = self.channel
         users = (r.behavior for r in channel.registrations.of_resource(self.name))
         return ResourceStatus(
@@ -242,9 +232,6 @@ class ResourceLife(Life):
         """Open a device that is not there once more, for its safe command alone.
 
         Its removal and the stop may both ask for it: then they share one.
-
-        Args:
-            until: When to give up, on the loop's clock.
         """
         if self._last_try is None:
             self._last_try = spawn(
@@ -274,11 +261,7 @@ class ResourceLife(Life):
         self._error_of_try = await self._try_to_open()
 
     async def stop(self, until: float) -> None:
-        """Close the device, whatever it is doing.
-
-        Args:
-            until: When to give up, on the loop's clock; what goes on then is fenced.
-        """
+        """Close the device, whatever it is doing."""
         self._over = True
         if self._looks is not None:
             self._looks.cancel()

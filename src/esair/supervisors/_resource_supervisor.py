@@ -339,12 +339,6 @@ def admit(
     *,
     priority: int = 0,
 ) -> Registration:
-    """Register somebody who is no component: people rank above the rules.
-
-    Raises:
-        UnknownNameError: No resource has the name.
-        ResourceRemovedError: It is about to go.
-        StoppingError: The robot is stopping.
-    """
+    """Register somebody who is no component: people rank above the rules."""
     control = resources._control  # noqa: SLF001 - not a verb of the architecture
     return control.admit(principal, resource, access, priority=priority)

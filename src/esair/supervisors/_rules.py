@@ -14,13 +14,7 @@ Declared = Callable[[str, str], Access]
 
 
 class Rules:
-    """Decides whether a behavior may register; says which rule denied it.
-
-    Args:
-        policies: The developer's rules, at most one for each resource.
-        registrations: Who is registered now, for exclusive use.
-        declared: What the class of a behavior declares.
-    """
+    """Decides whether a behavior may register; says which rule denied it."""
 
     def __init__(
         self,
@@ -46,20 +40,7 @@ class Rules:
         instead_of: str | None = None,
         provider: str | None = None,
     ) -> None:
-        """Pass if a behavior may have what it asks for.
-
-        Args:
-            behavior: Who asks.
-            resource: What for.
-            access: What it wants to do.
-            priority: With which priority it wants to write.
-            is_actuator: Whether the resource is an actuator.
-            instead_of: A behavior that is about to give its place to this one.
-            provider: Whose policy counts, if the resource is a part of another one.
-
-        Raises:
-            AccessDeniedError: It may not; the error names the rule.
-        """
+        """Pass if a behavior may have what it asks for."""
         if not access:
             raise AccessDeniedError(
                 behavior, resource, "nothing", "ask for some access"

@@ -15,14 +15,7 @@ _log = logging.getLogger("esair")
 
 
 class Sight:
-    """Keeps the entries of one component in the table, from its acceptance on.
-
-    Args:
-        table: The table of the robot.
-        action: What protects, if it does.
-        name: Its name.
-        step_of: The behavior that performs it as a step; "" if it stands for itself.
-    """
+    """Keeps the entries of one component in the table, from its acceptance on."""
 
     def __init__(
         self, table: Protections, action: Action, name: str, *, step_of: str = ""
@@ -42,7 +35,6 @@ class Sight:
 
     @property
     def guard(self) -> Protection:
-        """The entry of a guard; it has one."""
         return self.entries[0]
 
     def accept(self) -> None:
@@ -57,7 +49,6 @@ class Sight:
         self._table.enter(each for each in self.entries if each.actuator not in there)
 
     def take_over(self, old: Sight) -> None:
-        """Take the place of another one, in one step."""
         there = set(self._table)
         self._table.enter(each for each in self.entries if each not in there)
         for each in self.entries:
@@ -71,14 +62,12 @@ class Sight:
         self._table.blind(self.entries, reason)
 
     def sees(self) -> None:
-        """It has decided."""
         self.reason = ""
         self._table.sees(self.entries)
         if self._decided is not None and not self._decided.done():
             self._decided.set_result(None)
 
     def leave(self) -> None:
-        """Leave the table; nothing of it is in force any more."""
         self._table.leave(self.entries)
 
     def removed(self) -> None:
@@ -101,11 +90,7 @@ class Sight:
     # What the user may do.
 
     def mute(self, seconds: float, reason: str) -> None:
-        """Let everything pass for a while.
-
-        Raises:
-            BadValueError: It protects nothing, or that is too long.
-        """
+        """Let everything pass for a while."""
         self._check_protects("mute")
         check_duration(self.name, "seconds", seconds)
         limit = getattr(self._action, "mute_limit", 0.0)
@@ -119,12 +104,7 @@ class Sight:
         _log.warning("%s: muted for %g s by the user: %s", self.name, seconds, told)
 
     def reset(self) -> None:
-        """End the latch of a guard.
-
-        Raises:
-            BadValueError: It has none.
-            AccessDeniedError: What has latched it lasts.
-        """
+        """End the latch of a guard."""
         self._check_protects("reset")
         for entry in self.entries:
             if not entry.latch:

@@ -17,12 +17,7 @@ _log = logging.getLogger("esair")
 
 
 class Watch:
-    """Arms an actuator after each opening, and says when it moves.
-
-    Args:
-        actuator: What is watched.
-        watchdog: By whom.
-    """
+    """Arms an actuator after each opening, and says when it moves."""
 
     def __init__(self, actuator: Actuator[Any], watchdog: Watchdog) -> None:
         self.actuator = actuator
