@@ -25,14 +25,9 @@ from esair.exceptions import EsairError, describe
 NOT_FOUND: Final = 1
 """The exit code if nothing was unplugged in time, or a bus could not be scanned."""
 
-INTERRUPTED: Final = 130
-"""The exit code after Ctrl-C."""
-
-GLANCE: Final = 0.5
-"""How often to look if udev says nothing, in seconds."""
-
-SETTLE: Final = 0.5
-"""How long the parts of one device may take to go, in seconds."""
+INTERRUPTED: Final = 130  # The exit code after Ctrl-C
+GLANCE: Final = 0.5  # How often to look if udev says nothing, in seconds
+SETTLE: Final = 0.5  # How long the parts of one device may take to go, in seconds
 
 OFTEN: Final = {
     0x40: "pca9685",

@@ -29,11 +29,8 @@ PROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 ORIGINS: Final = ("https://app.foxglove.dev", "file://")
 """Whose pages may look: Foxglove's, and viewers that are installed here."""
 
-VIEWERS: Final = 4
-"""How many may look at a time."""
-
-WAITING: Final = 256
-"""How many messages may wait for a viewer; then the oldest goes."""
+VIEWERS: Final = 4  # How many may look at a time
+WAITING: Final = 256  # How many messages may wait for a viewer; then the oldest goes
 
 _HEAD: Final = struct.Struct("<BIQ")
 

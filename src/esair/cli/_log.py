@@ -21,8 +21,7 @@ from esair.exceptions import describe
 LIMIT: Final = 1000
 """How many records may wait for the terminal; what comes then is dropped and counted."""
 
-LAST_MOMENT: Final = 1.0
-"""How long the end waits for the records that wait, in seconds."""
+LAST_MOMENT: Final = 1.0  # How long the end waits for the records that wait, in seconds
 
 
 @contextlib.contextmanager

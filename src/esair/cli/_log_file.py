@@ -25,8 +25,7 @@ from esair.values import printable
 ITEMS = 8
 """How many items of a list are printed; of a longer one, how many more there are."""
 
-TEXT = 400
-"""How much of a value is printed; all of it with --json."""
+TEXT = 400  # How much of a value is printed; all of it with --json
 
 
 def log(

@@ -18,11 +18,8 @@ if TYPE_CHECKING:
 
 _NEEDED: Final = ("cyclopts", "rich")
 
-INTERRUPTED: Final = 130
-"""The exit code after Ctrl-C: 128 and the number of SIGINT."""
-
-CANNOT_WRITE: Final = 1
-"""The exit code if there is no room for what is to be written."""
+INTERRUPTED: Final = 130  # The exit code after Ctrl-C: 128 and the number of SIGINT
+CANNOT_WRITE: Final = 1  # The exit code if there is no room for what is to be written
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -21,11 +21,8 @@ if TYPE_CHECKING:
     from esair.recording import Recorded
     from esair.replay import Divergence, Outcome, Replay
 
-DIVERGED: Final = 3
-"""The exit code if the robot does otherwise than it did."""
-
-WIDTH: Final = 120
-"""How much of a value is shown."""
+DIVERGED: Final = 3  # The exit code if the robot does otherwise than it did
+WIDTH: Final = 120  # How much of a value is shown
 
 
 def replay(

@@ -12,8 +12,7 @@ from esair.exceptions import EsairError
 from esair.seat import ACTS, NoRobotError, connect, robots, value_of
 from esair.values import printable
 
-NOT_DONE = 1
-"""The exit code if the robot has not done it."""
+NOT_DONE = 1  # The exit code if the robot has not done it
 
 Which = Annotated[str | None, Parameter(name=["--robot", "-r"])]
 AsJson = Annotated[bool, Parameter(name="--json")]

@@ -19,11 +19,8 @@ from esair.seat import Client, NoRobotError, connect
 from esair.seat.screen import HAPPENED, event_line, picture
 from esair.values import printable
 
-NOT_SHOWN = 1
-"""The exit code if the robot ended before it was seen."""
-
-KEPT = 100
-"""How many events are kept for the screen."""
+NOT_SHOWN = 1  # The exit code if the robot ended before it was seen
+KEPT = 100  # How many events are kept for the screen
 
 
 def top(

@@ -22,8 +22,7 @@ from rich.text import Text
 
 from esair.cli._errors import CANNOT_USE, tell
 
-FOUND = 1
-"""The exit code if something was found."""
+FOUND = 1  # The exit code if something was found
 
 
 def torture(

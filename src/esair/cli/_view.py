@@ -14,8 +14,7 @@ from esair.exceptions import EsairError, describe
 from esair.seat import Client, NoRobotError, connect
 from esair.values import printable
 
-ENDED = 1
-"""The exit code if the robot has ended."""
+ENDED = 1  # The exit code if the robot has ended
 
 
 def view(

@@ -16,14 +16,9 @@ import attrs
 
 from esair.config._mistakes import ConfigFileError, Lines, Mistakes, below, dotted, show
 
-LIMIT: Final = 1_048_576
-"""How large a configuration file may be, in bytes."""
-
-TABLES: Final = 512
-"""How many tables a configuration file may have."""
-
-DEPTH: Final = 16
-"""How deeply its tables and lists may be nested."""
+LIMIT: Final = 1_048_576  # How large a configuration file may be, in bytes
+TABLES: Final = 512  # How many tables a configuration file may have
+DEPTH: Final = 16  # How deeply its tables and lists may be nested
 
 _HEADERS: Final = re.compile(r"^[ \t]*\[", re.MULTILINE)
 _INTEGER: Final = 2**63  # what TOML promises to keep

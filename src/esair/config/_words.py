@@ -16,8 +16,7 @@ from esair.config._mistakes import show
 from esair.config._records import fields_of
 from esair.exceptions import did_you_mean
 
-PATHS: Final = (Path, os.PathLike)
-"""Types whose values are paths."""
+PATHS: Final = (Path, os.PathLike)  # Types whose values are paths
 
 LISTS: Final[dict[type, type]] = {
     list: list,

@@ -24,8 +24,7 @@ from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.framing import SentenceError, decode_sentence, encode_sentence
 from esair.resources import Actuator, Sensor, setting
 
-IDENTITY_TIMEOUT = 0.5
-"""How long a part may take to say who it is, in seconds."""
+IDENTITY_TIMEOUT = 0.5  # How long a part may take to say who it is, in seconds
 
 
 @attrs.frozen

@@ -28,20 +28,11 @@ from esair.exceptions import (
 )
 from esair.loop import every
 
-PERIOD = 0.05
-"""Between two commands for the wheels, in seconds."""
-
-THINK = 8
-"""How many commands are made on one plan before it is looked at again."""
-
-CRUISE = 0.55
-"""How fast the rover drives, in m/s."""
-
-LOOK_AHEAD = 0.3
-"""Which point of the way is driven to, in metres ahead."""
-
-ARRIVED = 0.22
-"""How near the goal is near enough, in metres."""
+PERIOD = 0.05  # Between two commands for the wheels, in seconds
+THINK = 8  # How many commands are made on one plan before it is looked at again
+CRUISE = 0.55  # How fast the rover drives, in m/s
+LOOK_AHEAD = 0.3  # Which point of the way is driven to, in metres ahead
+ARRIVED = 0.22  # How near the goal is near enough, in metres
 
 _NO_ANSWER = (
     BehaviorFailedError,

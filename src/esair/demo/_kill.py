@@ -22,17 +22,10 @@ WAYS = {
 }
 """How the process is made to move the wheels no more, and what else does the like."""
 
-MOVES, SAFE = b"speed=0.3", b"speed=0"
-"""What the wheels are told."""
-
-DRIVES = 20
-"""How many commands come before the end."""
-
-PATIENCE = 15.0
-"""How long the robot may take to start and to drive, in seconds."""
-
-QUIET = 0.6
-"""How long it is listened after the last line, in seconds."""
+MOVES, SAFE = b"speed=0.3", b"speed=0"  # What the wheels are told
+DRIVES = 20  # How many commands come before the end
+PATIENCE = 15.0  # How long the robot may take to start and to drive, in seconds
+QUIET = 0.6  # How long it is listened after the last line, in seconds
 
 
 @attrs.frozen

@@ -13,14 +13,9 @@ Grid = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 N = TypeVar("N", float, NDArray[np.float64])
 
-SEEN_FREE = -0.45
-SEEN_THERE = 1.1
-FELT_THERE = 4.0
-CERTAIN = 6.0
-"""Steps of, and limit to, the log odds of a cell."""
-
-MARGIN = 0.2
-"""How far the map goes beyond the floor on each side, in metres."""
+# Steps of, and limit to, the log odds of a cell
+SEEN_FREE, SEEN_THERE, FELT_THERE, CERTAIN = -0.45, 1.1, 4.0, 6.0
+MARGIN = 0.2  # How far the map goes beyond the floor on each side, in metres
 
 
 @attrs.frozen

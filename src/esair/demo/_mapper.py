@@ -14,18 +14,12 @@ from esair.demo._map import FloorMap, Position
 from esair.demo._values import Scan, Touch
 from esair.drivers.mpu6050 import Motion
 
-REACH = 2.45
-"""How far the range finder is believed, in metres."""
-
-BUMPER_RADIUS = 0.18
-"""Where the bumper is, from the rover's centre, in metres."""
+REACH = 2.45  # How far the range finder is believed, in metres
+BUMPER_RADIUS = 0.18  # Where the bumper is, from the rover's centre, in metres
 
 
-SETTLED = 10
-"""After how many messages of standing wheels the rover stands still."""
-
-LEARNED = 40
-"""After how many more the zero of the gyroscope is known."""
+SETTLED = 10  # After how many messages of standing wheels the rover stands still
+LEARNED = 40  # After how many more the zero of the gyroscope is known
 
 
 @attrs.frozen(eq=False)

@@ -8,17 +8,10 @@ from numpy.typing import NDArray
 
 from esair.demo._map import FloorMap, Mask, Position
 
-CLEARANCE = 0.27
-"""How far the rover's centre keeps from things, in metres."""
-
-TURN_COST = 9.0
-"""How many cells of way a turn by one radian is worth."""
-
-LEAST_GAIN = 8
-"""How many cells of frontier make a goal worth while."""
-
-FAR = np.iinfo(np.int32).max
-"""The number of steps to where no way leads."""
+CLEARANCE = 0.27  # How far the rover's centre keeps from things, in metres
+TURN_COST = 9.0  # How many cells of way a turn by one radian is worth
+LEAST_GAIN = 8  # How many cells of frontier make a goal worth while
+FAR = np.iinfo(np.int32).max  # The number of steps to where no way leads
 
 Point = tuple[float, float]
 

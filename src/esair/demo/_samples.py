@@ -15,11 +15,8 @@ from esair.loop import every
 from esair.sim import Simulation
 from esair.standard import Robot
 
-SAMPLE_PERIOD = 0.05
-"""Between two samples, in seconds."""
-
-SAMPLE_LIMIT = 20_000
-"""How many samples are kept; then the newest win."""
+SAMPLE_PERIOD = 0.05  # Between two samples, in seconds
+SAMPLE_LIMIT = 20_000  # How many samples are kept; then the newest win
 
 STILL = Twist(0.0, 0.0)
 

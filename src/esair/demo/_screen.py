@@ -42,8 +42,7 @@ class Screen(logging.Handler):
         super().__init__(logging.INFO)
         self.console = console
         self.live = live and console.is_terminal
-        self.lines: list[str] = []
-        """What the robot has logged."""
+        self.lines: list[str] = []  # What the robot has logged
         self._shown: tuple[dict[str, Any], Drawing | None] | None = None
         self._events: collections.deque[Event] = collections.deque(maxlen=EVENTS_KEPT)
         self._drawing: Live | None = None

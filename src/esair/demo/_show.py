@@ -34,14 +34,9 @@ from esair.standard import Robot, recorded_as
 if TYPE_CHECKING:
     from esair.replay import Outcome, Replay
 
-INTERRUPTED = 130
-"""The exit code after Ctrl-C: 128 and the number of SIGINT."""
-
-UNUSABLE = 2
-"""The exit code if a file that was asked for cannot be written."""
-
-BROKEN = 1
-"""The exit code if something that should have happened did not."""
+INTERRUPTED = 130  # The exit code after Ctrl-C: 128 and the number of SIGINT
+UNUSABLE = 2  # The exit code if a file that was asked for cannot be written
+BROKEN = 1  # The exit code if something that should have happened did not
 
 OnFrame = Callable[[float, Frame], None]
 

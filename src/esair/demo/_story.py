@@ -19,14 +19,9 @@ from esair.messages import BehaviorState, Refused, ResourceState
 from esair.sim import Pillar, Simulation
 from esair.standard import Robot
 
-LOOK_PERIOD = 0.005
-"""How often it is looked whether something has happened, in seconds."""
-
-OUTAGE = 2.5
-"""For how long the range finder is unplugged, in seconds."""
-
-PATIENCE = 6.0
-"""How long to wait for what must happen, in seconds."""
+LOOK_PERIOD = 0.005  # How often it is looked whether something has happened, in seconds
+OUTAGE = 2.5  # For how long the range finder is unplugged, in seconds
+PATIENCE = 6.0  # How long to wait for what must happen, in seconds
 
 
 @attrs.frozen

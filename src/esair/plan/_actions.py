@@ -24,8 +24,7 @@ from esair.plan._signatures import (
 )
 from esair.values import check_name, is_positive
 
-_FASTEST = 100_000.0
-"""The highest rate of a reaction, in Hz."""
+_FASTEST = 100_000.0  # The highest rate of a reaction, in Hz
 
 
 def mistakes_in_action(action: Behavior | Reaction) -> Iterator[Finding]:

@@ -13,8 +13,7 @@ from esair.plan._plan import Plan
 from esair.resources import Actuator
 from esair.values import is_positive
 
-_IN_DEVICE = "its device decides"
-"""What is said of a guard that is not of this robot."""
+_IN_DEVICE = "its device decides"  # What is said of a guard that is not of this robot
 
 UNWATCHED = "UNWATCHED"
 """What is said of an actuator that no watchdog makes safe."""

@@ -11,8 +11,7 @@ from typing import Any
 from esair.exceptions import RecordingError
 from esair.recording._plain import schema_of
 
-CHUNK = 1 << 20
-"""The largest chunk in bytes; time ends it earlier (`Segment.flush`)."""
+CHUNK = 1 << 20  # The largest chunk in bytes; time ends it earlier (`Segment.flush`)
 
 
 class _Out:
@@ -58,8 +57,7 @@ class Segment:
         from foxglove.mcap import MCAPWriteOptions
 
         self.path = path
-        self.messages = 0
-        """How many messages were handed to the file."""
+        self.messages = 0  # How many messages were handed to the file
         try:
             self._out = _Out(path)
         except OSError as error:

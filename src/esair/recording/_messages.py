@@ -12,11 +12,8 @@ from esair.recording._schemas import known, log_line
 EVENT = "esair.Event"
 """The name of the kind of all messages that viewers know no better name for."""
 
-NUMBER = 8
-"""How many bytes an item of a list counts for."""
-
-LONG = 256
-"""From how many items on none of them is looked at."""
+NUMBER = 8  # How many bytes an item of a list counts for
+LONG = 256  # From how many items on none of them is looked at
 
 _EXCHANGE = {Kind.PUT, Kind.GOT, Kind.ASKED, Kind.ANSWERED}
 _COMMANDS = {

@@ -14,11 +14,8 @@ import attrs
 
 from esair.exceptions import describe
 
-DEPTH = 12
-"""How deep a value may be nested; what lies deeper is a text."""
-
-TEXT = 4096
-"""How long the text of a value without a form of its own may be."""
+DEPTH = 12  # How deep a value may be nested; what lies deeper is a text
+TEXT = 4096  # How long the text of a value without a form of its own may be
 
 
 def plain(value: Any, depth: int = DEPTH) -> Any:

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 from esair.exceptions import RecordingBrokenError, describe
 
-TURNS = "esair-turns"
-"""The encoding of the messages that hold the turns of a run."""
+TURNS = "esair-turns"  # The encoding of the messages that hold the turns of a run
 
 
 _log = logging.getLogger("esair")
@@ -40,8 +39,7 @@ class Recorded(NamedTuple):
     text: str
 
 
-_MAGIC = b"\x89MCAP0\r\n"
-"""What every MCAP file begins with."""
+_MAGIC = b"\x89MCAP0\r\n"  # What every MCAP file begins with
 
 _BEGUN = b"\xff" * 8
 """The length of a chunk that was begun: its writer was killed before its end."""

@@ -30,11 +30,8 @@ from esair.recording._turns import TOPIC, Turns
 BACKLOG = 65_536
 """How many events may wait to be written; the oldest are dropped, and counted."""
 
-FLUSH = 0.2
-"""How often what was written is made to survive the process, in seconds."""
-
-SYNC = 1.0
-"""How often it is made to survive the loss of power, in seconds."""
+FLUSH = 0.2  # How often what was written is made to survive the process, in seconds
+SYNC = 1.0  # How often it is made to survive the loss of power, in seconds
 
 OLD_FILES = 16
 """How many recordings beside the new one are looked at, whether they were cut."""

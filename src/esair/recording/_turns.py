@@ -22,11 +22,8 @@ import attrs
 from esair.exceptions import RecordingBrokenError, describe
 from esair.loop import SPOILED, First, TapeWriter
 
-TOPIC = "/esair/journal"
-"""The topic of the turns."""
-
-AT_ONCE = 64
-"""How many items are encoded at once: it holds up the loop meanwhile."""
+TOPIC = "/esair/journal"  # The topic of the turns
+AT_ONCE = 64  # How many items are encoded at once: it holds up the loop meanwhile
 
 LIMIT = 500_000
 """How many items may wait to be written; then the turns are kept no longer."""
@@ -38,8 +35,7 @@ class Turns:
     def __init__(self) -> None:
         self._waiting: collections.deque[Any] = collections.deque()
         self._numbers = itertools.count()
-        self.tape = TapeWriter(self._waiting.append)
-        """What the loop writes on."""
+        self.tape = TapeWriter(self._waiting.append)  # What the loop writes on
 
     def chunk(self) -> bytes:
         """Return the next items as bytes; empty if there are none."""

@@ -10,8 +10,7 @@ import attrs
 from esair.journal import Event, Kind
 from esair.recording import Recorded, plain
 
-NOT_COMPARED = {Kind.LOG}
-"""What a robot says is no decision."""
+NOT_COMPARED = {Kind.LOG}  # What a robot says is no decision
 
 _OF_ACTUATORS = {
     Kind.COMMAND,

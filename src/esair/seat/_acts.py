@@ -25,8 +25,7 @@ from esair.values import check_name
 if TYPE_CHECKING:
     from esair.seat._operator import Console, Session
 
-REQUIRED: Any = object()
-"""Stands for a field that must be there."""
+REQUIRED: Any = object()  # Stands for a field that must be there
 
 
 class Field(NamedTuple):

@@ -16,14 +16,9 @@ from esair.seat._operator import Console
 from esair.seat._short import short
 from esair.seat._wire import VERSION, Message
 
-BACKLOG = 1000
-"""How many lines of the journal wait for a slow client; the newest stay."""
-
-ROOM = 64 * 1024
-"""How many bytes may wait for a client before events wait too."""
-
-LARGE = 2048
-"""What has more bytes is shown shortly in a line of the log."""
+BACKLOG = 1000  # How many lines of the journal wait for a slow client; the newest stay
+ROOM = 64 * 1024  # How many bytes may wait for a client before events wait too
+LARGE = 2048  # What has more bytes is shown shortly in a line of the log
 
 VIEWED = 256 * 1024
 """The greatest value that is shown live, in bytes; of a larger one only that it came."""

@@ -19,14 +19,12 @@ from esair.values import check_duration
 SECONDS = 0.5
 """How long a lease lasts without fresh input, unless its taker says otherwise, in s."""
 
-LONGEST = 2.0
-"""How long a lease may last without fresh input, in seconds."""
+LONGEST = 2.0  # How long a lease may last without fresh input, in seconds
 
 BEAT = 0.1
 """How often a client that drives is told the beat that its input answers, in s."""
 
-BEATS = 64
-"""How many beats are remembered; input that answers an older one is old."""
+BEATS = 64  # How many beats are remembered; input that answers an older one is old
 
 
 class Beats:
@@ -101,10 +99,8 @@ class Leases:
         self._time = clock_of(self._loop)
         self._next_beat: asyncio.TimerHandle | None = None
         self.beats = Beats(self._time)
-        self.lapses = 0
-        """How many leases have lapsed for want of fresh input."""
-        self.stale = 0
-        """How many inputs came too late and were not done."""
+        self.lapses = 0  # How many leases have lapsed for want of fresh input
+        self.stale = 0  # How many inputs came too late and were not done
 
     def __iter__(self) -> Iterator[Lease]:
         return iter(tuple(self._live.values()))

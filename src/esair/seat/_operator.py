@@ -47,11 +47,8 @@ if TYPE_CHECKING:
     from esair.standard import Robot
     from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
 
-OUTCOMES = 1024
-"""How many outcomes are kept, so that the same id is done once."""
-
-AT_A_TIME = 16
-"""How many acts of one session may be under way."""
+OUTCOMES = 1024  # How many outcomes are kept, so that the same id is done once
+AT_A_TIME = 16  # How many acts of one session may be under way
 
 _PEOPLE = frozenset({"resume", "mute", "reset", "lease", "drive"})
 """What no component may do by typing it."""

@@ -29,20 +29,14 @@ if TYPE_CHECKING:
     from esair.messages import Page
     from esair.seat._operator import Console
 
-VIEWERS = 16
-"""How many browsers may be there at a time; one lane more is kept for stop."""
-
-STOP_LANES = 4
-"""How many more may come in who can only stop the robot."""
+VIEWERS = 16  # How many browsers may be there at a time; one lane more is kept for stop
+STOP_LANES = 4  # How many more may come in who can only stop the robot
 
 WAITING = 256
 """How many lines may wait for a browser that does not read; one more and it goes."""
 
-LINES = 500
-"""How many lines a browser may send in a second."""
-
-LOGIN = 5.0
-"""How long a browser may take to show its token, in seconds."""
+LINES = 500  # How many lines a browser may send in a second
+LOGIN = 5.0  # How long a browser may take to show its token, in seconds
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; "
@@ -94,14 +88,12 @@ class PageServer:
         self.page = page
         self.token = page.token
         self.viewers: set[_Viewer] = set()
-        self.turned_away = 0
-        """How many requests were refused."""
+        self.turned_away = 0  # How many requests were refused
         self._past = [0, 0]
         self._server: Any = None
         self._serving: asyncio.Task[None] | None = None
         self._secret: Path | None = None
-        self.port = page.port
-        """The port, also if any was asked for."""
+        self.port = page.port  # The port, also if any was asked for
         console.robot.journal.count("page", lambda: [("page", self.counts())])
 
     def counts(self) -> dict[str, int]:

@@ -8,14 +8,9 @@ from typing import Any
 
 from esair.recording import fields_of
 
-TEXT = 120
-"""How long the text of a value may be; what is longer is cut."""
-
-PARTS = 6
-"""How many parts of a list or table are shown."""
-
-NUMBERS = 4
-"""How many numbers of a value are told, to be drawn over time."""
+TEXT = 120  # How long the text of a value may be; what is longer is cut
+PARTS = 6  # How many parts of a list or table are shown
+NUMBERS = 4  # How many numbers of a value are told, to be drawn over time
 
 
 def numbers_of(value: Any) -> dict[str, float]:

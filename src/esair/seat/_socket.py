@@ -18,26 +18,19 @@ from esair.seat._wire import LIMIT, VERSION, encode, failure
 CLIENTS = 16
 """How many clients may be there at a time."""
 
-STOP_LANES = 4
-"""How many more may come in who can only stop the robot."""
+STOP_LANES = 4  # How many more may come in who can only stop the robot
 
 WAITING = 256 * 1024
 """How many bytes may wait for a client that does not read; one more and it goes."""
 
-HALF_LINE = 5.0
-"""How long a client may take for one line, in seconds."""
-
-STOP_LANE = 5.0
-"""How long a client may stay that can only stop the robot, in seconds."""
-
-LINGER = 0.5
-"""How long a client that is turned away may take to hear why, in seconds."""
+HALF_LINE = 5.0  # How long a client may take for one line, in seconds
+STOP_LANE = 5.0  # How long a client may stay that can only stop the robot, in seconds
+LINGER = 0.5  # How long a client that is turned away may take to hear why, in seconds
 
 LINES = 2000
 """How many lines a client may send in a second; the rest waits in its own pipe."""
 
-LONGEST = 1 << 20
-"""How long an answer may be, in bytes."""
+LONGEST = 1 << 20  # How long an answer may be, in bytes
 
 _CREDENTIALS = struct.Struct("3i")
 

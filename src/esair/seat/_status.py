@@ -20,11 +20,8 @@ if TYPE_CHECKING:
 
     from esair.standard import Robot
 
-WINDOW = 2.0
-"""Over how many seconds a rate is the mean."""
-
-AGAIN = 0.1
-"""How soon after one picture the next is another one, in seconds."""
+WINDOW = 2.0  # Over how many seconds a rate is the mean
+AGAIN = 0.1  # How soon after one picture the next is another one, in seconds
 
 
 class Status:

@@ -15,8 +15,7 @@ VERSION = 1
 LIMIT = 64 * 1024
 """How long a line may be, in bytes, its end included."""
 
-DEPTH = 16
-"""How deep a message may be nested."""
+DEPTH = 16  # How deep a message may be nested
 
 _OWN = frozenset({"v", "id", "act", "until"})
 

@@ -15,8 +15,7 @@ from esair.drivers.wheel_motor import (
 )
 from esair.sim._world import World
 
-FEEDBACK_PERIOD = 0.02
-"""Between two feedback frames, in seconds."""
+FEEDBACK_PERIOD = 0.02  # Between two feedback frames, in seconds
 
 
 class SimMotor:

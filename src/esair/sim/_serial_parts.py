@@ -10,17 +10,13 @@ from typing import Protocol
 from esair.framing import SentenceError, decode_sentence, encode_sentence
 from esair.sim._world import World
 
-BEAMS = 41
-"""How many directions a sweep has."""
-
-STEP_DEG = 6
-"""Between two beams, in degrees."""
+BEAMS = 41  # How many directions a sweep has
+STEP_DEG = 6  # Between two beams, in degrees
 
 FIRST_DEG = -STEP_DEG * (BEAMS - 1) // 2
 """The first beam, to the right, in degrees from straight ahead."""
 
-REACH = 2.5
-"""How far the range finder sees, in metres."""
+REACH = 2.5  # How far the range finder sees, in metres
 
 
 class Line(Protocol):

@@ -26,14 +26,12 @@ from esair.sim._motor import SimMotor
 from esair.sim._serial_parts import SimBumper, SimRangeFinder
 from esair.sim._world import World
 
-STEP = 0.01
-"""How much time one step of the physics is, in seconds."""
+STEP = 0.01  # How much time one step of the physics is, in seconds
 
 CATCH_UP = 50
 """How many steps are made at once when the loop was held up; more are left out."""
 
-FRAME_LIMIT = 100_000
-"""How many frames are kept; then the newest win."""
+FRAME_LIMIT = 100_000  # How many frames are kept; then the newest win
 
 _numbers = itertools.count()
 

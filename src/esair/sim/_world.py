@@ -11,14 +11,9 @@ import pymunk
 
 from esair.sim._arena import Arena, Pillar
 
-WHEEL_RADIUS = 0.05
-"""In metres."""
-
-WHEEL_BASE = 0.26
-"""Between the wheels, in metres."""
-
-BODY_RADIUS = 0.16
-"""In metres."""
+WHEEL_RADIUS = 0.05  # In metres
+WHEEL_BASE = 0.26  # Between the wheels, in metres
+BODY_RADIUS = 0.16  # In metres
 
 MOTOR_LAG = 0.07
 """How long a wheel takes for two thirds of a change of its speed, in seconds."""

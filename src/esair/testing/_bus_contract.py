@@ -28,8 +28,7 @@ import pytest
 from esair.buses import Bus
 from esair.exceptions import DeviceLostError, EsairError
 
-PATIENCE = 5.0
-"""How long a suite waits for what has to happen, in seconds."""
+PATIENCE = 5.0  # How long a suite waits for what has to happen, in seconds
 
 
 class BusContract(abc.ABC):

@@ -14,8 +14,7 @@ from typing import Any
 from esair.loop import Door, works_for
 from esair.testing._threads import LOOK, Threads
 
-STEP_BUDGET = 200_000
-"""How many turns of the loop may pass without any time passing."""
+STEP_BUDGET = 200_000  # How many turns of the loop may pass without any time passing
 
 
 class DeadlockError(RuntimeError):

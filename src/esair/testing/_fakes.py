@@ -87,11 +87,8 @@ class _Fake(Resource):
 
     _faults: _Faults
 
-    opened = 0
-    """How often it was opened."""
-
-    is_open = False
-    """Whether it is open now."""
+    opened = 0  # How often it was opened
+    is_open = False  # Whether it is open now
 
     has_power_cycled = False
     """Whether its set-up is gone, because its power was, since it was opened."""

@@ -14,8 +14,7 @@ from esair.loop import Door
 LOOK = 0.02
 """How often threads are looked at while the loop waits for them, in real seconds."""
 
-ASLEEP = 0.05
-"""After how long a sleep a thread waits for the outside, in real seconds."""
+ASLEEP = 0.05  # After how long a sleep a thread waits for the outside, in real seconds
 
 BLOCKED = 10.0
 """After how long a sleep a thread that time waits for is stuck, in real seconds."""

@@ -12,14 +12,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from esair.torture._world import World
 
-GROWTH = 10
-"""By how much something must grow between two looks to be suspected."""
-
-MOST = 20_000
-"""How much may be in one box at all."""
-
-DEPTH = 3
-"""How deep in the objects of a component a box is looked for."""
+GROWTH = 10  # By how much something must grow between two looks to be suspected
+MOST = 20_000  # How much may be in one box at all
+DEPTH = 3  # How deep in the objects of a component a box is looked for
 
 
 class Boxes:

@@ -21,8 +21,7 @@ CALLS = ("open", "close", "identify", "apply", "is_set_up", "read", "write")
 MOODS = (0.0, 0.1, 1.0, 1.0, 2.0)
 """How late the calls of a late device are, times what was said: not equally."""
 
-SOON = 0.1
-"""How often the stand-in of a sensor that pushes does so, in seconds."""
+SOON = 0.1  # How often the stand-in of a sensor that pushes does so, in seconds
 
 
 @attrs.define(eq=False)

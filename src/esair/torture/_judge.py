@@ -18,11 +18,8 @@ from esair.torture._values import is_good
 if TYPE_CHECKING:
     from esair.torture._world import World
 
-SLACK = 0.02
-"""By how much what is bounded by time may be late, in seconds."""
-
-WELL_AFTER = 11.0
-"""How long after its last fault a robot is itself again, in seconds."""
+SLACK = 0.02  # By how much what is bounded by time may be late, in seconds
+WELL_AFTER = 11.0  # How long after its last fault a robot is itself again, in seconds
 
 AGAIN_WITHIN = 0.6
 """How soon safe is sent again after a motion that came too late, in seconds."""

@@ -19,11 +19,8 @@ if TYPE_CHECKING:
     from esair.torture._story import Step
     from esair.torture._world import World
 
-ANSWER_WITHIN = 5.0
-"""How long a request of the user may take, in seconds."""
-
-FLOOD = 100
-"""How many requests or commands are a flood."""
+ANSWER_WITHIN = 5.0  # How long a request of the user may take, in seconds
+FLOOD = 100  # How many requests or commands are a flood
 
 
 class NotNowError(Exception):

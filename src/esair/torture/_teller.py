@@ -16,8 +16,7 @@ SIEGE = 6.0
 """When the robot is stopped in a story that looks for what grows, in seconds: the
 fault outlasts it."""
 
-CALM = 12.0
-"""How long some stories go on when all is well again, in seconds."""
+CALM = 12.0  # How long some stories go on when all is well again, in seconds
 
 
 def calm(seed: int) -> Story:

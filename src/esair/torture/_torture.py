@@ -25,14 +25,9 @@ from esair.torture._target import Target
 from esair.torture._teller import calm, random_story, sieges
 from esair.torture._world import Check, Outcome, World
 
-MOST_FINDINGS = 5
-"""After how many findings it ends."""
-
-COLLECT = 25
-"""How many stories are told between two collections of what they leave."""
-
-RANDOM = 3
-"""How many random stories are told for each that does one thing for long."""
+MOST_FINDINGS = 5  # After how many findings it ends
+COLLECT = 25  # How many stories are told between two collections of what they leave
+RANDOM = 3  # How many random stories are told for each that does one thing for long
 
 LONGER = 5
 """How many times as long a story is told again that has found what only grows."""

@@ -15,11 +15,8 @@ import attrs
 
 from esair.config import fields_of
 
-LEAST, MOST = 0.0, 2.0
-"""Between which numbers lie that nobody has given limits."""
-
-DEPTH = 6
-"""How deep records may lie in records."""
+LEAST, MOST = 0.0, 2.0  # Between which numbers lie that nobody has given limits
+DEPTH = 6  # How deep records may lie in records
 
 Limits = tuple[float, float] | Mapping[str, tuple[float, float]] | None
 

@@ -30,8 +30,7 @@ from esair.torture._target import Target
 END_WITHIN = 120.0
 """How long the end of a robot may take at all, in seconds of the virtual clock."""
 
-DRAIN = 6.0
-"""How long what is late may still come after the end, in seconds."""
+DRAIN = 6.0  # How long what is late may still come after the end, in seconds
 
 Check = Callable[["World"], None]
 

@@ -7,8 +7,7 @@ import os
 import signal
 import threading
 
-TELL_STACK = signal.SIGRTMAX
-"""The signal by which a watchdog asks."""
+TELL_STACK = signal.SIGRTMAX  # The signal by which a watchdog asks
 
 
 class StackFile:

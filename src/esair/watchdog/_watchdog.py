@@ -20,11 +20,8 @@ from esair.watchdog._frames import Outlet, SafeFrames
 from esair.watchdog._limit import LIMIT
 from esair.watchdog._stack import stack_file
 
-ANSWER_WITHIN = 1.0
-"""How long the watchdog may take to answer, in seconds."""
-
-GONE_WITHIN = 0.1
-"""How long it may take to end after an orderly stop, in seconds."""
+ANSWER_WITHIN = 1.0  # How long the watchdog may take to answer, in seconds
+GONE_WITHIN = 0.1  # How long it may take to end after an orderly stop, in seconds
 
 STUCK_AFTER = 8
 """After how many limits without a look a watchdog is killed while the robot beats."""
