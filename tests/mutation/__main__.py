@@ -48,7 +48,9 @@ TESTS = [
 ]
 IN_REAL_TIME = 3
 """The exit code of a child in which a test in real time has failed; and how often it must."""
-CPU_LIMIT, WALL_LIMIT = 60, 240
+SLOWER, AT_LEAST = 10, 8
+"""How many times its CPU time a test may take, and how much in any case, in seconds."""
+WALL_LIMIT = 240
 """How long the tests of one mutant may take, in seconds: what hangs is noticed."""
 
 
@@ -147,7 +149,7 @@ class Runner:
                 if not tests:
                     self._note(mutant, "survived", "no test comes here")
                     continue
-                pid = self._fork(self._with, mutant, tests)
+                pid = self._fork(self._with, mutant, tests, baseline.seconds)
                 running[os.pidfd_open(pid)] = (pid, mutant, time.monotonic())
             for fd in select.select(list(running), [], [], 1.0)[0]:
                 pid, mutant, began = running.pop(fd)
@@ -286,13 +288,16 @@ class Runner:
         self.options.baseline.write_bytes(pickle.dumps(baseline))
         return 0
 
-    def _with(self, mutant: Mutant, tests: list[str]) -> int:
-        resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT, CPU_LIMIT))
+    def _with(self, mutant: Mutant, tests: list[str], usual: dict[str, float]) -> int:
+        def limit(name: str) -> None:
+            until = int(time.process_time() + AT_LEAST + SLOWER * usual[name])
+            resource.setrlimit(resource.RLIMIT_CPU, (until, resource.RLIM_INFINITY))
+
         try:
             put_in(mutant, self.functions)
         except Exception:
             return 1  # it cannot even be imported
-        return self._run(tests, before=lambda _: None)
+        return self._run(tests, limit)
 
 
 def _short(file: Path | str) -> str:
