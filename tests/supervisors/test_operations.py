@@ -77,6 +77,10 @@ class Scale(esair.Sensor[float]):
         return await self._alone(0.5, 3.0)
 
 
+def now() -> float:
+    return asyncio.get_running_loop().time()
+
+
 class User(esair.Behavior):
     """Has the right to configure, and does what the test says."""
 
@@ -273,6 +277,149 @@ async def test_an_operation_ends_with_whoever_asked_and_with_its_device(
         assert "home ended" in lift.did
         assert "home done" not in lift.did
         assert lift.did[-1] == 0.0
+
+
+@pytest.mark.parametrize("way", ["cancelled", "revoked", "halted", "lost", "late"])
+async def test_one_that_waits_for_the_device_ends_without_having_begun(
+    way: str,
+) -> None:
+    """As one that runs does, and with the same errors; it is told once."""
+
+    class Slow(Lift):
+        deadline = 5.0
+
+        async def write(self, command: float) -> None:
+            self.did.append(command)
+            await asyncio.sleep(3.0 if command else 0.0)
+
+    lift = Slow(name="lift")
+    events: list[Event] = []
+    async with made(lift) as robot:
+        robot.journal.listen(events.append)
+        mine = await right(robot)
+        pilot = await robot.resources.register("me", "lift", Access.WRITE)
+        moving = asyncio.ensure_future(robot.actuators.write(pilot, 0.7))
+        home = asyncio.ensure_future(robot.resources.operate(mine, "home"))
+        await asyncio.sleep(0.2)
+        asked = now()
+        if way == "cancelled":
+            home.cancel()
+        elif way == "revoked":
+            robot.resources.revoke(mine)
+        elif way == "halted":
+            await robot.halt("enough")
+        elif way == "lost":
+            lift.report_lost(esair.DeviceLostError("lift", "its plug is out"))
+        error = {
+            "cancelled": asyncio.CancelledError,
+            "revoked": esair.NotRegisteredError,
+            "halted": esair.HaltedError,
+            "lost": esair.DeviceLostError,
+            "late": esair.DriverStuckError,
+        }[way]
+        with pytest.raises(error):
+            await home
+        assert now() - asked == pytest.approx({"late": 1.8, "halted": 2.8}.get(way, 0))
+        told = [each.text for each in events if each.kind is Kind.OPERATED]
+        assert [each.partition(":")[0] for each in told] == (
+            [] if way == "cancelled" else ["home"]
+        )
+        await asyncio.gather(moving, return_exceptions=True)
+        await asyncio.sleep(2.0)
+        assert "home 0.1" not in lift.did
+        robot.resume()
+        again = await right(robot)
+        assert await robot.resources.operate(again, "zero") is None
+
+
+async def test_a_device_that_goes_in_an_operation_is_lost() -> None:
+    """Whether its driver finds out by itself, or somebody tells; and it comes back."""
+
+    class Loose(Lift):
+        @esair.operation
+        async def shake(self) -> None:
+            raise esair.DeviceLostError("lift", "it fell off")
+
+    lift = Loose(name="lift")
+    async with made(lift) as robot:
+        mine = await right(robot)
+        with pytest.raises(esair.DeviceLostError, match="fell off"):
+            await robot.resources.operate(mine, "shake")
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("lift").losses == 1
+        asked = [
+            asyncio.ensure_future(robot.resources.operate(mine, "home"))
+            for _ in range(2)
+        ]
+        await asyncio.sleep(0.2)
+        lift.report_lost(esair.DeviceLostError("lift", "its plug is out"))
+        for each in asked:
+            with pytest.raises(esair.DeviceLostError, match="plug is out"):
+                await each
+        await asyncio.sleep(1.0)
+        assert lift.did.count("home 0.1") == 1
+        assert await robot.resources.operate(mine, "home") == 0.25
+
+
+async def test_a_right_that_ends_while_another_operation_runs_begins_none() -> None:
+    """The turn comes too late for it."""
+    lift = Lift()
+    async with made(lift) as robot:
+        mine, other = await right(robot), await right(robot, who="other")
+        first = asyncio.ensure_future(
+            robot.resources.operate(mine, "home", seconds=0.5)
+        )
+        second = asyncio.ensure_future(robot.resources.operate(other, "zero"))
+        await asyncio.sleep(0.2)
+        robot.resources.revoke(other)
+        with pytest.raises(esair.NotRegisteredError):
+            await second
+        assert await first == 0.25
+        assert "zero" not in lift.did
+
+
+async def test_a_device_at_work_was_told_the_operation() -> None:
+    """By its name, with what it was called with; not by an earlier command."""
+    lift = Lift()
+    async with made(lift) as robot:
+        mine = await right(robot)
+        home = asyncio.ensure_future(robot.resources.operate(mine, "home", speed=0.5))
+        await asyncio.sleep(0.2)
+        told = robot.actuators.channels["lift"].told()
+        assert repr(told.command) == "<operation home(speed=0.5)>"
+        assert (told.safe, told.answered) == (False, False)
+        await home
+
+
+@pytest.mark.promise("PRO-2")
+async def test_one_that_would_move_has_no_operation_while_its_own_reaction_is_blind(
+    fake_sensor: Any,
+) -> None:
+    """Of those who are not above it."""
+
+    class Brake(esair.Reaction):
+        door = esair.reads(bool)
+        lift = esair.writes(float, priority=5)
+
+        def react(self, door: bool) -> float | None:
+            return None if door else 0.0
+
+    lift, door = Lift(), fake_sensor("door", True)
+    robot = esair.Robot(
+        resources=[lift, door],
+        behaviors=[Brake()],
+        policies=[esair.Policy("lift", allow={"*": ALL})],
+    )
+    async with robot:
+        low = await robot.resources.register("low", "lift", ALL, priority=5)
+        high = await robot.resources.register("high", "lift", ALL, priority=6)
+        await robot.resources.operate(low, "zero")
+        door.unplug()
+        await asyncio.sleep(0.1)
+        with pytest.raises(esair.AccessDeniedError, match="brake is blind"):
+            await robot.resources.operate(low, "zero")
+        await robot.resources.operate(high, "zero")
+        assert lift.did.count("zero") == 2
 
 
 async def test_an_operation_has_a_deadline_and_the_others_their_turn() -> None:

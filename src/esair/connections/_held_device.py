@@ -251,7 +251,7 @@ class HeldDevice(ProtectedDevice):
             self._lane = None
         if self._safe_task is not None:
             self._again = True
-        elif self.state is ResourceState.READY:
+        else:
             self.make_safe(stay=True)
         self._idle()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import Any, Protocol
 
 from esair.connections._call import OPERATE, Call, End
@@ -108,8 +109,10 @@ class Operations:
             self.look()
             return await outcome
         except asyncio.CancelledError:
-            if self.current is this:
-                self._withdraw(this)
+            if this.call is None:
+                self.current = None
+            else:
+                this.call.cancel()
             raise
         finally:
             deadline.cancel()
@@ -136,12 +139,14 @@ class Operations:
                 max(0.001, this.until - self._time()),
             )
         except Exception as error:
+            if begun:
+                error = self._translated(this, error)
             self._over(this, End(None, error))
             if begun:
                 device.operated(None)
             return
         if type(value) is Call:
-            value.apply = self._ended
+            value.apply = partial(self._ended, this)
             this.call = value
             device.operating(this, value)
         else:
@@ -163,8 +168,7 @@ class Operations:
     def end(self, error: EsairError) -> None:
         """End what waits or runs, because it must not go on."""
         this = self.current
-        if this is None:
-            return
+        assert this is not None
         this.ended_by = this.ended_by or error
         if this.call is None:
             self._over(this, End(None, error))
@@ -178,35 +182,27 @@ class Operations:
     def gone(self, error: EsairError) -> None:
         """The device is gone; its calls are fenced."""
         if self.current is not None:
-            self._over(self.current, End(None, self.current.ended_by or error))
+            self._over(self.current, End(None, error))
 
     def drop(self, registration: Registration) -> None:
         """End what was begun by a right that is void."""
         if self.current is not None and self.current.registration is registration:
             self.end(self._device.registrations.refusal(registration))
 
-    def _withdraw(self, this: Operating) -> None:
-        if this.call is None:
-            self.current = None
-        else:
-            this.call.cancel()
-
     def _expire(self, this: Operating, stuck: DriverStuckError) -> None:
         if self.current is this and this.call is None:  # a call has its own deadline
             self._over(this, End(None, stuck))
 
-    def _ended(self, call: Call, end: End) -> None:
-        this = self.current
-        if this is not None and this.call is call:
-            self._over(this, end)
+    def _ended(self, this: Operating, call: Call, end: End) -> None:
+        if end.error is not None:
+            end = End(None, self._translated(this, end.error))
+        self._over(this, end)
         self._device.operated(call)
 
     def _over(self, this: Operating, end: End) -> None:
         self.current = None
         device = self._device
-        error = this.ended_by
-        if error is None and end.error is not None:
-            error = self._translated(this, end.error)
+        error = this.ended_by or end.error
         device.registrations.journal.publish(
             Kind.OPERATED,
             device.name,
@@ -222,10 +218,8 @@ class Operations:
             this.outcome.set_exception(error)
 
     def _translated(self, this: Operating, error: BaseException) -> EsairError:
-        name = self._device.name
-        if this.call is None and isinstance(error, EsairError):
-            return error  # it has not begun
-        translated = translate_call(name, this.name, this.limit, error)
+        """Make what its caller gets of what the driver has raised."""
+        translated = translate_call(self._device.name, this.name, this.limit, error)
         if isinstance(translated, DeviceLostError):
             self._on_error(translated)
         return translated
