@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 from collections.abc import Awaitable, Callable, Hashable
 from types import TracebackType
 from typing import Self
 
 from esair.buses._bus import Bus
 from esair.buses._inbox import within
-from esair.buses._turns import Turns
 from esair.exceptions import BusyError, DeviceLostError, DriverStuckError, describe
-from esair.loop import arrive
+from esair.loop import Deadline, Deadlines, arrive
 
 LATE_LIMIT = 0.4
 """How long after it was due an answer may still come, in seconds."""
@@ -46,16 +46,16 @@ class Exchanges:
         self._bus = bus
         self._late_limit = late_limit
         self._limit = limit
-        self._turns = Turns()
-        self._waiting = 0
         self._now: Exchange | None = None
-        self._owed: list[Exchange] = []
-        self._settled: list[asyncio.Future[None]] = []
+        self._line: list[Exchange] = []
+        """Who waits for the turn, in the order in which they asked."""
+        self._owed: dict[Exchange, Deadline] = {}
+        """Whose answers may still come, the oldest first, and until when."""
 
     @property
     def waiting(self) -> int:
         """How many requests wait for their turn, or for their answer."""
-        return self._waiting
+        return len(self._line) + (self._now is not None)
 
     @property
     def expects(self) -> bool:
@@ -65,7 +65,6 @@ class Exchanges:
     @property
     def owed(self) -> int:
         """How many answers may still come that nobody waits for."""
-        self._forget_old()
         return len(self._owed)
 
     async def ask(
@@ -115,15 +114,12 @@ class Exchanges:
         """Take a message that came; tells whether somebody waited for it."""
         now = self._now
         mine = now is not None and now.takes(message)
-        if self._owed:
-            self._forget_old()
         for owed in self._owed:  # oldest first, as a device answers
             if owed.takes(message):
                 if mine and now is not None:  # they cannot be told apart
                     owed.answers = now.answers = None
                 self._bus.stats.late += 1
-                self._owed.remove(owed)
-                self._tell_settled()
+                self._forget(owed)
                 return False
         if mine and now is not None:
             now.settle(message)
@@ -140,66 +136,57 @@ class Exchanges:
 
     def clear(self) -> None:
         """Owe nothing any more: what was at the other end is there anew."""
-        self._owed.clear()
-        self._tell_settled()
+        for owed in tuple(self._owed):
+            self._forget(owed)
 
     # For the exchanges.
 
     async def take_turn(self, exchange: Exchange) -> None:
         """Wait until an exchange may leave."""
-        if self._waiting > self._limit:
+        if self._now is None and not self._is_owed_to(exchange):
+            self._now = exchange
+            return
+        if len(self._line) >= self._limit:
             self._bus.stats.refused += 1
             raise BusyError(f"bus {self._bus.name}", "number of requests", self._limit)
-        self._waiting += 1
+        self._line.append(exchange)
         try:
-            while True:
-                if self._owed:
-                    await self._wait_for_owed(exchange)
-                if not self._turns.take_if_free():
-                    await self._turns.take(exchange.left)
-                if not self._owed or self._owed_to(exchange) is None:
-                    self._now = exchange
-                    return
-                self._turns.give()
+            await exchange.wait()
         except BaseException:
-            self._waiting -= 1
+            if self._now is exchange:  # it came at the same moment
+                self.end_turn(exchange)
+            else:
+                self._line.remove(exchange)
             raise
 
     def end_turn(self, exchange: Exchange) -> None:
         """Let the next one leave, and remember what is owed."""
         self._now = None
-        self._waiting -= 1
         if exchange.is_owed:
-            exchange.until = max(_time(), exchange.due) + self._late_limit
-            self._owed.append(exchange)
-            del self._owed[: -self._limit]
-        self._turns.give()
+            loop = asyncio.get_running_loop()
+            seconds = max(0.0, exchange.due - loop.time()) + self._late_limit
+            deadlines = Deadlines.beside(loop)
+            self._owed[exchange] = deadlines.after(seconds, self._forget, exchange)
+            if len(self._owed) > self._limit:
+                self._forget(next(iter(self._owed)))
+        self._let_leave()
 
-    async def _wait_for_owed(self, exchange: Exchange) -> None:
-        while (owed := self._owed_to(exchange)) is not None:
-            if exchange.left <= 0:
-                raise TimeoutError
-            settled: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-            self._settled.append(settled)
-            try:
-                await within(settled, min(exchange.left, owed.until - _time()))
-            except TimeoutError:
-                continue
-            finally:
-                self._settled.remove(settled)
+    def _is_owed_to(self, exchange: Exchange) -> bool:
+        return bool(self._owed) and any(map(exchange.is_like, self._owed))
 
-    def _owed_to(self, exchange: Exchange) -> Exchange | None:
-        self._forget_old()
-        return next((each for each in self._owed if each.is_like(exchange)), None)
+    def _forget(self, owed: Exchange) -> None:
+        self._owed.pop(owed).cancel()
+        self._let_leave()
 
-    def _forget_old(self) -> None:
-        now = _time()
-        self._owed = [each for each in self._owed if each.until - now > 1e-9]
-
-    def _tell_settled(self) -> None:
-        for future in self._settled:
-            if not future.done():
-                future.set_result(None)
+    def _let_leave(self) -> None:
+        """Give the turn to the first whose answer can be taken for none that is owed."""
+        if self._now is None:
+            for exchange in self._line:
+                if not self._is_owed_to(exchange):
+                    self._line.remove(exchange)
+                    self._now = exchange
+                    exchange.begin_turn()
+                    return
 
     def stuck(self, what: str, seconds: float) -> DriverStuckError:
         """Return the error for a request whose time is up, counted."""
@@ -213,14 +200,19 @@ class Exchange:
     """A request and its answer, from its turn to its end.
 
     Attributes:
-        name: What it is called in errors.
+        name: What it is called in errors; the request itself, if that tells it.
         answers: What tells its answer from all others; None if nothing does.
         due: When its answer is due, on the loop's clock, once it was sent: it may be given
             up much earlier, or begin late.
-        until: When its answer comes no more, on the loop's clock, once it is given up.
     """
 
-    name = "answer"
+    name: str | bytes = "answer"
+    due = 0.0
+    _is_sent = False
+    _is_answered = False
+    _message: bytes | None = None
+    _error: BaseException | None = None
+    _waiter: asyncio.Future[bytes] | None = None
 
     def __init__(
         self,
@@ -230,23 +222,16 @@ class Exchange:
         answers: Callable[[bytes], bool] | None,
     ) -> None:
         self.answers = answers
-        self.due = self.until = 0.0
         self._exchanges = exchanges
         self._kinds = kinds
-        prefixes = kinds or (b"",)
-        self._prefixes = tuple(each for each in prefixes if isinstance(each, bytes))
         self._seconds = seconds
-        loop = asyncio.get_running_loop()
-        self._time = loop.time
-        self._deadline = loop.time() + seconds
-        self._is_sent = False
-        self._is_answered = False
-        self._answer: asyncio.Future[bytes] = loop.create_future()
+        self._loop = asyncio.get_running_loop()
+        self._deadline = self._loop.time() + seconds
 
     @property
     def left(self) -> float:
         """How many seconds are left of its time."""
-        return self._deadline - self._time()
+        return self._deadline - self._loop.time()
 
     @property
     def is_owed(self) -> bool:
@@ -263,14 +248,24 @@ class Exchange:
 
     async def answer(self, *, patience: float | None = None) -> bytes:
         """Wait for the answer; the request has been sent."""
-        self.due = _time() + (self._seconds if patience is None else patience)
-        return await within(self._answer, max(0.0, self.left))
+        seconds = self._seconds if patience is None else patience
+        self.due = self._loop.time() + seconds
+        if self._message is not None:
+            return self._message
+        if self._error is not None:
+            raise self._error
+        return await self.wait()
+
+    async def wait(self) -> bytes:
+        """Wait for its turn, or its answer, as long as its time lasts."""
+        waiter = self._waiter = self._loop.create_future()
+        return await within(waiter, max(0.0, self.left))
 
     def takes(self, message: bytes) -> bool:
         """Tell whether a message can be its answer."""
         if not self._is_sent or self._is_answered:
             return False
-        fits = message.startswith(self._prefixes)
+        fits = message.startswith(_prefixes(self._kinds))
         return fits and (self.answers is None or self.answers(message))
 
     def is_like(self, other: Exchange) -> bool:
@@ -285,16 +280,24 @@ class Exchange:
             for another in other._kinds
         )
 
+    def begin_turn(self) -> None:
+        """Have the turn that it waits for."""
+        waiter, self._waiter = self._waiter, None
+        if waiter is not None and not waiter.done():
+            waiter.set_result(b"")
+
     def settle(self, message: bytes) -> None:
         """Be answered."""
         self._is_answered = True
-        arrive(self._answer, message)
+        self._message = message
+        if self._waiter is not None:
+            arrive(self._waiter, message)
 
     def fail(self, error: BaseException) -> None:
         """Have no answer, and an error instead."""
-        if not self._answer.done():
-            self._answer.set_exception(error)
-            self._answer.exception()  # heard, also if nobody waits
+        self._error = error
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_exception(error)
 
     async def __aenter__(self) -> Self:
         try:
@@ -318,14 +321,18 @@ class Exchange:
             raise self._stuck() from None
 
     def _stuck(self) -> DriverStuckError:
-        return self._exchanges.stuck(self.name, self._seconds)
+        what = self.name
+        if not isinstance(what, str):
+            what = f"answer to {what!r:.40}"
+        return self._exchanges.stuck(what, self._seconds)
+
+
+@functools.lru_cache
+def _prefixes(kinds: tuple[Hashable, ...]) -> tuple[bytes, ...]:
+    return tuple(each for each in kinds or (b"",) if isinstance(each, bytes))
 
 
 def _begin_alike(one: Hashable, other: Hashable) -> bool:
     if isinstance(one, bytes) and isinstance(other, bytes):
         return one.startswith(other) or other.startswith(one)
     return one == other
-
-
-def _time() -> float:
-    return asyncio.get_running_loop().time()

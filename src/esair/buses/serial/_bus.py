@@ -233,7 +233,7 @@ class SerialBus(Bus):
         seconds = self.write_timeout if timeout is None else timeout
         kinds = prefix if isinstance(prefix, tuple) else (prefix,)
         exchange = self._exchanges.request(*kinds, timeout=seconds, answers=answers)
-        exchange.name = f"answer to {payload!r:.40}"
+        exchange.name = payload
         async with exchange:
             self._connected()
             exchange.begin()
