@@ -298,16 +298,15 @@ class _Port:
         beside.sort(key=_rank)
 
     def ask(self, said: "Any", now: int) -> None:
-        """Ask for a command, if it is one; None gives the actuator back at once."""
+        """Ask for a command; None gives the actuator back. Raise for a bad one."""
         if said is None:
             if self.output.holder is self:
                 self.output.holder = self.output.steady = None
         elif type(said) is dict:
             self.task.share(said, now)
         else:
-            command = self.output.checked(said, self.task.name)
-            if command is not None:
-                self.said, self.command, self.time = said, command, now
+            self.command = self.output.checked(said)
+            self.said, self.time = said, now
 
     def passes(self, command: "Any") -> "Any":
         """Return what a guard lets pass of a command: None, or never more than it."""
@@ -329,8 +328,8 @@ class _Port:
             if passed is None:
                 self.latched = self.latch and not (task.blind and output.writer is None)
             elif passed is not command:
-                passed = output.checked(passed, task.name)
-                if passed is not None and passed != _less(passed, command, output.safe):
+                passed = output.checked(passed)
+                if passed != _less(passed, command, output.safe):
                     raise ValueError("too much", passed)
             return passed
         except Exception as error:
@@ -370,42 +369,34 @@ class _Output:
         self.guards: "Any" = []
         self.single: "Any" = None if isinstance(part.safe, tuple) else [0]
 
-    def checked(self, command: "Any", name: str) -> "Any":
-        """Return a command of somebody as it may be sent; None if it is a fault."""
+    def checked(self, command: "Any") -> "Any":
+        """Return a command of somebody as it may be sent; raise if it is a fault."""
         # With one more name, or a `try`, its frame would be taken from the heap.
         if type(command) is not self.type or self.limits:
-            command = self.fitted(command, name)
+            command = self.fitted(command)
         parts = self.single or command or ()
         if parts is self.single:
             parts[0] = command
         for each in parts:
             if each != each or each in _ENDLESS:
-                break
-        else:
-            return command
-        self.loop.note(name, ValueError("not finite", command))
-        return None
+                raise ValueError("not finite", command)
+        return command
 
-    def fitted(self, command: "Any", name: str) -> "Any":
-        """Return a command in the type and the limits of the actuator, or None."""
+    def fitted(self, command: "Any") -> "Any":
+        """Return a command in the type and the limits of the actuator, or raise."""
         kind = self.type
-        try:
-            if kind is float and type(command) is int:
-                command = float(command)
-            elif not isinstance(command, kind) or (
-                type(command) is bool and kind is int
-            ):
-                raise ValueError("wrong type", command)
-            for field in self.limits:
-                low, high = self.limits[field]
-                each = getattr(command, field) if field else command
-                if not low <= each <= high:
-                    if not self.clamp or each - each != 0:  # no clamp is for NaN
-                        raise ValueError("limits", command)
-                    command = kind(low if each < low else high)
-            return command
-        except Exception as error:
-            self.loop.note(name, error)
+        if kind is float and type(command) is int:
+            command = float(command)
+        elif not isinstance(command, kind) or (type(command) is bool and kind is int):
+            raise ValueError("wrong type", command)
+        for field in self.limits:
+            low, high = self.limits[field]
+            each = getattr(command, field) if field else command
+            if not low <= each <= high:
+                if not self.clamp or each - each != 0:  # no clamp is for NaN
+                    raise ValueError("limits", command)
+                command = kind(low if each < low else high)
+        return command
 
     def settle(self, now: int, early: int = 0) -> None:
         """Do the will of the best who asks, if nobody holds it against them.
@@ -644,6 +635,8 @@ class Loop:
                             self.note(node.name, error)
                             node.lose_sight()
                             dark.append(node)
+                    elif node.blind:
+                        dark.append(node)
             for node in outputs:
                 best = node
                 for port in node.ports:

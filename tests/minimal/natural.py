@@ -9,7 +9,8 @@ A world is plain data (JSON)::
 
     {"steps": how many, "sensors": [{"rate": in Hz or None, "values": [one for each time
      it is read, None if it raises, ...]}, ...],
-     "actuators": [{"kind": one of KINDS, "timeout": in seconds, "clamp": bool}, ...],
+     "actuators": [{"kind": one of KINDS, "timeout": in seconds, "limits": "", "refuse" or
+     "clamp"}, ...],
      "reactions": [{"kind": one of REACTIONS, "rate": in Hz or None, "inputs": [[sensor,
      max_age], ...], "outputs": [[actuator, priority, hold, blind, latch], ...]}, ...]}
 """
@@ -50,9 +51,9 @@ class Told(Actuator):
         Actuator.__init__(self, "m%d" % number)
         self.safe = KINDS[about["kind"]]
         self.command_timeout = about["timeout"]
-        if about["clamp"]:
+        if about["limits"]:
             self.limits = (-0.8, 0.8)
-            self.clamp = True
+            self.clamp = about["limits"] == "clamp"
         self.tell = tell
 
     def write(self, command):
@@ -137,6 +138,26 @@ class Both(Natural):
         return found
 
 
+class Wrong(Natural):
+    """Wants what is bad by itself when near: no number, the wrong type, too much."""
+
+    def react(self, a):
+        if a > 0.9:
+            return self.as_command(0.4 * a)
+        return "x" if a < 0.5 else float("nan") if a < 0.7 else 0.9
+
+
+class Half(Natural):
+    """Moves two actuators; for one of them what it wants is bad when near."""
+
+    def react(self, a):
+        found = {"x": self.as_command(0.5 * a), "y": None}
+        if a < 1.2:
+            value = float("inf") if a < 0.8 else 0.25 * a
+            found["y"] = value if self.kinds[1] == "number" else (value, value)
+        return found
+
+
 class Slower(Natural):
     """A guard: no more than what is near allows."""
 
@@ -167,10 +188,8 @@ def part(command, share):
     return int(command * share) if isinstance(command, int) else command * share
 
 
-REACTIONS = {
-    each.__name__: each
-    for each in (Follow, Avoid, Sum, Back, Fuse, Maybe, Both, Slower, Stops)
-}
+KNOWN = Follow, Avoid, Sum, Back, Fuse, Maybe, Both, Wrong, Half, Slower, Stops
+REACTIONS = {each.__name__: each for each in KNOWN}
 
 
 def make_reaction(number, about, actuators):

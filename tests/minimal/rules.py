@@ -213,6 +213,24 @@ def rule_what_is_no_number_in_the_limits_never_leaves():
     assert motor.told == [0.0, 1.0, 1.0, 1.0], motor.told
 
 
+def rule_who_wants_what_is_bad_is_blind():
+    class Higher(Go):
+        motor = writes(float, priority=2)
+        answers = iter([0.25, "x", 0.125, 0.25])
+
+        def react(self, sonar):
+            return next(self.answers)
+
+    motor = Motor()
+    parts = [Go("low"), Higher("high")]
+    loop = Loop(parts, [Sonar(0.5, 0.75, 1.0, 0.5)], [motor], rate=50)
+    for _ in range(4):
+        loop.step()
+    assert motor.told == [0.0, 0.25, 0.0, 0.125, 0.25], motor.told
+    assert loop.faults == 1
+    assert loop.fault[0] == "high"
+
+
 def rule_tuples_are_looked_through():
     class Pair(Motor):
         safe = (0.0, 0.0)  # type: ignore[assignment]

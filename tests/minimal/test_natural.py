@@ -17,6 +17,9 @@ from esair.testing import VirtualLoop
 
 PERIOD_MS = 1000 // natural.RATE
 
+TWO = {"Both", "Half"}
+"""What moves two actuators."""
+
 World = dict[str, Any]
 Told = dict[str, list[Any]]
 
@@ -37,12 +40,13 @@ def make_world(rng: random.Random) -> World:
         {
             "kind": rng.choice(["number", "pair", "pair", "count"]),
             "timeout": rng.choice([0.1, 0.2, 0.3, 0.5]),
-            "clamp": False,
+            "limits": "",
         }
         for _ in range(rng.randint(1, 2))
     ]
     for each in actuators:
-        each["clamp"] = each["kind"] == "number" and rng.random() < 0.5
+        if each["kind"] == "number":
+            each["limits"] = rng.choice(["", "refuse", "clamp", "clamp"])
     reactions = [
         make_reaction(rng, sensors, actuators) for _ in range(rng.randint(1, 5))
     ]
@@ -71,12 +75,13 @@ def make_values(rng: random.Random, count: int) -> list[float | None]:
 def make_reaction(
     rng: random.Random, sensors: list[Any], actuators: list[Any]
 ) -> dict[str, Any]:
-    able = ["Follow", "Avoid", "Sum", "Back", "Slower", "Stops"]
+    able = ["Follow", "Avoid", "Sum", "Back", "Wrong", "Slower", "Stops"]
     able += ["Fuse"] * (len(sensors) > 1)
-    able += ["Both"] * (len(actuators) > 1 and actuators[1]["kind"] != "count")
+    if len(actuators) > 1 and actuators[1]["kind"] != "count":
+        able += ["Both", "Half"]
     kind = rng.choice(able)
     seen = rng.sample(range(len(sensors)), 2 if kind == "Fuse" else 1)
-    moved = [0, 1] if kind == "Both" else [rng.randrange(len(actuators))]
+    moved = [rng.randrange(len(actuators))] if kind not in TWO else [0, 1]
     return {
         "kind": kind,
         "rate": rng.choice([None, 50, 25, 10, 5]),
@@ -112,7 +117,7 @@ def add_lamp(
             "outputs": [[len(actuators), 0, None, "safe", False]],
         }
     )
-    actuators.append({"kind": "number", "timeout": 0.3, "clamp": False})
+    actuators.append({"kind": "number", "timeout": 0.3, "limits": ""})
 
 
 def make_age(rng: random.Random, sensor: dict[str, Any]) -> float:
@@ -213,8 +218,8 @@ def a_hold_ends_as_somebody_sees(
         "steps": 32,
         "sensors": [{"rate": rate, "values": values}],
         "actuators": [
-            {"kind": "number", "timeout": 0.3, "clamp": False},
-            {"kind": "number", "timeout": 0.5, "clamp": False},
+            {"kind": "number", "timeout": 0.3, "limits": ""},
+            {"kind": "number", "timeout": 0.5, "limits": ""},
         ],
         "reactions": reactions,
     }

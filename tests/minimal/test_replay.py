@@ -50,15 +50,17 @@ class Notes:
         self.loop = asyncio.get_running_loop()
         self.behind = behind
         self.begin = math.inf
-        """When the journal begins; what is told before is of the opening."""
+        """When the journal begins; what is told first, or before, is of the opening."""
         self.end: int | None = None
         """The line of what is told from now on: the end."""
 
     def tell(self, name: str, command: Any) -> None:
         line = self.end
         if line is None:
-            periods = (self.loop.time() - self.begin) / T - self.behind
-            line = max(-1, math.ceil(periods - 1e-3)) if periods > -math.inf else -1
+            line = -1
+            if name in self.told and self.loop.time() >= self.begin:
+                periods = (self.loop.time() - self.begin) / T - self.behind
+                line = max(-1, math.ceil(periods - 1e-3))
         self.told.setdefault(name, []).append([line, command])
 
 
@@ -108,13 +110,15 @@ async def play_on_threads(world: World) -> Told:
     notes = Notes(behind=0.0)
     loop, journal = notes.loop, world["journal"]
     clock = Clock(loop)
+    notes.begin = clock.begin
     sensors, actuators = worlds.make_devices(world, clock, notes.tell)
     robot = esair.Robot(
-        resources=[*sensors, *actuators], behaviors=worlds.make_reactions(world)
+        resources=[*sensors, *actuators],
+        behaviors=worlds.make_reactions(world),
+        start_patience=1e-6,  # the first decisions may be bad
     )
     async with robot:
-        assert loop.time() == clock.begin
-        notes.begin = clock.begin
+        assert loop.time() == pytest.approx(clock.begin, abs=1e-5)
         await asyncio.sleep((len(journal) - 0.75) * T)
         notes.end = len(journal)
     return notes.told

@@ -83,15 +83,18 @@ async def test_a_release_and_a_lower_write_are_one_command() -> None:
         assert await commands(order, [1.0, 2.0, 1.0]) == [5.0, 8.0, 5.0]
 
 
-@pytest.mark.promise("TURN-2", "AC-2")
-async def test_a_bad_command_does_not_win() -> None:
-    """The best command that may be sent is sent."""
+@pytest.mark.promise("TURN-2", "AC-2", "PRO-1")
+async def test_a_bad_command_wins_against_less_and_loses_to_more() -> None:
+    """It is blindness: who has less may not drive on it, who has more may."""
 
-    def make() -> list[Says]:
-        return [Says("high", 2, {1.0: float("nan")}), Says("low", 1, {1.0: 7.0})]
+    def make(priority: int) -> list[Says]:
+        bad = Says("bad", 2, {1.0: float("nan"), 2.0: 3.0})
+        return [bad, Says("other", priority, {1.0: 7.0, 2.0: 8.0})]
 
-    for order in orders(make):
-        assert await commands(order, [1.0]) == [7.0]
+    for order in orders(lambda: make(1)):
+        assert await commands(order, [1.0, 1.0, 2.0]) == [3.0]
+    for order in orders(lambda: make(3)):
+        assert await commands(order, [1.0, 1.0]) == [7.0, 7.0]
 
 
 @pytest.mark.promise("TURN-2", "AC-2")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Awaitable
 from typing import TYPE_CHECKING, Any
 
 from esair.connections import ActuatorChannel, Registration, SensorChannel, Sight
 from esair.exceptions import (
+    BadValueError,
     DeviceLostError,
     EsairError,
     ResourceRemovedError,
@@ -141,6 +143,7 @@ class Output:
         "_sight",
         "active",
         "channel",
+        "checked",
         "command",
         "decided",
         "decision",
@@ -166,6 +169,8 @@ class Output:
         self._sight: Sight | None = None
         self.command: Any = None
         """What it decided in this turn; None to give the actuator back."""
+        self.checked: Any = None
+        """The same as it may be sent."""
         self.decided = False
         """It takes part in the decision of this turn."""
         self.active = False
@@ -187,7 +192,18 @@ class Output:
         self.decision.leave(self._sight)
 
     def decide(self, command: Any) -> None:
-        """Want a command sent at the end of the turn, or None."""
+        """Want a command sent at the end of the turn, or None.
+
+        Raises:
+            BadValueError: It must not be sent; the reaction is blind now.
+        """
+        if command is not None:
+            try:
+                self.checked = self.channel.checked(command)
+            except BadValueError as error:
+                self.channel.wanted(self.registration, command)
+                self.reject(error)
+                raise
         self.command = command
         if not self.decided:
             self.decided = True
@@ -207,9 +223,11 @@ class Output:
             self.later = command
             return True, None
         try:
-            outcome = self.channel.begin(self.registration, command, None, False)
+            outcome = self.channel.begin(
+                self.registration, command, None, False, self.checked
+            )
         except EsairError as error:
-            self._reject(error)
+            self.reject(error)
             return False, None
         if type(outcome) is Written:
             self.active = True
@@ -229,7 +247,7 @@ class Output:
             if not await rest:
                 runner.refused += 1
         except EsairError as error:
-            self._reject(error)
+            self.reject(error)
             self.later = None
         finally:
             runner.settling.discard(task)
@@ -240,9 +258,11 @@ class Output:
         if self.decided:  # in this turn, and newer
             runner.conflated += 1
         else:
-            self.decide(command)
+            with contextlib.suppress(BadValueError):  # by limits that are new
+                self.decide(command)
 
-    def _reject(self, error: EsairError) -> None:
+    def reject(self, error: EsairError) -> None:
+        """Count what cannot be sent; who wants what is bad by itself is blind."""
         runner = self.runner
         runner.rejected += 1
         if runner.rejected == 1 or runner.rejected % 1000 == 0:
@@ -253,6 +273,8 @@ class Output:
                 self.name,
                 describe(error),
             )
+        if isinstance(error, BadValueError):
+            runner.flawed(error)
 
     def lost(self, winner: Registration) -> None:
         """Count a command that another one of the same turn has beaten."""

@@ -15,11 +15,7 @@ from esair.actions._sampling import Sampling, polled_for
 from esair.actions._step_clock import StepClock
 from esair.actions._step_time import step_time
 from esair.connections import ActuatorChannel, Decision, Registration, SensorChannel
-from esair.exceptions import (
-    BadValueError,
-    EsairError,
-    StaleReadingError,
-)
+from esair.exceptions import BadValueError, EsairError, StaleReadingError
 from esair.loop import (
     Job,
     OneShot,
@@ -87,6 +83,7 @@ class ReactionRunner:
         "blind",
         "conflated",
         "every",
+        "flaw",
         "job",
         "missing",
         "on_reading",
@@ -134,6 +131,8 @@ class ReactionRunner:
         """How many readings were replaced by a newer one before a step."""
         self.blind = True
         """Whether it has not decided since it could not."""
+        self.flaw: BadValueError | None = None
+        """Why it is parked, if that is what it has decided itself."""
         self._on_sight = on_sight
         self.on_reading = reaction.rate is None
         self._watches = reaction.rate is None or reaction.rate < _QUICK
@@ -286,7 +285,7 @@ class ReactionRunner:
     # Parking.
 
     def absence(self) -> EsairError | None:
-        """Make the error for a reading that it needs and does not have."""
+        """Make the error for what blinds it: a reading that it needs, or its command."""
         for each in self._inputs:
             if not (each.ready or each.optional):
                 channel = each.channel
@@ -295,7 +294,7 @@ class ReactionRunner:
                 newest = channel.newest
                 age = None if newest is None else self._time() - newest.time
                 return StaleReadingError(channel.name, age, each.limit)
-        return None
+        return self.flaw
 
     def arrived(self) -> None:
         self.missing -= 1
@@ -312,10 +311,11 @@ class ReactionRunner:
             self._watch_for_age()
 
     def park(self, reason: str, *, missing: int = 0) -> None:
-        """Stop deciding and give the actuators back, until the sensors are back."""
+        """Be blind and give the actuators back, until the sensors are back."""
         self.missing += missing
-        if self.parked or self.stopped:
+        if self.stopped or (self.parked and self.flaw is None):
             return
+        self.flaw = None
         self.parked = self.blind = True
         if self.every:
             self.every.clear()
@@ -325,7 +325,16 @@ class ReactionRunner:
             output.channel.drop(output.registration)
         self._on_state(False, reason)
 
+    def flawed(self, error: BadValueError) -> None:
+        """Be blind until its next good decision: nothing of this one is sent."""
+        for output in self._outputs.values():
+            output.forget()
+        if self.flaw is None:
+            self.park(f"its command is bad: {error}")
+        self.flaw = error
+
     def _unpark(self) -> None:
+        self.flaw = None
         self.parked = False
         self._on_state(True, "")
 
@@ -415,14 +424,19 @@ class ReactionRunner:
             stepping.owner = None
         if self._until is not None and self._is_over():
             return
-        if self.blind:
+        output = self._single
+        try:
+            if output is None or result.__class__ is dict:
+                self._decide_all(result)
+            elif result is not None or output.active:
+                output.decide(result)
+        except BadValueError:  # told, and blind
+            return
+        if self.blind and not self.stopped:
+            if self.flaw is not None:
+                self._unpark()
             self.blind = False
             self._on_sight()
-        output = self._single
-        if output is None or result.__class__ is dict:
-            self._decide_all(result)
-        elif result is not None or output.active:
-            output.decide(result)
 
     def readings(self) -> dict[str, Any]:
         return dict(zip(self._names, self.values, strict=True))

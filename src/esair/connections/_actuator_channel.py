@@ -82,11 +82,11 @@ class ActuatorChannel(HeldDevice):
         "_accepts",
         "_blocks",
         "_check",
-        "_checked",
         "_copied",
         "_deadline",
         "_slews",
         "_waiting",
+        "checked",
         "decision",
         "writes",
     )
@@ -116,7 +116,7 @@ class ActuatorChannel(HeldDevice):
         super().configured()
         self._deadline = self.actuator.deadline
         self._check = CommandCheck(self.actuator)
-        self._checked = self._check.checked
+        self.checked = self._check.checked
         self._slews = self._check.slews
         self._write = write = self.driver.method("write")
         self._copied: Callable[[Any], Any] = _as_it_is
@@ -204,16 +204,19 @@ class ActuatorChannel(HeldDevice):
         command: Any,
         hold: float | None,
         told: bool = True,
+        ready: Any = None,
     ) -> Sent:
-        """Check everything and send a command, without a wait if the driver has none."""
+        """Check everything and send a command, without a wait if the driver has none.
+
+        What is ``ready`` is the command as `checked` has returned it in this turn.
+        """
         if not (registration.usable and self._accepts):
             return self._turned_away(registration, command)
         time = self._time  # by itself: called in place it is sought as a method
         now = time()
         journal = self._journal
         if journal.heard:
-            asked = self._as_it_was(command)
-            journal.publish(Kind.COMMAND, self.name, registration.behavior, asked)
+            self.wanted(registration, command)
         blind = self._blind
         if (
             blind is not None
@@ -230,8 +233,8 @@ class ActuatorChannel(HeldDevice):
             and holder.behavior != registration.behavior
         ):
             return self._refused(registration, holder)
-        asked, checked = command, self._checked
-        command = checked(command)
+        asked, checked = command, self.checked
+        command = checked(command) if ready is None else ready
         if self._busy:
             return self._when_idle(registration, command, hold)
         if self.watch is not None and not self.watch.may_move():
@@ -285,13 +288,6 @@ class ActuatorChannel(HeldDevice):
             return Written(command, asked, by) if told else _SENT
         self._took(command, sent)
         return self._applied(registration, command, sent, asked, by)
-
-    def _as_it_was(self, command: Any) -> Any:
-        """Return a command for the journal, which is read when it may have changed."""
-        try:
-            return self._copied(command)
-        except Exception:  # it may be an object of any class, and is checked later
-            return command
 
     def _slewed(self, command: Any, seconds: float) -> Any:
         before = self._base if self._told is HOLD else self._told

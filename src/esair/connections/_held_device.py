@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Callable
 from typing import Any
@@ -113,11 +114,18 @@ class HeldDevice(ProtectedDevice):
         self, registration: Registration, command: Any, winner: Registration
     ) -> Refused:
         """Refuse a command that another one of the same turn has beaten."""
+        self.wanted(registration, command)
+        return self._refused(registration, self.holder or winner)
+
+    def wanted(self, registration: Registration, command: Any) -> None:
+        """Take note of what somebody wants sent, whatever becomes of it."""
         if self._journal.heard:
+            # It is read when it may have changed; it may be an object of any class.
+            with contextlib.suppress(Exception):
+                command = self._copied(command)
             self._journal.publish(
                 Kind.COMMAND, self.name, registration.behavior, command
             )
-        return self._refused(registration, self.holder or winner)
 
     def _refused(self, registration: Registration, holder: Registration) -> Refused:
         return self._refuse(

@@ -41,7 +41,7 @@ class ProtectedDevice(ActuatorDevice):
     until: float
     _accepts: bool
     _blocks: bool
-    _checked: Callable[[Any], Any]
+    checked: Callable[[Any], Any]
     _copied: Callable[[Any], Any]
     _ended: Callable[[Call, End], None]
     _writer: Registration | None
@@ -130,7 +130,7 @@ class ProtectedDevice(ActuatorDevice):
             weighed = guard.weigh(passed, still, now, moving=moving, hand=self._copied)
             if weighed is not passed and weighed is not None:
                 try:
-                    weighed = self._checked(weighed)
+                    weighed = self.checked(weighed)
                 except BadValueError as error:  # the guard's own: it is asked no more
                     guard.crash(error)
                     weighed = None
