@@ -56,6 +56,50 @@ async def test_a_command_is_told_from_asking_to_applied(fake_actuator):
     assert of(events, Kind.SENT)[0].value == 0.3
 
 
+async def test_what_a_device_does_not_take_is_told(fake_actuator):
+    """Which command it was, and what went wrong."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    robot = esair.Robot(resources=[wheels], behaviors=[Wander()])
+    events: list[Event] = []
+    robot.journal.listen(events.append)
+    async with robot:
+        wheels.fail(ValueError("brown-out"), times=1)
+        await asyncio.sleep(0.1)
+    (told,) = of(events, Kind.UNANSWERED)
+    assert (told.component, told.value) == ("wheels", 0.3)
+    assert "brown-out" in told.text
+
+
+async def test_the_loser_of_a_turn_is_told_with_what_it_wanted(
+    fake_sensor, fake_actuator
+):
+    """Asked and refused, though its command came to nobody's desk."""
+
+    class Left(esair.Reaction):
+        eye = esair.reads(float)
+        wheels = esair.writes(float, priority=5)
+        way = 1.0
+
+        def react(self, eye):
+            return self.way * eye
+
+    class Right(Left):
+        wheels = esair.writes(float, priority=6)
+        way = -1.0
+
+    eye = fake_sensor("eye", 1.0)
+    wheels = fake_actuator("wheels", safe=0.0)
+    left, right = Left(), Right()
+    robot = esair.Robot(resources=[eye, wheels], behaviors=[left, right])
+    events: list[Event] = []
+    robot.journal.listen(events.append)
+    async with robot:
+        await wheels.until(-1.0, timeout=1.0)
+    asked = [(event.peer, event.value) for event in of(events, Kind.COMMAND)]
+    assert sorted(asked) == [("left", 1.0), ("right", -1.0)]
+    assert [event.peer for event in of(events, Kind.REFUSED)] == ["left"]
+
+
 async def test_the_numbers_have_no_gaps(fake_sensor, fake_actuator):
     """Every event has the next number, and time never goes back."""
     events: list[Event] = []

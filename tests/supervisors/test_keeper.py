@@ -57,9 +57,20 @@ class FakeWatchdog:
 
 class Motor(FakeActuator[float]):
     outlet: Any = object()
+    frames: Any = ()
+    rest = esair.setting(0.0)
+    homed = 0
 
     def safe_frames(self) -> Any:
-        return ()
+        if isinstance(self.frames, Exception):
+            raise self.frames
+        return self.frames
+
+    async def apply(self, **_settings: object) -> None: ...
+
+    @esair.operation
+    async def home(self) -> None:
+        self.homed += 1
 
 
 @pytest.fixture
@@ -74,7 +85,13 @@ def robot_with(**options: Any) -> tuple[esair.Robot, Motor, Any]:
     motor = Motor("motor", safe=0.0, command_timeout=5.0)
     user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
     options = {"watchdog": True, "watchdog_limit": 0.1, **options}
-    return esair.Robot(resources=[motor], behaviors=[user], **options), motor, user
+    allow = esair.Policy(
+        "motor", allow={"*": esair.Access.CONFIGURE | esair.Access.WRITE}
+    )
+    robot = esair.Robot(
+        resources=[motor], behaviors=[user], policies=[allow], **options
+    )
+    return robot, motor, user
 
 
 async def test_it_is_started_first_and_closed_last(fake: type[FakeWatchdog]) -> None:
@@ -99,10 +116,58 @@ async def test_nothing_moves_once_it_has_acted(fake: type[FakeWatchdog]) -> None
     robot, motor, user = robot_with()
     async with robot:
         (dog,) = fake.made
+        mine = await robot.resources.register(
+            "user", "motor", esair.Access.CONFIGURE | esair.Access.WRITE
+        )
+        await robot.resources.operate(mine, "home")
         dog.latched = True
         with pytest.raises(esair.StoppingError, match="watchdog"):
             await user.motor.write(1.0)
-        assert motor.commands == [0.0]
+        with pytest.raises(esair.StoppingError, match="watchdog"):
+            await robot.resources.operate(mine, "home")
+        assert motor.homed == 1
+        assert not any(motor.commands)
+
+
+async def test_what_safe_is_may_change_with_the_settings(
+    fake: type[FakeWatchdog],
+) -> None:
+    """Its frames are handed over anew."""
+    robot, _, _ = robot_with()
+    async with robot:
+        (dog,) = fake.made
+        mine = await robot.resources.register("u", "motor", esair.Access.CONFIGURE)
+        await robot.resources.configure(mine, rest=1.0)
+        assert dog.told == [("arm", "motor")] * 2
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "why"),
+    [
+        ("frames", ValueError("no zero"), "its safe_frames raised ValueError: no zero"),
+        ("frames", None, "cannot say its safe command as bytes"),
+        ("outlet", None, "cannot reach its bus"),
+    ],
+)
+async def test_what_cannot_be_watched_says_why_once(
+    field: str,
+    value: Any,
+    why: str,
+    fake: type[FakeWatchdog],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """It runs unwatched; that is said again when it is opened again, not before."""
+    robot, motor, user = robot_with(watchdog_death="alarm")
+    setattr(motor, field, value)
+    async with robot:
+        (dog,) = fake.made
+        assert await user.motor.write(1.0)
+        dog.die()  # and is told again what to watch
+        while dog.starts == 1:  # noqa: ASYNC110 - it tells nobody
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.01)
+        assert ("arm", "motor") not in dog.told
+    assert [why in each.getMessage() for each in caplog.records].count(True) == 1
 
 
 @pytest.mark.parametrize("policy", ["stop", "alarm"])

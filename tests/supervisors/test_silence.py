@@ -171,6 +171,73 @@ async def test_a_device_is_asked_for_its_set_up_between_its_calls() -> None:
         following.cancel()
 
 
+class Lamp(FakeActuator[float]):
+    """Says at once, after a while, or not at all whether it is set up."""
+
+    set_up_period = 0.5
+    says: Any = True
+    takes = 0.0
+
+    def is_set_up(self) -> Any:
+        return self._says() if self.takes else self._now()
+
+    def _now(self) -> bool:
+        if isinstance(self.says, Exception):
+            raise self.says
+        return bool(self.says)
+
+    async def _says(self) -> bool:
+        await asyncio.sleep(self.takes)
+        return self._now()
+
+    blocking = False
+
+
+class Eye(FakeSensor[float]):
+    """The same of a sensor."""
+
+    set_up_period, says, takes, blocking = 0.5, Lamp.says, Lamp.takes, False
+    is_set_up, _now, _says = Lamp.is_set_up, Lamp._now, Lamp._says  # type: ignore[assignment]
+
+
+@pytest.mark.promise("RES-4", "CALL-3")
+@pytest.mark.parametrize("takes", [0.0, 0.2])
+@pytest.mark.parametrize("make", [Lamp, Eye])
+async def test_a_device_tells_of_its_set_up_at_once_or_after_a_while(
+    make: Any, takes: float
+) -> None:
+    """What is asked of it meanwhile has its turn afterwards; its faults count."""
+    part = make("part", 1.0)
+    part.takes = takes
+    user: Any = esair.Behavior(
+        name="user",
+        reads={"part": esair.reads(float)} if make is Eye else {},
+        writes={"part": esair.writes(float)} if make is Lamp else {},
+    )
+
+    async def use() -> object:
+        if make is Lamp:
+            return await user.part.write(1.0)
+        return await user.part.read(fresh=True)
+
+    async with esair.Robot(resources=[part], behaviors=[user]) as robot:
+        began = asyncio.get_running_loop().time()
+        await asyncio.sleep(0.55)
+        assert await use()
+        took = asyncio.get_running_loop().time() - began
+        assert took == pytest.approx(0.5 + takes if takes else 0.55)
+        part.says = ValueError("checksum")
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("part").faults >= 1
+        assert robot.resources.query("part").state is ResourceState.READY
+        part.says = False
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("part").losses >= 1
+        part.says = True
+        await asyncio.sleep(0.1)
+        assert await use()
+
+
 @pytest.mark.promise("RES-4")
 async def test_a_sensor_that_restarts_is_opened_again() -> None:
     """Its readings from before are gone with it."""

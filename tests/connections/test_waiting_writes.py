@@ -1,0 +1,153 @@
+"""Writes that wait for their turn: what becomes of them meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from typing import Any
+
+import pytest
+
+import esair
+from esair.buses import Bus
+from esair.journal import Event, Kind
+from esair.testing import FakeActuator
+
+pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("AC-1")]
+
+
+class Motor(FakeActuator[float]):
+    """A motion takes it a second, unless it is told otherwise."""
+
+    deadline = 5.0
+
+    def __init__(self) -> None:
+        super().__init__("motor", safe=0.0, command_timeout=5.0)
+        self.slow(1.0)
+
+
+async def soon() -> None:
+    await asyncio.sleep(0.01)
+
+
+async def test_one_that_the_device_refuses_at_once_is_told_why(user_of: Any) -> None:
+    """Its turn comes when nobody awaits the driver; the next one has its turn too."""
+
+    class Picky(Motor):
+        def write(self, command: float) -> Any:
+            if command == 2.0:
+                raise ValueError("not two")
+            return super().write(command)
+
+    motor, user = Picky(), user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        writes = [asyncio.create_task(user.motor.write(n)) for n in (1.0, 2.0, 3.0)]
+        await soon()
+        motor.slow(0.0)
+        with pytest.raises(esair.DeviceFaultError, match="not two"):
+            await writes[1]
+        assert (await writes[2]).command == 3.0
+        await writes[0]
+
+
+async def test_one_that_is_cancelled_in_its_turn_leaves_it_to_the_next(
+    user_of: Any,
+) -> None:
+    """In the very instant in which the device is free; nothing of it is sent."""
+    motor, user = Motor(), user_of("user", motor=esair.writes(float))
+
+    class Cancels(Motor):
+        async def write(self, command: float) -> None:
+            await super().write(command)
+            if command == 1.0:
+                writes[1].cancel()
+
+    motor = Cancels()
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        writes = [asyncio.create_task(user.motor.write(n)) for n in (1.0, 2.0, 3.0)]
+        await asyncio.wait(writes)
+        assert writes[1].cancelled()
+        assert writes[2].result()
+        assert motor.commands == [0.0, 1.0, 3.0]
+
+
+@pytest.mark.real_clock
+@pytest.mark.parametrize("way", ["safe", "halted"])
+async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
+    way: str, user_of: Any
+) -> None:
+    """Who wrote it is told so, also if the halt is over; it never reaches the device."""
+    go, done = threading.Event(), list[float]()
+
+    class Blocking(esair.Actuator[float]):
+        safe = 0.0
+        deadline = command_timeout = 30.0
+
+        def write(self, command: float) -> None:
+            done.append(command)
+
+    class Slow(esair.Sensor[float]):
+        deadline = 30.0
+
+        def read(self) -> float:
+            go.wait(30.0)
+            return 1.0
+
+    class Wire(Bus):
+        """Both devices have one thread."""
+
+        async def _open(self) -> None: ...
+
+        async def _close(self) -> None: ...
+
+    wire = Wire(name="wire")
+    user = user_of("user", motor=esair.writes(float), eye=esair.reads(float))
+    robot = esair.Robot(
+        resources=[Blocking(name="motor", bus=wire), Slow(name="eye", bus=wire)],
+        behaviors=[user],
+    )
+    async with robot:
+        reading = asyncio.create_task(user.eye.read())
+        await asyncio.sleep(0.05)
+        writing = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.05)
+        if way == "safe":
+            robot.actuators.channels["motor"].make_safe()
+        else:
+            robot.halt("enough")
+            robot.resume()
+        go.set()
+        refused = await writing
+        assert not refused
+        assert refused.rule == {
+            "safe": "it was made safe before the turn of this command came",
+            "halted": "it was asked for before the robot was halted",
+        }[way]
+        await reading
+        assert await user.motor.write(2.0)
+    assert 1.0 not in done
+    assert 2.0 in done
+
+
+async def test_a_command_that_cannot_be_copied_is_told_as_it_is(user_of: Any) -> None:
+    """An object of any class may be a command."""
+
+    class Stubborn:
+        single = False
+
+        def __deepcopy__(self, _memo: object) -> Any:
+            if self.single:
+                raise TypeError("one of a kind")
+            return self
+
+    oven = FakeActuator("oven", safe=Stubborn())
+    user, told = user_of("user", oven=esair.writes(Stubborn)), list[Event]()
+    async with esair.Robot(resources=[oven], behaviors=[user]) as robot:
+        robot.journal.listen(told.append)
+        command = Stubborn()
+        command.single = True
+        robot.halt("a test")
+        assert not await user.oven.write(command)
+        await soon()
+    (asked,) = [each for each in told if each.kind is Kind.COMMAND]
+    assert asked.value is command
