@@ -119,10 +119,13 @@ async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
         go.set()
         refused = await writing
         assert not refused
-        assert refused.rule == {
-            "safe": "it was made safe before the turn of this command came",
-            "halted": "it was asked for before the robot was halted",
-        }[way]
+        assert (
+            refused.rule
+            == {
+                "safe": "it was made safe before the turn of this command came",
+                "halted": "it was asked for before the robot was halted",
+            }[way]
+        )
         await reading
         assert await user.motor.write(2.0)
     assert 1.0 not in done

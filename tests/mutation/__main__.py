@@ -196,22 +196,27 @@ class Runner:
         return chosen
 
     def _tests_of(self, mutant: Mutant, baseline: Baseline) -> list[str]:
-        """Who can notice, the most promising first, as many as there is time for."""
+        """Who can notice, the most promising first, as many as there is time for.
 
-        def promise(name: str) -> tuple[bool, float]:
+        Those in real time come last, but have a share of it.
+        """
+
+        def promise(name: str) -> float:
             found = self._killers[mutant.file, name]
             far = 1 if name.startswith(room) else 4
-            seconds = baseline.seconds[name]
-            return name in self._in_real_time, far * seconds / (1 + found)
+            return far * baseline.seconds[name] / (1 + found)
 
         room = f"tests/{mutant.file.parent.name}/"
-        budget, chosen = self.options.budget, []
         names = baseline.reached_by(mutant) & self.items.keys() - baseline.bad
-        for name in sorted(names, key=promise):
-            budget -= baseline.seconds[name]
-            if budget < 0:
-                break
-            chosen.append(name)
+        slow = names & self._in_real_time
+        chosen = []
+        for share, group in ((1.0, names - slow), (0.3, slow)):
+            budget = share * self.options.budget
+            for name in sorted(group, key=promise):
+                budget -= baseline.seconds[name]
+                if budget < 0:
+                    break
+                chosen.append(name)
         return chosen
 
     def _note(self, mutant: Mutant, how: str, why: str) -> None:
