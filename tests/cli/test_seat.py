@@ -206,6 +206,15 @@ def test_the_log_of_a_robot_is_followed(esair, robot, start, tmp_path):
     assert "a cat" in follower.stdout.readline()
 
 
+def test_a_name_that_nobody_has_is_told_before_the_log_is_followed(
+    robot, start, tmp_path
+):
+    """A follower of a misspelled component would wait for ever."""
+    robot()
+    follower = start("log", "-f", "-c", "motr", cwd=tmp_path)
+    assert "did you mean 'motor'" in follower.stderr.readline()
+
+
 @pytest.mark.promise("OPS-1")
 @pytest.mark.fault("O18")
 def test_a_second_start_is_refused(esair, robot, start):

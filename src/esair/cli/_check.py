@@ -4,41 +4,34 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import attrs
-from cyclopts import Parameter
 from rich import box
 from rich.console import Console
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from esair.cli._target import check_robot
-from esair.config import FoundInFile, Report, is_of_module
+from esair.cli._errors import counted
+from esair.cli._options import AsJson
+from esair.config import FoundInFile, Report, find_robot, is_of_module
 from esair.config import check as check_file
-from esair.plan import UNWATCHED
+from esair.plan import UNWATCHED, Finding, examine, protection
 
 _STYLES = {"error": "bold red", "warning": "yellow"}
 
 
-def check(
-    robot: str,
-    /,
-    *,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
-    strict: bool = False,
-) -> int:
+def check(robot: str, /, *, as_json: AsJson = False, strict: bool = False) -> int:
     """Find every mistake of a robot at once; no device is opened.
 
     Exit code: 0 no errors, 1 errors found, 2 the file or module cannot be read.
 
     Args:
         robot: A robot.toml; or the robot of a module: module:robot, file.py:robot.
-        as_json: Print JSON, for programs.
         strict: Count warnings as errors.
     """
-    report = check_robot(robot) if is_of_module(robot) else check_file(Path(robot))
+    report = _check_module(robot) if is_of_module(robot) else check_file(Path(robot))
     console = Console(highlight=False)
     if as_json:
         console.out(json.dumps(to_json(report), indent=2), highlight=False)
@@ -50,6 +43,25 @@ def check(
             console.print(_actuators(report))
         console.print(_summary(report), soft_wrap=True)
     return 1 if report.errors or (strict and report.warnings) else 0
+
+
+def _check_module(target: str) -> Report:
+    """Find every mistake of a robot of a module, without starting it."""
+    plan = find_robot(target).plan
+    findings = [_shown(each) for each in examine(plan)]
+    findings.sort(key=lambda each: each.severity)
+    return Report(
+        file=target,
+        digest="",
+        findings=tuple(findings),
+        actuators=tuple(protection(plan)),
+        with_simulation=False,
+    )
+
+
+def _shown(finding: Finding) -> FoundInFile:
+    where = ".".join(each for each in (finding.component, finding.field) if each)
+    return FoundInFile(finding.severity.value, finding.rule, where, None, finding.text)
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -154,15 +166,13 @@ def _actuators(report: Report) -> Panel:
 
 
 def _summary(report: Report) -> Text:
-    def count(number: int, word: str) -> str:
-        return f"{number} {word}" if number == 1 else f"{number} {word}s"
-
     style = (
         "bold red" if report.errors else "yellow" if report.warnings else "bold green"
     )
     text = Text(f"{report.file}: ", "bold")
     text.append(
-        f"{count(report.errors, 'error')}, {count(report.warnings, 'warning')}", style
+        f"{counted(report.errors, 'error')}, {counted(report.warnings, 'warning')}",
+        style,
     )
     if report.with_simulation:
         text.append("; real and simulated", "dim")

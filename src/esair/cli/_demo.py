@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from esair.cli._errors import missing_extra
-
 
 def demo(
     *,
@@ -27,12 +25,6 @@ def demo(
     """
     # What draws takes its time to be imported.
     print("esair demo: a simulated rover; Ctrl-C stops it", flush=True)  # noqa: T201 - this is the command line
-    try:
-        from esair.demo import demo as show
+    from esair.demo import demo as show
 
-        return show(fast=fast, seed=seed, out=out, record=record, kill=kill)
-    except ModuleNotFoundError as error:
-        code = missing_extra(error, "sim")
-        if code is None:
-            raise
-        return code
+    return show(fast=fast, seed=seed, out=out, record=record, kill=kill)

@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Collection, Iterable, Sequence
 from typing import Final
 
 from esair.config import ConfigFileError
-from esair.exceptions import ConfigError, describe, did_you_mean
+from esair.exceptions import (
+    ConfigError,
+    EsairError,
+    RecordingBrokenError,
+    RecordingError,
+    describe,
+    did_you_mean,
+)
+from esair.seat import NoRobotError
 from esair.values import printable
 
-CANNOT_USE: Final = 2
-"""The exit code for a command line, file or installation that cannot be used."""
+NOT_DONE: Final = 1  # The exit code if a robot has not done what it was told
+CANNOT_USE: Final = (
+    2  # That of a command line, file or installation which cannot be used
+)
+
+_EXTRAS: Final = {
+    **dict.fromkeys(("mcap", "foxglove"), "record"),
+    **dict.fromkeys(("starlette", "uvicorn", "websockets"), "page"),
+    **dict.fromkeys(("cantools", "matplotlib", "numpy", "pymunk"), "sim"),
+}
+"""Which extra of esair brings a package that a verb needs."""
 
 
 def tell(message: str) -> None:
@@ -19,7 +37,45 @@ def tell(message: str) -> None:
     print(f"esair: {message}", file=sys.stderr)  # noqa: T201 - this is the command line
 
 
-def show_mistakes(mistakes: Sequence[ConfigError]) -> int:
+def exit_code_of(error: Exception) -> int | None:
+    """Say what has ended a verb; return its exit code, None if nobody expected it."""
+    if isinstance(error, ConfigError):
+        return _show_mistakes([error])
+    if isinstance(error, ExceptionGroup):
+        mistakes, rest = error.split(ConfigError)
+        found = mistakes is not None and rest is None
+        return _show_mistakes(_leaves(error)) if found else None
+    if isinstance(error, ModuleNotFoundError):
+        package = (error.name or "").partition(".")[0]
+        extra = _EXTRAS.get(package)
+        if extra is None:
+            return None
+        how = f'pip install "esair[{extra}]"'
+        tell(f"this needs {package}, which is not installed: {how}")
+        return CANNOT_USE
+    if isinstance(error, RecordingBrokenError | RecordingError):
+        tell(describe(error))
+        return CANNOT_USE
+    if isinstance(error, EsairError | TimeoutError):
+        tell(printable(str(error)))
+        return CANNOT_USE if isinstance(error, NoRobotError) else NOT_DONE
+    if isinstance(error, FileNotFoundError) and error.filename:
+        tell(printable(f"{error.filename}: there is no such file"))
+        return CANNOT_USE
+    if isinstance(error, OSError) and error.filename and error.errno != errno.ENOSPC:
+        tell(describe(error))
+        return CANNOT_USE
+    return None
+
+
+def _leaves(group: ExceptionGroup[Exception]) -> list[Exception]:
+    found: list[Exception] = []
+    for error in group.exceptions:
+        found += _leaves(error) if isinstance(error, ExceptionGroup) else [error]
+    return found
+
+
+def _show_mistakes(mistakes: Sequence[Exception]) -> int:
     """Write every mistake of a configuration to the standard error."""
     from rich.console import Console
     from rich.text import Text
@@ -35,18 +91,8 @@ def show_mistakes(mistakes: Sequence[ConfigError]) -> int:
         else:
             line.append(str(mistake))
         console.print(line)
-    count = len(mistakes)
-    words = "1 mistake" if count == 1 else f"{count} mistakes"
-    console.print(Text(f"{words}; nothing was opened, nothing moved", "bold red"))
-    return CANNOT_USE
-
-
-def cannot_read(error: Exception) -> int:
-    """Say why a recording cannot be used."""
-    if isinstance(error, FileNotFoundError):
-        tell(f"{error.filename}: there is no such file")
-    else:
-        tell(describe(error))
+    told = f"{counted(len(mistakes), 'mistake')}; nothing was opened, nothing moved"
+    console.print(Text(told, "bold red"))
     return CANNOT_USE
 
 
@@ -62,10 +108,14 @@ def has_unknown(option: str, given: Iterable[str], known: Collection[str]) -> bo
     return False
 
 
-def missing_extra(error: ModuleNotFoundError, extra: str) -> int | None:
-    """Say how to install what an import found missing."""
-    package = (error.name or "").partition(".")[0]
-    if package in {"", "esair"}:
-        return None
-    tell(f'this needs {package}, which is not installed: pip install "esair[{extra}]"')
-    return CANNOT_USE
+def counted(number: int, word: str) -> str:
+    """Return how many there are, in words."""
+    return f"{number} {word}" if number == 1 else f"{number} {word}s"
+
+
+def wrong_seconds(seconds: float | None) -> bool:
+    """Say what is wrong with ``--for``; return whether something is."""
+    wrong = seconds is not None and not 0 < seconds < float("inf")
+    if wrong:
+        tell(f"--for: expected seconds > 0, not {seconds:g}")
+    return wrong

@@ -11,13 +11,11 @@ import termios
 import time
 import tty
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Final
-
-from cyclopts import Parameter
+from typing import Any, Final
 
 from esair.cli._errors import CANNOT_USE, tell
-from esair.exceptions import EsairError
-from esair.seat import Client, NoRobotError, connect
+from esair.cli._options import Which
+from esair.seat import Client, connect
 from esair.values import printable
 
 GAP: Final = 0.3
@@ -47,7 +45,7 @@ def drive(
     *,
     speed: float = 0.3,
     lease: float = 0.5,
-    robot: Annotated[str | None, Parameter(name=["--robot", "-r"])] = None,
+    robot: Which = None,
 ) -> int:
     """Drive an actuator with the arrow keys, or w a s d.
 
@@ -59,20 +57,12 @@ def drive(
         actuator: What to drive.
         speed: Which part of its limits a key means; without limits the number itself.
         lease: How long it goes on without a fresh key, in seconds.
-        robot: The name of the robot, if several run.
     """
     if not sys.stdin.isatty():
         tell("drive: expected a terminal with keys")
         return CANNOT_USE
-    try:
-        with connect(robot) as client, _keys_one_by_one():
-            _Wheel(client, actuator, speed, lease).turn()
-    except NoRobotError as error:
-        tell(printable(str(error)))
-        return CANNOT_USE
-    except (EsairError, TimeoutError) as error:
-        tell(printable(str(error)))
-        return 1
+    with connect(robot) as client, _keys_one_by_one():
+        _Wheel(client, actuator, speed, lease).turn()
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections.abc import Mapping
@@ -10,16 +11,11 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from esair.cli._errors import (
-    CANNOT_USE,
-    cannot_read,
-    has_unknown,
-    missing_extra,
-    tell,
-)
-from esair.exceptions import EsairError, RecordingBrokenError, RecordingError
+from esair.cli._errors import CANNOT_USE, has_unknown, tell
+from esair.cli._options import AsJson, Components, Out, Which
 from esair.journal import Kind
-from esair.seat import NoRobotError, connect
+from esair.messages import OPERATOR
+from esair.seat import connect
 from esair.values import printable
 
 ITEMS = 8
@@ -33,22 +29,18 @@ def log(
     /,
     *,
     follow: Annotated[bool, Parameter(name=["--follow", "-f"])] = False,
-    robot: Annotated[str | None, Parameter(name=["--robot", "-r"])] = None,
-    component: Annotated[
-        list[str] | None, Parameter(name=["--component", "-c"])
-    ] = None,
+    robot: Which = None,
+    component: Components = None,
     kind: Annotated[list[str] | None, Parameter(name=["--kind", "-k"])] = None,
-    machine: Annotated[bool, Parameter(name="--json")] = False,
+    machine: AsJson = False,
 ) -> int:
     """Print a recording, or what a robot does now, line by line.
 
     Args:
         file: A recording; also one that was cut.
         follow: What a robot on this computer does, from now on, instead of a file.
-        robot: The name of the robot, if several run.
         component: Only events of these components.
         kind: Only events of these kinds, such as refused or crashed.
-        machine: Lines of JSON, for other programs.
     """
     if follow == (file is not None):
         tell("log: expected a recording, or -f for a robot that runs")
@@ -56,28 +48,19 @@ def log(
     if has_unknown("--kind", kind or [], [str(each) for each in Kind]):
         return CANNOT_USE
     if file is None:
-        return _follow(robot, component or [], kind or [], machine=machine)
-    named: set[str] = set()
-    try:
-        from esair.recording import events_of, facts_of
+        with contextlib.suppress(KeyboardInterrupt):
+            return _follow(robot, component or [], kind or [], machine=machine)
+        return 0
+    from esair.recording import events_of, facts_of
 
-        offset = float(facts_of(file).get("clock", {}).get("offset", 0.0))
-        for event in events_of(file):
-            named |= {event.component, event.peer} - {""}
-            if component and not {event.component, event.peer} & set(component):
-                continue
-            if kind and event.kind not in kind:
-                continue
-            if machine:
-                print(json.dumps(event._asdict()))  # noqa: T201 - this is the output
-                continue
-            _print(event.time + offset, event._asdict())
-    except ModuleNotFoundError as error:
-        return _missing(error)
-    except BrokenPipeError:  # whoever reads, such as ``head``, has seen enough
-        raise
-    except (RecordingBrokenError, OSError) as error:
-        return cannot_read(error)
+    named: set[str] = set()
+    offset = float(facts_of(file).get("clock", {}).get("offset", 0.0))
+    for event in events_of(file):
+        named |= {event.component, event.peer} - {""}
+        if component and not {event.component, event.peer} & set(component):
+            continue
+        if not kind or event.kind in kind:
+            _print(event.time + offset, event._asdict(), machine=machine)
     return CANNOT_USE if has_unknown("--component", component or [], named) else 0
 
 
@@ -85,25 +68,23 @@ def _follow(
     robot: str | None, components: list[str], kinds: list[str], *, machine: bool
 ) -> int:
     offset = time.time() - time.monotonic()
-    try:
-        with connect(robot) as client:
-            client.do("log", {"components": components, "kinds": kinds})
-            for found in client.lines():
-                if "event" not in found:
-                    continue
-                if machine:
-                    print(json.dumps(found["event"]), flush=True)  # noqa: T201 - the output
-                else:
-                    _print(found["event"]["time"] + offset, found["event"])
-    except KeyboardInterrupt:
-        return 0
-    except EsairError as error:
-        tell(printable(str(error)))
-        return CANNOT_USE if isinstance(error, NoRobotError) else 1
+    with connect(robot) as client:
+        status = client.do("status")
+        rows = [*status["resources"], *status["behaviors"]]
+        known = {status["robot"], OPERATOR, *(each["name"] for each in rows)}
+        has_unknown("--component", components, known)  # it may come later
+        client.do("log", {"components": components, "kinds": kinds})
+        for found in client.lines():
+            if "event" in found:
+                event = found["event"]
+                _print(event["time"] + offset, event, machine=machine)
     return 0
 
 
-def _print(when: float, event: Mapping[str, Any]) -> None:
+def _print(when: float, event: Mapping[str, Any], *, machine: bool = False) -> None:
+    if machine:
+        print(json.dumps(event), flush=True)  # noqa: T201 - this is the output
+        return
     clock = time.strftime("%H:%M:%S", time.localtime(when))
     who = f"{event['peer']} > " if event["peer"] else ""
     value = "" if event["value"] is None else shown(_for_people(event))
@@ -139,33 +120,16 @@ def _light(value: Any) -> Any:
     return [_light(part) for part in value] if isinstance(value, list) else value
 
 
-def recover(
-    file: Path,
-    /,
-    *,
-    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
-) -> int:
+def recover(file: Path, /, *, out: Out = None) -> int:
     """Make a whole recording of what is readable of a cut one.
 
     Args:
         file: A recording that was cut; it stays as it is.
         out: The new file; beside the old one unless given.
     """
-    try:
-        from esair.recording import recover as make_whole
+    from esair.recording import recover as make_whole
 
-        found = make_whole(file, out)
-    except ModuleNotFoundError as error:
-        return _missing(error)
-    except (RecordingBrokenError, RecordingError, OSError) as error:
-        return cannot_read(error)
+    found = make_whole(file, out)
     state = "it was whole" if found.was_whole else "it was cut"
     print(f"{found.path}: {found.messages} messages; {state}")  # noqa: T201 - the output
     return 0
-
-
-def _missing(error: ModuleNotFoundError) -> int:
-    code = missing_extra(error, "record")
-    if code is None:
-        raise error
-    return code

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from esair.cli._errors import CANNOT_USE, show_mistakes, tell
-from esair.exceptions import ConfigError, describe
+from esair.cli._errors import CANNOT_USE, exit_code_of, tell
+from esair.exceptions import describe
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -66,20 +66,11 @@ def _run(arguments: list[str]) -> int:
         return CANNOT_USE
     try:
         return verb(*bound.args, **bound.kwargs) or 0
-    except ConfigError as error:
-        return show_mistakes([error])
-    except ExceptionGroup as group:
-        mistakes, rest = group.split(ConfigError)
-        if mistakes is None or rest is not None:
+    except Exception as error:
+        code = exit_code_of(error)
+        if code is None:
             raise
-        return show_mistakes(_leaves(mistakes))
-
-
-def _leaves(group: BaseExceptionGroup[ConfigError]) -> list[ConfigError]:
-    found: list[ConfigError] = []
-    for error in group.exceptions:
-        found += _leaves(error) if isinstance(error, BaseExceptionGroup) else [error]
-    return found
+        return code
 
 
 def make_app() -> App:
@@ -95,8 +86,7 @@ def make_app() -> App:
     from esair.cli._new import new
     from esair.cli._plot import plot
     from esair.cli._replay import replay
-    from esair.cli._run import run
-    from esair.cli._sim import sim
+    from esair.cli._run import run, sim
     from esair.cli._steer import VERBS, set_
     from esair.cli._top import top
     from esair.cli._torture import torture

@@ -5,18 +5,10 @@ from __future__ import annotations
 import collections
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from esair.cli._errors import (
-    CANNOT_USE,
-    cannot_read,
-    has_unknown,
-    missing_extra,
-    tell,
-)
-from esair.exceptions import RecordingBrokenError
+from esair.cli._errors import CANNOT_USE, has_unknown, tell
+from esair.cli._options import Components, Out
 
 if TYPE_CHECKING:
     from esair.recording import Recorded
@@ -35,15 +27,7 @@ _MARKED = {
 }
 
 
-def plot(
-    file: Path,
-    /,
-    *,
-    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
-    component: Annotated[
-        list[str] | None, Parameter(name=["--component", "-c"])
-    ] = None,
-) -> int:
+def plot(file: Path, /, *, out: Out = None, component: Components = None) -> int:
     """Draw a recording: values, holders and events over time.
 
     Args:
@@ -51,26 +35,17 @@ def plot(
         out: The picture (PNG); beside the recording unless given.
         component: Only these sensors and actuators.
     """
-    target = out or file.with_name(f"{file.stem}-plot.png")
-    try:
-        from esair.recording import events_of
+    from esair.recording import events_of
 
-        events = list(events_of(file))
-        if not events:
-            tell(f"{file}: there is no event in it")
-            return CANNOT_USE
-        named = {event.component for event in events}
-        if has_unknown("--component", component or [], named):
-            return CANNOT_USE
-        _draw(events, target, component)
-    except ModuleNotFoundError as error:
-        extra = "record" if error.name == "mcap" else "sim"
-        code = missing_extra(error, extra)
-        if code is None:
-            raise
-        return code
-    except (RecordingBrokenError, OSError) as error:
-        return cannot_read(error)
+    target = out or file.with_name(f"{file.stem}-plot.png")
+    events = list(events_of(file))
+    if not events:
+        tell(f"{file}: there is no event in it")
+        return CANNOT_USE
+    named = {event.component for event in events}
+    if has_unknown("--component", component or [], named):
+        return CANNOT_USE
+    _draw(events, target, component)
     print(target)  # noqa: T201 - this is the output
     return 0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -13,9 +13,9 @@ from rich.text import Text
 
 import esair
 from esair import config
-from esair.cli._errors import CANNOT_USE, cannot_read, missing_extra, tell
+from esair.cli._errors import CANNOT_USE, tell
 from esair.cli._log_file import shown
-from esair.exceptions import EsairError
+from esair.cli._options import Verbose
 
 if TYPE_CHECKING:
     from esair.recording import Recorded
@@ -31,7 +31,7 @@ def replay(
     *,
     with_: Annotated[str | None, Parameter(name="--with")] = None,
     check: bool = False,
-    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"])] = False,
+    verbose: Verbose = False,
 ) -> int:
     """Repeat a recorded run with the code of today, and compare.
 
@@ -48,38 +48,27 @@ def replay(
             code is 3 if there is such a thing.
         verbose: Show the log of the replay.
     """
-    try:
-        from esair.replay import Replay
+    from esair.replay import Replay
 
-        recorded = Replay(file)
-        console = Console(highlight=False, soft_wrap=True)
-        if not verbose:
-            logging.disable(logging.CRITICAL)
-        if with_ is None and not check:
-            outcome = recorded.run_script()
-            if outcome is not None:
-                return show(outcome, console)
-        made_of = with_ or (str(recorded.file) if recorded.file else "")
-        if not made_of:
-            program = recorded.program or "PROGRAM.py"
-            tell(f"{file}: a program made this robot, name it: --with {program}")
-            return CANNOT_USE
-        robot = _robot_of(made_of, simulated=recorded.is_simulated)
-        if check:
-            return _check(robot)
-        for line in _changes(recorded, robot):
-            console.print(line, style="yellow")
-        outcome = recorded.run(robot)
-    except ModuleNotFoundError as error:
-        code = missing_extra(error, "record")
-        if code is None:
-            raise
-        return code
-    except (EsairError, OSError) as error:
-        if isinstance(error, config.ConfigFileError):
-            raise
-        return cannot_read(error)
-    return show(outcome, console)
+    recorded = Replay(file)
+    console = Console(highlight=False, soft_wrap=True)
+    if not verbose:
+        logging.disable(logging.CRITICAL)
+    if with_ is None and not check:
+        outcome = recorded.run_script()
+        if outcome is not None:
+            return show(outcome, console)
+    made_of = with_ or (str(recorded.file) if recorded.file else "")
+    if not made_of:
+        program = recorded.program or "PROGRAM.py"
+        tell(f"{file}: a program made this robot, name it: --with {program}")
+        return CANNOT_USE
+    robot = _robot_of(made_of, simulated=recorded.is_simulated)
+    if check:
+        return _check(robot)
+    for line in _changes(recorded, robot):
+        console.print(line, style="yellow")
+    return show(recorded.run(robot), console)
 
 
 def _robot_of(made_of: str, *, simulated: bool) -> esair.Robot:
@@ -120,15 +109,11 @@ def _changes(recorded: Replay, robot: esair.Robot) -> list[str]:
         name
         for name, now in code.items()
         # What was a part of the program then may be one of a module now.
-        if now not in {known.get(name), known.get(f"__main__.{_of_class(name)}")}
+        if now not in {known.get(name), known.get(f"__main__.{name.split('.')[-1]}")}
     )
     if changed:
         lines.append(f"changed since it was recorded: {', '.join(changed)}")
     return lines
-
-
-def _of_class(name: str) -> str:
-    return name.rpartition(".")[2]
 
 
 def show(outcome: Outcome, console: Console) -> int:
@@ -162,7 +147,7 @@ def _show_divergence(found: Divergence, outcome: Outcome, console: Console) -> N
     for seen in found.readings:
         age = _moment(found) - seen.time
         console.print(
-            f"    {seen.sensor}, {1000 * age:.0f} ms old: {_value(seen.value)}"
+            f"    {seen.sensor}, {1000 * age:.0f} ms old: {shown(seen.value, WIDTH)}"
         )
 
 
@@ -175,11 +160,7 @@ def _words(event: Recorded | None, found: Divergence) -> str:
         return "nothing"
     where = f"{event.component} <- {event.peer}" if event.peer else event.component
     later = event.time - _moment(found)
-    words = f"{event.kind} {where}: {_value(event.value)}"
+    words = f"{event.kind} {where}: {shown(event.value, WIDTH)}"
     if event.value is None:
         words = f"{event.kind} {where} {event.text}".rstrip()
     return f"{words} ({1000 * later:.1f} ms later)" if later > 0 else words
-
-
-def _value(value: Any) -> str:
-    return shown(value, WIDTH)

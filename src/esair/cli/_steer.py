@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from esair.cli._errors import CANNOT_USE, tell
-from esair.exceptions import EsairError
-from esair.seat import ACTS, NoRobotError, connect, robots, value_of
+from esair.cli._errors import CANNOT_USE, NOT_DONE, tell
+from esair.cli._options import AsJson, Which
+from esair.seat import ACTS, connect, robots, value_of
 from esair.values import printable
-
-NOT_DONE = 1  # The exit code if the robot has not done it
-
-Which = Annotated[str | None, Parameter(name=["--robot", "-r"])]
-AsJson = Annotated[bool, Parameter(name="--json")]
 
 
 def why(
@@ -25,8 +21,6 @@ def why(
 
     Args:
         actuator: The actuator; all of them unless given.
-        robot: The name of the robot, if several run.
-        machine: JSON, for other programs.
     """
     return act(robot, "why", machine=machine, actuator=actuator)
 
@@ -45,28 +39,20 @@ def stop(
 
     Args:
         reason: Why, for whoever looks at it.
-        robot: The name of the robot, if several run.
         everyone: Halt every robot of this user on this computer.
-        machine: JSON, for other programs.
     """
     names: list[str | None] = [*robots()] if everyone else [robot]
-    names = names or [None]  # which tells that there is none
-    return max(_stop(name, reason, machine=machine) for name in names)
-
-
-def _stop(robot: str | None, reason: str, *, machine: bool) -> int:
     found: list[Any] = []
-    code = act(robot, "stop", machine=machine, to=found, reason=reason)
+    names = names or [None]  # which tells that there is none
+    code = max(
+        act(name, "stop", machine=machine, to=found, reason=reason) for name in names
+    )
     answered = all(each["answered"] for told in found for each in told["told"])
     return code or (0 if answered else NOT_DONE)
 
 
 def resume(*, robot: Which = None) -> int:
-    """End all halts of a robot: who writes next moves.
-
-    Args:
-        robot: The name of the robot, if several run.
-    """
+    """End all halts of a robot: who writes next moves."""
     return act(robot, "resume")
 
 
@@ -79,7 +65,6 @@ def put(
         receiver: The behavior.
         data: JSON, or a text.
         interval: How long to try, in seconds.
-        robot: The name of the robot, if several run.
     """
     return act(robot, "put", receiver=receiver, data=value_of(data), interval=interval)
 
@@ -100,8 +85,6 @@ def ask(
         request: The name of the request's class.
         fields: Its fields: name=value.
         timeout: How long it may wait and work, in seconds.
-        robot: The name of the robot, if several run.
-        machine: JSON, for other programs.
     """
     given = _table(fields)
     if given is None:
@@ -132,8 +115,6 @@ def operate(
         resource: The device.
         operation: What it does.
         fields: What it takes: name=value.
-        robot: The name of the robot, if several run.
-        machine: JSON, for other programs.
     """
     given = _table(fields)
     if given is None:
@@ -160,41 +141,6 @@ def _table(words: tuple[str, ...]) -> dict[str, Any] | None:
     return found
 
 
-def add(name: str, /, *, robot: Which = None) -> int:
-    """Add what the robot's file has of this name now.
-
-    Args:
-        name: A behavior or device of the file.
-        robot: The name of the robot, if several run.
-    """
-    return act(robot, "add", name=name)
-
-
-def remove(name: str, /, *, robot: Which = None) -> int:
-    """Take a behavior or device away; what it moves is safe first.
-
-    Args:
-        name: The behavior or device.
-        robot: The name of the robot, if several run.
-    """
-    return act(robot, "remove", name=name)
-
-
-def replace(name: str, /, *, robot: Which = None) -> int:
-    """Put what the robot's file has of this name now in its place."""
-    return act(robot, "replace", name=name)
-
-
-def restart(name: str, /, *, robot: Which = None) -> int:
-    """Begin a behavior or device anew.
-
-    Args:
-        name: The behavior or device.
-        robot: The name of the robot, if several run.
-    """
-    return act(robot, "restart", name=name)
-
-
 def set_(
     setting: str, value: str, /, *, robot: Which = None, machine: AsJson = False
 ) -> int:
@@ -203,8 +149,6 @@ def set_(
     Args:
         setting: The device and its setting, with a dot between.
         value: The new value; its unit and limits are those of the setting.
-        robot: The name of the robot, if several run.
-        machine: JSON, for other programs.
     """
     return act(robot, "set", machine=machine, setting=setting, value=value_of(value))
 
@@ -216,19 +160,18 @@ def mute(name: str, seconds: float, reason: str, /, *, robot: Which = None) -> i
         name: The reaction that guards.
         seconds: For how long.
         reason: Why, for the log.
-        robot: The name of the robot, if several run.
     """
     return act(robot, "mute", name=name, seconds=seconds, reason=reason)
 
 
-def reset(name: str, /, *, robot: Which = None) -> int:
-    """End the latch of a guard, after its cause is gone.
+def _of_one(verb: str, does: str, what: str) -> Callable[..., int]:
+    """Make a verb that is about one component."""
 
-    Args:
-        name: The reaction that guards.
-        robot: The name of the robot, if several run.
-    """
-    return act(robot, "reset", name=name)
+    def do(name: str, /, *, robot: Which = None) -> int:
+        return act(robot, verb, name=name)
+
+    do.__name__, do.__doc__ = verb, f"{does}\n\nArgs:\n    name: {what}\n"
+    return do
 
 
 def act(
@@ -242,15 +185,8 @@ def act(
     **fields: Any,
 ) -> int:
     """Do one act and print its result."""
-    try:
-        with connect(robot) as client:
-            result = client.do(verb, fields, timeout=wait)
-    except NoRobotError as error:
-        tell(printable(str(error)))
-        return CANNOT_USE
-    except (EsairError, TimeoutError) as error:
-        tell(printable(str(error)))
-        return NOT_DONE
+    with connect(robot) as client:
+        result = client.do(verb, fields, timeout=wait)
     if to is not None:
         to.append(result)
     shown = json.dumps(result) if machine else ACTS[verb].tells(result)
@@ -259,6 +195,8 @@ def act(
     return 0
 
 
+_PART, _GUARD = "The behavior or device.", "The reaction that guards."
+
 VERBS = (
     why,
     stop,
@@ -266,11 +204,15 @@ VERBS = (
     put,
     ask,
     operate,
-    add,
-    remove,
-    replace,
-    restart,
+    _of_one("add", "Add what the robot's file has of this name now.", _PART),
+    _of_one(
+        "remove", "Take a behavior or device away; what it moves is safe first.", _PART
+    ),
+    _of_one(
+        "replace", "Put what the robot's file has of this name now in its place.", _PART
+    ),
+    _of_one("restart", "Begin a behavior or device anew.", _PART),
     mute,
-    reset,
+    _of_one("reset", "End the latch of a guard, after its cause is gone.", _GUARD),
 )
 """The verbs whose names are those of their functions."""

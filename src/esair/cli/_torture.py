@@ -11,16 +11,12 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 from rich import box
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from esair.cli._errors import CANNOT_USE, tell
+from esair.cli._errors import CANNOT_USE, tell, wrong_seconds
+from esair.cli._options import AsJson, Seconds
 
 FOUND = 1  # The exit code if something was found
 
@@ -29,12 +25,12 @@ def torture(
     robot: str,
     /,
     *,
-    seconds: Annotated[float | None, Parameter(name="--for")] = None,
+    seconds: Seconds = None,
     faults: int | None = None,
     seed: int | None = None,
     own: Annotated[bool, Parameter(name="--own-devices")] = False,
     out: Path | None = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Do to a robot whatever can go wrong; does it stay safe?
 
@@ -53,15 +49,13 @@ def torture(
         own: The devices of a module's robot are simulations themselves: use them, not
             stand-ins.
         out: The folder for the tests; tests/ beside the robot unless given.
-        as_json: Print JSON, for programs.
     """
     from esair.torture import Report, Target, write_test
     from esair.torture import torture as run
 
     if seconds is None and faults is None:
         seconds = 60.0
-    if seconds is not None and not 0 < seconds < float("inf"):
-        tell(f"--for: expected seconds > 0, not {seconds:g}")
+    if wrong_seconds(seconds):
         return CANNOT_USE
     if faults is not None and faults < 1:
         tell(f"--faults: expected a number > 0, not {faults}")

@@ -4,50 +4,30 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from esair.cli._errors import CANNOT_USE, missing_extra, tell
+from esair.cli._errors import CANNOT_USE, tell
 from esair.cli._foxglove import Views
+from esair.cli._options import Which
 from esair.exceptions import EsairError, describe
-from esair.seat import Client, NoRobotError, connect
-from esair.values import printable
-
-ENDED = 1  # The exit code if the robot has ended
+from esair.seat import Client, connect
 
 
-def view(
-    *,
-    robot: Annotated[str | None, Parameter(name=["--robot", "-r"])] = None,
-    port: int = 8765,
-    origin: Sequence[str] = (),
-) -> int:
+def view(*, robot: Which = None, port: int = 8765, origin: Sequence[str] = ()) -> int:
     """Show a robot live to Foxglove or Lichtblick.
 
     Open a connection to ws://127.0.0.1:8765 there. It can be looked at, and nothing can
     be changed. A recording is opened by these programs as it is.
 
     Args:
-        robot: The name of the robot, if several run.
         port: Where it is shown, on this computer alone.
         origin: A page that may look too, such as https://lichtblick.example.org.
     """
     try:
         with connect(robot) as client:
             return asyncio.run(show(client, Views(client.name, origin), port))
-    except ModuleNotFoundError as error:
-        code = missing_extra(error, "page")
-        if code is None:
-            raise
-        return code
-    except NoRobotError as error:
-        tell(printable(str(error)))
-        return CANNOT_USE
+    except EsairError:
+        raise
     except OSError as error:
-        if isinstance(error, EsairError):
-            tell(printable(str(error)))
-            return ENDED
         tell(f"--port: {describe(error)}")
         return CANNOT_USE
     except KeyboardInterrupt:

@@ -1,0 +1,41 @@
+"""Options that several verbs have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import attrs
+from cyclopts import Parameter
+
+Which = Annotated[
+    str | None,
+    Parameter(name=["--robot", "-r"], help="The name of the robot, if several run."),
+]
+AsJson = Annotated[bool, Parameter(name="--json", help="JSON, for other programs.")]
+Seconds = Annotated[float | None, Parameter(name="--for")]
+Verbose = Annotated[bool, Parameter(name=["--verbose", "-v"])]
+Out = Annotated[Path | None, Parameter(name=["--out", "-o"])]
+Components = Annotated[list[str] | None, Parameter(name=["--component", "-c"])]
+
+
+@Parameter(name="*")  # its fields are options themselves
+@attrs.frozen
+class Running:
+    """How a robot of a file is run.
+
+    Attributes:
+        seconds: Stop after this many seconds.
+        record: Record what happens, to this file or folder; to this folder if none
+            is named.
+        page: Serve the operator's seat to a browser, at HOST:PORT; at port 8740 of
+            this computer alone if nothing is named.
+        insecure: Another address than this computer's may be without TLS.
+        verbose: Show every line of the log.
+    """
+
+    seconds: Seconds = None
+    record: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
+    page: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None
+    insecure: bool = False
+    verbose: Verbose = False
