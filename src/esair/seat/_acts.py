@@ -35,7 +35,11 @@ class Field(NamedTuple):
     default: Any = REQUIRED  # Its value if it is not given
 
 
+Run = Callable[["Console", Mapping[str, Any], "Session"], Any]
+
 NAME = Field((str,))
+WHOLE = Field((int,))
+TABLE = Field((dict,), {})
 ANY = Field((object,))
 NUMBER = (int, float)
 
@@ -49,7 +53,6 @@ class Act:
         doc: What it does, in one line.
         run: Does it; may return an awaitable.
         fields: What it is about, in the order in which they are typed.
-        about: The field that names the component it is done to.
         looks: Whether it changes nothing: then it needs no right and is no event.
         open: Whether everybody may who may connect.
         tells: Makes a text for people of its result.
@@ -57,12 +60,17 @@ class Act:
 
     name: str
     doc: str
-    run: Callable[[Console, Mapping[str, Any], Session], Any]
+    run: Run
     fields: Mapping[str, Field] = attrs.field(factory=dict)
-    about: str = ""
     looks: bool = False
     open: bool = False
     tells: Callable[[Any], str] = str
+
+    @property
+    def about(self) -> str:
+        """The field that names the component it is done to: the first, or none."""
+        first = next(iter(self.fields), "")
+        return first if self.fields.get(first) is NAME else ""
 
     @property
     def usage(self) -> str:
@@ -100,182 +108,26 @@ class Act:
         return found
 
 
-# What looks.
+ACTS: dict[str, Act] = {}
+"""Every act, by its name."""
 
 
-def _status(console: Console, _: Mapping[str, Any], __: Session) -> Any:
-    return console.status.picture()
+def _act(
+    doc: str,
+    *,
+    looks: bool = False,
+    open: bool = False,  # noqa: A002 - the word of `Act`
+    tells: Callable[[Any], str] = str,
+    **fields: Field,
+) -> Callable[[Run], Run]:
+    """Enter a function as an act of its name; see `Act`."""
 
+    def enter(run: Run) -> Run:
+        name = run.__name__.strip("_")
+        ACTS[name] = Act(name, doc, run, fields, looks, open, tells)
+        return run
 
-def _why(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    resources = console.robot.resources
-    name = fields["actuator"]
-    whys = resources.why() if name is None else (resources.why(name),)
-    return [plain(each) | {"text": str(each)} for each in whys]
-
-
-def _query(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    status = console.robot.behaviors.query(fields["name"])
-    detail = f" ({status.detail})" if status.detail else ""
-    return f"{status.name}: {status.state.value}{detail}, {status.restarts} restarts"
-
-
-def _list(console: Console, _: Mapping[str, Any], __: Session) -> Any:
-    behaviors = console.robot.behaviors
-    return [
-        f"{name}: {behaviors.query(name).state.value}" for name in behaviors.names()
-    ]
-
-
-def _help(_: Console, __: Mapping[str, Any], ___: Session) -> Any:
-    return [f"{act.usage:<40} {act.doc}" for act in ACTS.values()]
-
-
-# What changes the robot.
-
-
-async def _stop(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    reason = fields["reason"] or "the operator has stopped it"
-    told = await console.robot.halt(reason, by=console.name)
-    return {
-        "halted": console.robot.halted,
-        "told": [
-            {
-                "resource": each.resource,
-                "command": plain(each.command),
-                "safe": each.safe,
-                "answered": each.answered,
-                "error": each.error,
-                "text": str(each),
-            }
-            for each in told
-        ],
-    }
-
-
-def _resume(console: Console, _: Mapping[str, Any], __: Session) -> Any:
-    console.robot.resume()
-    return "who writes next moves"
-
-
-async def _put(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    await console.robot.behaviors.put(
-        fields["data"],
-        sender=console.name,
-        receiver=fields["receiver"],
-        interval=fields["interval"],
-    )
-    return "delivered"
-
-
-async def _ask(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    behaviors, receiver = console.robot.behaviors, fields["receiver"]
-    takes: dict[str, Any] = {each.__name__: each for each in behaviors.takes(receiver)}
-    kind = takes.get(fields["request"])
-    if kind is None:
-        hint = did_you_mean(fields["request"], takes) or (
-            f"; it takes {', '.join(sorted(takes))}" if takes else "; it takes none"
-        )
-        raise RefusedError(f"it takes no {fields['request']:.80}{hint}", receiver)
-    request: Request[Any] = typed(fields["fields"], kind, receiver, "request")
-    answer = await behaviors.ask(
-        request, sender=console.name, receiver=receiver, timeout=fields["timeout"]
-    )
-    return plain(answer)
-
-
-async def _add(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name = fields["name"]
-    part = await console.part(name)
-    await console.owner_of(part).add(part)
-    return f"{name} was added"
-
-
-async def _replace(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name = fields["name"]
-    console.supervisor_of(name)  # the word for a name that nobody has
-    part = await console.part(name)
-    await console.owner_of(part).replace(name, part)
-    return f"{name} was replaced"
-
-
-async def _remove(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name = fields["name"]
-    left = await console.supervisor_of(name).remove(name)
-    rest = f"; {len(left)} messages were not taken" if left else ""
-    return f"{name} was removed{rest}"
-
-
-async def _restart(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name = fields["name"]
-    await console.supervisor_of(name).restart(name)
-    return f"{name} was restarted"
-
-
-async def _set(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name, dot, setting = fields["setting"].partition(".")
-    if not dot:
-        told = f"expected RESOURCE.SETTING, not {fields['setting']!r:.80}"
-        raise BadValueError("set", "setting", told)
-    resources = console.robot.resources
-    resource = resources.get(check_name("set", name))
-    value = fields["value"]
-    if isinstance(value, dict | list):  # a setting may be a record
-        known = {each["name"]: each for each in settings(resource)}
-        if setting in known:
-            value = typed(value, type(getattr(resource, setting)), name, setting)
-    with console.right_to_configure(name) as registration:
-        await resources.configure(registration, **{setting: value})
-    (found,) = (each for each in settings(resource) if each["name"] == setting)
-    return found
-
-
-async def _operate(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    resources, name = console.robot.resources, fields["resource"]
-    with console.right_to_configure(name) as registration:
-        work = resources.operate(registration, fields["operation"], **fields["fields"])
-        return plain(await work)
-
-
-def _mute(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    console.robot.behaviors.mute(fields["name"], fields["seconds"], fields["reason"])
-    return f"{fields['name']} is mute for {fields['seconds']:g} s"
-
-
-def _reset(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    console.robot.behaviors.reset(fields["name"])
-    return f"{fields['name']} is reset"
-
-
-def _lease(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
-    if not session.drives:
-        raise ConfigError("lease", "", "only a client that is told beats can drive")
-    lease = console.leases.take(fields["actuator"], fields["seconds"], session)
-    resource = console.robot.resources.get(lease.actuator)
-    return {
-        "lease": lease.number,
-        "seconds": lease.seconds,
-        "axes": axes(resource),  # type: ignore[arg-type]
-        "beat": console.leases.beats.next(),
-    }
-
-
-async def _drive(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
-    answer = await console.leases.drive(
-        fields["lease"],
-        session,
-        fields["beat"],
-        lambda actuator: command_of(actuator, fields["command"]),
-    )
-    return answer_of(answer)
-
-
-def _release(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
-    for lease in console.leases:
-        if lease.number == fields["lease"] and lease.owner is session:
-            console.leases.end(lease)
-            return "released"
-    raise UnknownNameError("lease", str(fields["lease"]), ())
+    return enter
 
 
 def _told_why(found: Any) -> str:
@@ -303,110 +155,234 @@ def _lines(found: Any) -> str:
     return "\n".join(found)
 
 
-_ABOUT = {"name": NAME}
+# What looks.
 
-ACTS: dict[str, Act] = {
-    act.name: act
-    for act in (
-        Act(
-            "list",
-            "name every behavior and what it does",
-            _list,
-            looks=True,
-            tells=_lines,
-        ),
-        Act(
-            "query", "tell what a behavior is doing", _query, _ABOUT, "name", looks=True
-        ),
-        Act("status", "tell what the whole robot is doing", _status, looks=True),
-        Act(
-            "why",
-            "tell who holds an actuator, and why",
-            _why,
-            {"actuator": Field((str,), None)},
-            looks=True,
-            tells=_told_why,
-        ),
-        Act("help", "list what can be done", _help, looks=True, tells=_lines),
-        Act(
-            "stop",
-            "halt: every actuator safe until resume",
-            _stop,
-            {"reason": Field((str,), "")},
-            open=True,
-            tells=_told_stop,
-        ),
-        Act("resume", "end all halts: who writes next moves", _resume),
-        Act(
-            "put",
-            "hand data to a behavior",
-            _put,
-            {"receiver": NAME, "data": ANY, "interval": Field(NUMBER, 1.0)},
-            "receiver",
-        ),
-        Act(
-            "ask",
-            "ask a behavior to do something",
-            _ask,
+
+@_act("name every behavior and what it does", looks=True, tells=_lines)
+def _list(console: Console, _: Mapping[str, Any], __: Session) -> Any:
+    behaviors = console.robot.behaviors
+    return [
+        f"{name}: {behaviors.query(name).state.value}" for name in behaviors.names()
+    ]
+
+
+@_act("tell what a behavior is doing", looks=True, name=NAME)
+def _query(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    status = console.robot.behaviors.query(fields["name"])
+    detail = f" ({status.detail})" if status.detail else ""
+    return f"{status.name}: {status.state.value}{detail}, {status.restarts} restarts"
+
+
+@_act("tell what the whole robot is doing", looks=True)
+def _status(console: Console, _: Mapping[str, Any], __: Session) -> Any:
+    return console.status.picture()
+
+
+@_act(
+    "tell who holds an actuator, and why",
+    looks=True,
+    tells=_told_why,
+    actuator=Field((str,), None),
+)
+def _why(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    resources = console.robot.resources
+    name = fields["actuator"]
+    whys = resources.why() if name is None else (resources.why(name),)
+    return [plain(each) | {"text": str(each)} for each in whys]
+
+
+@_act("list what can be done", looks=True, tells=_lines)
+def _help(_: Console, __: Mapping[str, Any], ___: Session) -> Any:
+    return [f"{act.usage:<40} {act.doc}" for act in ACTS.values()]
+
+
+# What changes the robot.
+
+
+@_act(
+    "halt: every actuator safe until resume",
+    open=True,
+    tells=_told_stop,
+    reason=Field((str,), ""),
+)
+async def _stop(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    reason = fields["reason"] or "the operator has stopped it"
+    told = await console.robot.halt(reason, by=console.name)
+    return {
+        "halted": console.robot.halted,
+        "told": [
             {
-                "receiver": NAME,
-                "request": NAME,
-                "fields": Field((dict,), {}),
-                "timeout": Field(NUMBER, 10.0),
-            },
-            "receiver",
-            tells=lambda answer: str(answer),
-        ),
-        Act("add", "add what the robot's file has of this name", _add, _ABOUT, "name"),
-        Act("remove", "take a behavior or resource away", _remove, _ABOUT, "name"),
-        Act("restart", "begin a component anew", _restart, _ABOUT, "name"),
-        Act(
-            "replace",
-            "put what the robot's file has now in its place",
-            _replace,
-            _ABOUT,
-            "name",
-        ),
-        Act(
-            "set",
-            "change a setting: wheels.max_speed 0.2",
-            _set,
-            {"setting": NAME, "value": ANY},
-            "setting",
-            tells=_told_set,
-        ),
-        Act(
-            "operate",
-            "have a device do what its driver can: home, tare, clear a fault",
-            _operate,
-            {"resource": NAME, "operation": NAME, "fields": Field((dict,), {})},
-            "resource",
-        ),
-        Act(
-            "mute",
-            "let what a guard keeps back pass for a while",
-            _mute,
-            {"name": NAME, "seconds": Field(NUMBER), "reason": NAME},
-            "name",
-        ),
-        Act("reset", "end the latch of a guard", _reset, _ABOUT, "name"),
-        Act(
-            "lease",
-            "take the right to drive an actuator by hand",
-            _lease,
-            {"actuator": NAME, "seconds": Field(NUMBER, SECONDS)},
-            "actuator",
-        ),
-        Act(
-            "drive",
-            "drive with fresh input",
-            _drive,
-            {"lease": Field((int,)), "beat": Field((int,)), "command": ANY},
-        ),
-        Act("release", "give a lease back", _release, {"lease": Field((int,))}),
+                "resource": each.resource,
+                "command": plain(each.command),
+                "safe": each.safe,
+                "answered": each.answered,
+                "error": each.error,
+                "text": str(each),
+            }
+            for each in told
+        ],
+    }
+
+
+@_act("end all halts: who writes next moves")
+def _resume(console: Console, _: Mapping[str, Any], __: Session) -> Any:
+    console.robot.resume()
+    return "who writes next moves"
+
+
+@_act("hand data to a behavior", receiver=NAME, data=ANY, interval=Field(NUMBER, 1.0))
+async def _put(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    await console.robot.behaviors.put(
+        fields["data"],
+        sender=console.name,
+        receiver=fields["receiver"],
+        interval=fields["interval"],
     )
-}
-"""Every act, by its name."""
+    return "delivered"
+
+
+@_act(
+    "ask a behavior to do something",
+    receiver=NAME,
+    request=NAME,
+    fields=TABLE,
+    timeout=Field(NUMBER, 10.0),
+)
+async def _ask(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    behaviors, receiver = console.robot.behaviors, fields["receiver"]
+    takes: dict[str, Any] = {each.__name__: each for each in behaviors.takes(receiver)}
+    kind = takes.get(fields["request"])
+    if kind is None:
+        hint = did_you_mean(fields["request"], takes) or (
+            f"; it takes {', '.join(sorted(takes))}" if takes else "; it takes none"
+        )
+        raise RefusedError(f"it takes no {fields['request']:.80}{hint}", receiver)
+    request: Request[Any] = typed(fields["fields"], kind, receiver, "request")
+    answer = await behaviors.ask(
+        request, sender=console.name, receiver=receiver, timeout=fields["timeout"]
+    )
+    return plain(answer)
+
+
+@_act("add what the robot's file has of this name", name=NAME)
+async def _add(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    name = fields["name"]
+    part = await console.part(name)
+    await console.owner_of(part).add(part)
+    return f"{name} was added"
+
+
+@_act("take a behavior or resource away", name=NAME)
+async def _remove(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    name = fields["name"]
+    left = await console.supervisor_of(name).remove(name)
+    rest = f"; {len(left)} messages were not taken" if left else ""
+    return f"{name} was removed{rest}"
+
+
+@_act("begin a component anew", name=NAME)
+async def _restart(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    name = fields["name"]
+    await console.supervisor_of(name).restart(name)
+    return f"{name} was restarted"
+
+
+@_act("put what the robot's file has now in its place", name=NAME)
+async def _replace(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    name = fields["name"]
+    console.supervisor_of(name)  # the word for a name that nobody has
+    part = await console.part(name)
+    await console.owner_of(part).replace(name, part)
+    return f"{name} was replaced"
+
+
+@_act(
+    "change a setting: wheels.max_speed 0.2", tells=_told_set, setting=NAME, value=ANY
+)
+async def _set(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    name, dot, setting = fields["setting"].partition(".")
+    if not dot:
+        told = f"expected RESOURCE.SETTING, not {fields['setting']!r:.80}"
+        raise BadValueError("set", "setting", told)
+    resources = console.robot.resources
+    resource = resources.get(check_name("set", name))
+    value = fields["value"]
+    if isinstance(value, dict | list):  # a setting may be a record
+        known = {each["name"]: each for each in settings(resource)}
+        if setting in known:
+            value = typed(value, type(getattr(resource, setting)), name, setting)
+    with console.right_to_configure(name) as registration:
+        await resources.configure(registration, **{setting: value})
+    (found,) = (each for each in settings(resource) if each["name"] == setting)
+    return found
+
+
+@_act(
+    "have a device do what its driver can: home, tare, clear a fault",
+    resource=NAME,
+    operation=NAME,
+    fields=TABLE,
+)
+async def _operate(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    resources, name = console.robot.resources, fields["resource"]
+    with console.right_to_configure(name) as registration:
+        work = resources.operate(registration, fields["operation"], **fields["fields"])
+        return plain(await work)
+
+
+@_act(
+    "let what a guard keeps back pass for a while",
+    name=NAME,
+    seconds=Field(NUMBER),
+    reason=NAME,
+)
+def _mute(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    console.robot.behaviors.mute(fields["name"], fields["seconds"], fields["reason"])
+    return f"{fields['name']} is mute for {fields['seconds']:g} s"
+
+
+@_act("end the latch of a guard", name=NAME)
+def _reset(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+    console.robot.behaviors.reset(fields["name"])
+    return f"{fields['name']} is reset"
+
+
+@_act(
+    "take the right to drive an actuator by hand",
+    actuator=NAME,
+    seconds=Field(NUMBER, SECONDS),
+)
+def _lease(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
+    if not session.drives:
+        raise ConfigError("lease", "", "only a client that is told beats can drive")
+    lease = console.leases.take(fields["actuator"], fields["seconds"], session)
+    resource = console.robot.resources.get(lease.actuator)
+    return {
+        "lease": lease.number,
+        "seconds": lease.seconds,
+        "axes": axes(resource),  # type: ignore[arg-type]
+        "beat": console.leases.beats.next(),
+    }
+
+
+@_act("drive with fresh input", lease=WHOLE, beat=WHOLE, command=ANY)
+async def _drive(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
+    answer = await console.leases.drive(
+        fields["lease"],
+        session,
+        fields["beat"],
+        lambda actuator: command_of(actuator, fields["command"]),
+    )
+    return answer_of(answer)
+
+
+@_act("give a lease back", lease=WHOLE)
+def _release(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
+    for lease in console.leases:
+        if lease.number == fields["lease"] and lease.owner is session:
+            console.leases.end(lease)
+            return "released"
+    raise UnknownNameError("lease", str(fields["lease"]), ())
 
 
 def check_rights(operator: Operator) -> None:
