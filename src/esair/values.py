@@ -11,7 +11,7 @@ import re
 import sys
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from esair.exceptions import BadValueError, ConfigError
@@ -182,3 +182,33 @@ def check_seconds(component: str, field: str, value: object) -> float:
     raise ConfigError(
         component, field, f"expected a number of seconds > 0, not {value!r:.80}"
     )
+
+
+def check_choice(component: str, field: str, value: object, choices: Iterable[T]) -> T:
+    """Return a value that is one of several.
+
+    Raises:
+        ConfigError: It is none of them.
+    """
+    known = list(choices)
+    for each in known:
+        if value == each and type(value) is type(each):
+            return each
+    *most, last = map(repr, known)
+    raise ConfigError(
+        component, field, f"expected {', '.join(most)} or {last}, not {value!r:.80}"
+    )
+
+
+def check_whole(
+    component: str, field: str, value: object, least: int, most: int | None = None
+) -> int:
+    """Return a whole number within its bounds, which count.
+
+    Raises:
+        ConfigError: It is another one, or none.
+    """
+    if type(value) is int and least <= value and (most is None or value <= most):
+        return value
+    bounds = f"{least} or more" if most is None else f"{least} to {most}"
+    raise ConfigError(component, field, f"expected {bounds}, not {value!r:.80}")

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
-from esair.buses import CanBus, SerialBus
+from esair.buses import CanBus
 from esair.drivers.canopen import (
     CanopenActuator,
     CanopenNetwork,
@@ -534,14 +534,6 @@ def test_mistakes_are_told_when_the_device_is_made(
     with pytest.raises(ConfigError) as caught:
         cls(**{**described, **keywords})
     assert told in str(caught.value)
-
-
-async def test_it_needs_a_can_bus() -> None:
-    """On another bus the mistake is named before anything is sent."""
-    with pytest.raises(ConfigError, match="expected a CanBus"):
-        await CanopenSensor(
-            node=5, eds=MOTOR, object="Brake", bus=SerialBus(name="s", port="x")
-        ).open()
 
 
 class FarEnd:

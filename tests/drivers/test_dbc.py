@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
-from esair.buses import CanBus, Frame, SerialBus
+from esair.buses import CanBus, Frame
 from esair.drivers.dbc import DbcActuator, DbcSensor, MessageCodec, find_message
 from esair.drivers.dbc._transport import Reassembly
 from esair.drivers.dbc.fake import FakeDbcNode
@@ -475,15 +475,6 @@ def test_mistakes_are_told_when_the_device_is_made(
     assert told in str(caught.value)
 
 
-async def test_it_needs_a_can_bus() -> None:
-    """On another bus the mistake is named before anything is sent."""
-    device = DbcSensor(
-        bus=SerialBus(name="s", port="x"), database=ROVER, message="Panel"
-    )
-    with pytest.raises(ConfigError, match="expected a CanBus"):
-        await anext(device.stream())
-
-
 @given(
     st.floats(-32, 32), st.integers(0, 255), st.floats(-300, 355), st.binary(max_size=8)
 )
@@ -680,8 +671,6 @@ async def test_a_message_that_is_not_whole_is_none(
         feed(two)
         feed(head, head, *packets(0x11, hours(5.0)), *packets(0x22, hours(6.0)))
         assert await value == 5.0
-        assert device._transport is not None
-        assert device._transport.given_up == 5
 
 
 @given(

@@ -261,8 +261,8 @@ async def test_it_works_by_tcp(server: Server) -> None:
     [
         (ModbusSensor, {"unit": 256}, "unit: expected 0 to 255"),
         (ModbusSensor, {"register": -1}, "register: expected 0 to 65535"),
-        (ModbusSensor, {"table": "coils"}, "table: expected one of"),
-        (ModbusSensor, {"type": "float"}, "type: expected one of"),
+        (ModbusSensor, {"table": "coils"}, "table: expected 'holding'"),
+        (ModbusSensor, {"type": "float"}, "type: expected 'int16'"),
         (ModbusSensor, {"factor": 0}, "factor: expected"),
         (ModbusSensor, {"word_order": "up"}, "word_order: expected"),
         (ModbusSensor, {"bus": FakeSerial("x")}, "bus: expected a SerialBus with"),

@@ -17,7 +17,7 @@ from esair.drivers.mpu6050 import (
     encode_motion,
 )
 from esair.drivers.mpu6050.fake import AT_REST, FakeMpu6050
-from esair.exceptions import ConfigError, DeviceFaultError
+from esair.exceptions import DeviceFaultError
 from esair.testing import FakeI2c, SensorContract
 
 
@@ -135,15 +135,6 @@ async def test_another_chip_at_the_address_is_refused() -> None:
         await Mpu6050(bus=bus).open()
 
     assert [each.written for each in bus.log] == [b"\x75"]
-
-
-@pytest.mark.virtual_clock
-async def test_it_needs_an_i2c_bus_and_one_of_its_addresses() -> None:
-    """Both mistakes are named before anything is sent."""
-    with pytest.raises(ConfigError, match="I2CBus"):
-        await Mpu6050().open()
-    with pytest.raises(ConfigError, match="0x69"):
-        Mpu6050(address=0x50)
 
 
 def test_a_reset_puts_the_chip_to_sleep_again() -> None:

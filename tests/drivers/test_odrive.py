@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
-from esair.buses import SerialBus
 from esair.drivers.odrive import (
     AxisError,
     AxisReading,
@@ -395,12 +394,6 @@ def test_mistakes_are_told_when_the_axis_is_made(
     with pytest.raises(ConfigError) as caught:
         OdriveAxis(**keywords)
     assert told in str(caught.value)
-
-
-async def test_it_needs_a_can_bus() -> None:
-    """On another bus the mistake is named before anything is sent."""
-    with pytest.raises(ConfigError, match="expected a CanBus"):
-        await OdriveAxis(node=0, bus=SerialBus(name="s", port="x")).open()
 
 
 @pytest.mark.promise("PRO-12")

@@ -49,14 +49,6 @@ async def test_a_part_that_answers_wrongly_is_at_fault(part, options) -> None:
         await device.open()
 
 
-@pytest.mark.virtual_clock
-@pytest.mark.parametrize(("part", "options"), PARTS)
-async def test_a_part_needs_an_i2c_bus(part, options) -> None:
-    """The error names the field and what was expected."""
-    with pytest.raises(ConfigError, match="bus: expected an I2CBus, not None"):
-        await part(**options).open()
-
-
 @pytest.mark.parametrize(("part", "options"), PARTS)
 @pytest.mark.parametrize("address", [0x03, 0x78, "0x40", 1.0, None])
 def test_a_part_has_one_of_its_addresses(part, options, address) -> None:

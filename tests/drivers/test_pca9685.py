@@ -133,7 +133,7 @@ async def test_a_chip_that_had_no_power_is_set_up_again() -> None:
     await actuators_on(chip, lamp)
     await lamp.write(0.5)
 
-    chip.power_up()
+    chip.power_cycle()
     assert chip.duty(0) == 0.0
     await lamp.open()
     await lamp.write(0.5)

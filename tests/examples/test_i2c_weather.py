@@ -92,7 +92,7 @@ async def test_an_adapter_that_is_pulled_out_and_put_back(chips) -> None:
         for _ in range(100):
             chips.bus.unplug()
             await asyncio.sleep(0.5)
-            chips.servo.power_up()
+            chips.servo.power_cycle()
             for name in ("air", "battery", "window"):
                 assert (
                     robot.resources.query(name).state is not esair.ResourceState.READY

@@ -33,7 +33,6 @@ from typing import Any
 
 from esair.buses import I2CBus
 from esair.buses.i2c import SILENT, probe, transfer
-from esair.drivers._on_i2c import i2c_bus
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -156,73 +155,82 @@ class AdafruitBus:
         return True
 
 
-class _Part:
-    """The object of a CircuitPython driver, made anew at each opening."""
+class _OnPart(Resource):
+    """What the sensor and the actuator have in common: a driver's object, made anew."""
+
+    bus: I2CBus
+    deadline = 2.0
 
     def __init__(
         self,
-        owner: Resource,
+        *,
         library: str | Callable[..., Any],
-        address: int | None,
-        arguments: Mapping[str, Any] | None,
-        set_up: Mapping[str, Any] | None,
+        address: int | None = None,
+        arguments: Mapping[str, Any] | None = None,
+        set_up: Mapping[str, Any] | None = None,
+        **settings: Any,
     ) -> None:
-        self._owner = owner
-        self._make = _imported(owner, library) if isinstance(library, str) else library
+        super().__init__(**settings)
+        self._make = _imported(self, library) if isinstance(library, str) else library
         self._arguments = dict(arguments or {})
         if address is not None:
             self._arguments["address"] = address
         self._made: Any = None
         self._wire: AdafruitBus | None = None
-        self.set_up = {
-            path: (_attribute(owner, f"set_up.{path}", path), value)
+        self._set_up = {
+            path: (_attribute(self, f"set_up.{path}", path), value)
             for path, value in (set_up or {}).items()
         }
         self._kept: dict[str, Any] = {}
 
+    @property
+    def can_tell_set_up(self) -> bool:
+        """Whether it has a ``set_up``."""
+        return bool(self._set_up)
+
     def open(self) -> None:
-        bus = i2c_bus(self._owner)
+        """Have the driver set the part up; on the thread of the bus."""
         self._made = None
-        wire = self._wire = AdafruitBus(bus)
-        with self.alone():
+        wire = self._wire = AdafruitBus(self.bus)
+        with self._alone():
             try:
                 self._made = self._make(wire, **self._arguments)
-                for pieces, value in self.set_up.values():
-                    self.assign(pieces, value)
-                for path, (pieces, _) in self.set_up.items():
+                for pieces, value in self._set_up.values():
+                    self._assign(pieces, value)
+                for path, (pieces, _) in self._set_up.items():
                     before = wire.transfers
-                    self._kept[path] = self.follow(pieces)
+                    self._kept[path] = self._follow(pieces)
                     if wire.transfers == before:
                         raise ConfigError(
-                            self._owner.name,
+                            self.name,
                             f"set_up.{path}",
                             "expected an attribute that is read from the part; the "
                             "driver remembers this one, and a restart would not show",
                         )
             except Exception as error:
-                if _is_silence(error) or not bus.is_open:
-                    raise DeviceLostError(self._owner.name, describe(error)) from error
+                if _is_silence(error) or not self.bus.is_open:
+                    raise DeviceLostError(self.name, describe(error)) from error
                 raise
 
     def close(self) -> None:
+        """Forget the driver's object."""
         self._made = None
 
     def is_set_up(self) -> bool:
-        with self.alone():
+        """Tell whether all of ``set_up`` is as it was after the opening."""
+        with self._alone():
             return all(
-                self.follow(pieces) == self._kept[path]
-                for path, (pieces, _) in self.set_up.items()
+                self._follow(pieces) == self._kept[path]
+                for path, (pieces, _) in self._set_up.items()
             )
 
-    def assign(self, pieces: Sequence[str], value: Any) -> None:
-        """Assign to what a path leads to."""
+    def _assign(self, pieces: Sequence[str], value: Any) -> None:
         *way, last = pieces
-        setattr(self.follow(way), last, value)
+        setattr(self._follow(way), last, value)
 
-    def follow(self, pieces: Sequence[str]) -> Any:
-        """Return what a path leads to."""
+    def _follow(self, pieces: Sequence[str]) -> Any:
         if self._made is None:
-            raise DeviceLostError(self._owner.name, "it is not open")
+            raise DeviceLostError(self.name, "it is not open")
         found = self._made
         for piece in pieces:
             found = (
@@ -231,44 +239,19 @@ class _Part:
         return found
 
     @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
+    def _alone(self) -> Iterator[None]:
         """Keep other Adafruit drivers of the process out, on other buses' threads."""
-        patience = self._owner.deadline / 2
+        patience = self.deadline / 2
         if not _one_at_a_time.acquire(timeout=patience):
             raise DriverStuckError(
-                self._owner.name, "an Adafruit driver on another bus", patience
+                self.name, "an Adafruit driver on another bus", patience
             )
         try:
             if self._wire is not None:
-                self._wire.until = now() + self._owner.deadline
+                self._wire.until = now() + self.deadline
             yield
         finally:
             _one_at_a_time.release()
-
-
-class _OnPart(Resource):
-    """What the sensor and the actuator have in common: the object of a driver."""
-
-    bus: I2CBus
-    deadline = 2.0
-    _part: _Part
-
-    @property
-    def can_tell_set_up(self) -> bool:
-        """Whether it has a ``set_up``."""
-        return bool(self._part.set_up)
-
-    def open(self) -> None:
-        """Have the driver set the part up; on the thread of the bus."""
-        self._part.open()
-
-    def close(self) -> None:
-        """Forget the driver's object."""
-        self._part.close()
-
-    def is_set_up(self) -> bool:
-        """Tell whether all of ``set_up`` is as it was after the opening."""
-        return self._part.is_set_up()
 
 
 class AdafruitSensor(_OnPart, Sensor[Any]):
@@ -286,18 +269,8 @@ class AdafruitSensor(_OnPart, Sensor[Any]):
             has restarted is known by them, because they are others then.
     """
 
-    def __init__(
-        self,
-        *,
-        library: str | Callable[..., Any],
-        value: str | Sequence[str],
-        address: int | None = None,
-        arguments: Mapping[str, Any] | None = None,
-        set_up: Mapping[str, Any] | None = None,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, *, value: str | Sequence[str], **settings: Any) -> None:
         super().__init__(**settings)
-        self._part = _Part(self, library, address, arguments, set_up)
         names = [value] if isinstance(value, str) else list(value)
         if not names:
             raise ConfigError(self.name, "value", "expected at least one attribute")
@@ -306,15 +279,12 @@ class AdafruitSensor(_OnPart, Sensor[Any]):
 
     def read(self) -> Any:
         """Read the attributes; on the thread of the bus, nobody else in between."""
-        with self._part.alone():
-            values = {
-                name: self._read(name, pieces) for name, pieces in self._paths.items()
-            }
+        values = {}
+        with self._alone():
+            for name, pieces in self._paths.items():
+                found = self._follow(pieces)
+                values[name] = found() if name.endswith("()") else found
         return next(iter(values.values())) if self._one else values
-
-    def _read(self, name: str, pieces: Sequence[str]) -> Any:
-        found = self._part.follow(pieces)
-        return found() if name.endswith("()") else found
 
 
 class AdafruitActuator(_OnPart, Actuator[Any]):
@@ -342,14 +312,11 @@ class AdafruitActuator(_OnPart, Actuator[Any]):
         safe: Any,
         limits: tuple[float, float] | None = None,
         address: int | None = None,
-        arguments: Mapping[str, Any] | None = None,
-        set_up: Mapping[str, Any] | None = None,
         **settings: Any,
     ) -> None:
-        super().__init__(**settings)
+        super().__init__(library=library, address=address, **settings)
         self.safe = safe
         self.limits = limits
-        self._part = _Part(self, library, address, arguments, set_up)
         self._called = attribute.endswith("()")
         self._pieces = (_pieces if self._called else _attribute)(
             self, "attribute", attribute
@@ -359,11 +326,11 @@ class AdafruitActuator(_OnPart, Actuator[Any]):
 
     def write(self, command: Any) -> None:
         """Assign the command, or call with it; on the thread of the bus."""
-        with self._part.alone():
+        with self._alone():
             if self._called:
-                self._part.follow(self._pieces)(command)
+                self._follow(self._pieces)(command)
             else:
-                self._part.assign(self._pieces, command)
+                self._assign(self._pieces, command)
 
 
 def _is_silence(error: Exception) -> bool:

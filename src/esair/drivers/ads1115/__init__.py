@@ -12,9 +12,10 @@ from typing import Any
 import attrs
 
 from esair.buses import I2CBus
-from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
-from esair.exceptions import ConfigError, DeviceFaultError
+from esair.drivers._on_bus import check_address, expected_at
+from esair.exceptions import DeviceFaultError
 from esair.resources import Sensor, setting
+from esair.values import check_choice
 
 __all__ = ["Ads1115", "config_for", "decode_volts"]
 
@@ -49,16 +50,11 @@ _PATIENCE = 10
 
 @attrs.define
 class Chip:
-    """What is known of a chip that several sensors use.
-
-    Attributes:
-        turn: Who converts.
-        under_way: The data rate of a conversion whose end nobody has seen yet, in Hz;
-            None if there is none.
-    """
+    """What is known of a chip that several sensors use."""
 
     turn: asyncio.Lock = attrs.field(factory=asyncio.Lock)
     under_way: int | None = None
+    """The data rate in Hz of a conversion whose end nobody has seen yet."""
 
 
 _chips: weakref.WeakKeyDictionary[I2CBus, dict[int, Chip]] = weakref.WeakKeyDictionary()
@@ -112,11 +108,7 @@ class Ads1115(Sensor[float]):
         super().__init__(**settings)
         self.address = check_address(self, address, range(0x48, 0x4C))
         self.channel = str(channel)
-        if self.channel not in CHANNELS:
-            known = ", ".join(sorted(CHANNELS))
-            raise ConfigError(
-                self.name, "channel", f"expected one of {known}, not {channel!r:.80}"
-            )
+        check_choice(self.name, "channel", self.channel, sorted(CHANNELS))
         self._full_scale: float = self.full_scale
         self._data_rate: int = self.data_rate
 
@@ -124,7 +116,7 @@ class Ads1115(Sensor[float]):
         """Find out whether the chip answers; it needs nothing else."""
         self._full_scale, self._data_rate = self.full_scale, self.data_rate
         with expected_at(self, self.address):
-            await i2c_bus(self).read(self.address, CONFIG, 2)
+            await self.bus.read(self.address, CONFIG, 2)
 
     async def apply(
         self,
@@ -139,20 +131,20 @@ class Ads1115(Sensor[float]):
 
     async def read(self) -> float:
         """Convert once and wait for it."""
-        bus = i2c_bus(self)
+        bus = self.bus
         chip = _chips.setdefault(bus, {}).setdefault(self.address, Chip())
         async with chip.turn:  # or another sensor would change what is converted
             if chip.under_way is not None:
                 # Whoever began it was cancelled. Until its end the chip begins no other,
                 # and what it gives is the voltage at that one's input.
-                await self._end_of_conversion(bus, chip, chip.under_way)
+                await self._end_of_conversion(chip, chip.under_way)
             full_scale = self._full_scale
             config = config_for(self.channel, full_scale, self._data_rate)
             chip.under_way = self._data_rate
             await bus.write(
                 self.address, CONFIG, config.to_bytes(2, "big"), idempotent=True
             )
-            now = await self._end_of_conversion(bus, chip, chip.under_way)
+            now = await self._end_of_conversion(chip, chip.under_way)
             if now & ~START != config & ~START:
                 raise DeviceFaultError(
                     self.name,
@@ -162,11 +154,11 @@ class Ads1115(Sensor[float]):
             block = await bus.read(self.address, CONVERSION, 2)
             return decode_volts(block, full_scale)
 
-    async def _end_of_conversion(self, bus: I2CBus, chip: Chip, data_rate: int) -> int:
+    async def _end_of_conversion(self, chip: Chip, data_rate: int) -> int:
         """Wait until no conversion is under way; return what is in ``CONFIG`` then."""
         await asyncio.sleep(TOLERANCE / data_rate)
         for _ in range(_PATIENCE):
-            state = await bus.read(self.address, CONFIG, 2)
+            state = await self.bus.read(self.address, CONFIG, 2)
             now = int.from_bytes(state, "big")
             if now & START:
                 chip.under_way = None

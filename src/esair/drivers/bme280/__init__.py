@@ -13,7 +13,7 @@ from typing import Any
 import attrs
 
 from esair.buses import I2CBus
-from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
+from esair.drivers._on_bus import check_address, expected_at
 from esair.exceptions import DeviceFaultError
 from esair.resources import Sensor, setting
 
@@ -178,23 +178,22 @@ class Bme280(Sensor[Climate]):
         super().__init__(**settings)
         self.address = check_address(self, address, range(0x76, 0x78))
         self._calibration: Calibration | None = None
-        self._samples = 1
-        self._filter = 1
+        self._told = 1, 0
+        """What it was told: how many samples, and how smoothly, as its codes."""
 
     async def open(self) -> None:
         """Check that it is the chip, read its calibration and set it up."""
-        bus = i2c_bus(self)
         with expected_at(self, self.address):
-            found = (await bus.read(self.address, ID))[0]
+            found = await self._get(ID)
         if found != IDENTITY:
             what = "a BMP280, without humidity" if found in BMP280 else "another chip"
             raise DeviceFaultError(
                 self.name, f"ID is {found:#04x} instead of {IDENTITY:#04x}: {what}"
             )
-        await self._until_not(bus, UPDATING, "does not come up")
+        await self._until_not(UPDATING, "does not come up")
         self._calibration = Calibration.decode(
-            await bus.read(self.address, CALIBRATION_00, 26),
-            await bus.read(self.address, CALIBRATION_26, 7),
+            await self.bus.read(self.address, CALIBRATION_00, 26),
+            await self.bus.read(self.address, CALIBRATION_26, 7),
         )
         await self._configure(self.oversampling, self.smoothing)
 
@@ -214,20 +213,13 @@ class Bme280(Sensor[Climate]):
         """Measure once and wait for it."""
         if self._calibration is None:
             raise DeviceFaultError(self.name, "it is not open")
-        bus = i2c_bus(self)
-        code = _OVERSAMPLING.index(self._samples) + 1
-        await bus.write(
-            self.address,
-            CTRL_MEAS,
-            bytes([code << 5 | code << 2 | FORCED]),
-            idempotent=True,
-        )
-        await asyncio.sleep(measuring_time(self._samples))
-        await self._until_not(bus, MEASURING, "does not end its measurement")
+        code, _ = self._told
+        await self._put(CTRL_MEAS, code << 5 | code << 2 | FORCED)
+        await asyncio.sleep(measuring_time(_OVERSAMPLING[code - 1]))
+        await self._until_not(MEASURING, "does not end its measurement")
         # The settings too, which a chip forgets that was without power.
-        block = await bus.read(self.address, CTRL_HUM, DATA + 8 - CTRL_HUM)
-        humidity, smoothing = block[0] & 0x07, block[CONFIG - CTRL_HUM] >> 2 & 0x07
-        if humidity != code or smoothing != _FILTER.index(self._filter):
+        block = await self.bus.read(self.address, CTRL_HUM, DATA + 8 - CTRL_HUM)
+        if self._told != (block[0] & 0x07, block[CONFIG - CTRL_HUM] >> 2 & 0x07):
             raise DeviceFaultError(
                 self.name, "its settings are gone: it has lost its power"
             )
@@ -240,27 +232,26 @@ class Bme280(Sensor[Climate]):
 
     async def is_set_up(self) -> bool:
         """Tell whether it has its settings, which a restart forgets."""
-        bus = i2c_bus(self)
-        humidity = (await bus.read(self.address, CTRL_HUM))[0] & 0x07
-        smoothing = (await bus.read(self.address, CONFIG))[0] >> 2 & 0x07
-        return humidity == _OVERSAMPLING.index(
-            self._samples
-        ) + 1 and smoothing == _FILTER.index(self._filter)
+        humidity, smoothing = await self._get(CTRL_HUM), await self._get(CONFIG)
+        return self._told == (humidity & 0x07, smoothing >> 2 & 0x07)
 
     async def _configure(self, oversampling: int, smoothing: int) -> None:
-        bus = i2c_bus(self)
+        told = _OVERSAMPLING.index(oversampling) + 1, _FILTER.index(smoothing)
         # Both count from the next measurement on; asleep, the chip takes all.
-        for register, value in [
-            (CTRL_MEAS, 0),
-            (CTRL_HUM, _OVERSAMPLING.index(oversampling) + 1),
-            (CONFIG, _FILTER.index(smoothing) << 2),
-        ]:
-            await bus.write(self.address, register, bytes([value]), idempotent=True)
-        self._samples, self._filter = oversampling, smoothing
+        await self._put(CTRL_MEAS, 0)
+        await self._put(CTRL_HUM, told[0])
+        await self._put(CONFIG, told[1] << 2)
+        self._told = told
 
-    async def _until_not(self, bus: I2CBus, bit: int, what: str) -> None:
+    async def _get(self, register: int) -> int:
+        return (await self.bus.read(self.address, register))[0]
+
+    async def _put(self, register: int, value: int) -> None:
+        await self.bus.write(self.address, register, bytes([value]), idempotent=True)
+
+    async def _until_not(self, bit: int, what: str) -> None:
         for _ in range(_PATIENCE):
-            if not (await bus.read(self.address, STATUS))[0] & bit:
+            if not await self._get(STATUS) & bit:
                 return
             await asyncio.sleep(0.002)
         raise DeviceFaultError(self.name, what)

@@ -35,7 +35,6 @@ CALIBRATION = Calibration(
 """Temperature and pressure from the data sheet of the BMP280, section 3.12."""
 
 _RESET = 0xE0
-_NOTHING = SKIPPED, SKIPPED, SKIPPED_HUMIDITY
 
 
 class FakeBme280:
@@ -62,13 +61,18 @@ class FakeBme280:
         self.busy = 1
         self.measurements = 0
         self._registers = bytearray(256)
-        self._busy = 0
-        self._samples_humidity = False
-        self._reset()
+        self.power_cycle()
 
     def power_cycle(self) -> None:
         """Lose the power for a moment: it is as after power-up."""
-        self._reset()
+        self._registers[:] = bytes(256)
+        self._registers[ID] = IDENTITY
+        first, second = self.calibration.encode()
+        self._registers[CALIBRATION_00 : CALIBRATION_00 + 26] = first
+        self._registers[CALIBRATION_26 : CALIBRATION_26 + 7] = second
+        self._samples_humidity = False
+        self._busy = 0
+        self._show(SKIPPED, SKIPPED, SKIPPED_HUMIDITY)
 
     def read(self, register: int, length: int) -> bytes:
         """Return registers that follow one another."""
@@ -85,7 +89,7 @@ class FakeBme280:
 
     def _set(self, register: int, value: int) -> None:
         if register == _RESET and value == 0xB6:
-            self._reset()
+            self.power_cycle()
         elif register in {CTRL_HUM, CONFIG}:
             self._registers[register] = value
         elif register == CTRL_MEAS:
@@ -116,28 +120,16 @@ class FakeBme280:
 
     def _raw_of(self, climate: Climate) -> tuple[int, int, int]:
         known = self.calibration
-        t = _first(
-            1 << 20,
-            lambda raw: fine_temperature(raw, known) >= climate.temperature * 5120,
+        wanted, pressure, humidity = (
+            climate.temperature,
+            climate.pressure,
+            climate.humidity,
         )
+        t = _first(1 << 20, lambda raw: fine_temperature(raw, known) >= wanted * 5120)
         fine = fine_temperature(t, known)
-        p = _first(
-            1 << 20, lambda raw: pressure_of(raw, fine, known) <= climate.pressure
-        )
-        h = _first(
-            1 << 16, lambda raw: humidity_of(raw, fine, known) >= climate.humidity
-        )
+        p = _first(1 << 20, lambda raw: pressure_of(raw, fine, known) <= pressure)
+        h = _first(1 << 16, lambda raw: humidity_of(raw, fine, known) >= humidity)
         return p, t, h
-
-    def _reset(self) -> None:
-        self._registers[:] = bytes(256)
-        self._registers[ID] = IDENTITY
-        first, second = self.calibration.encode()
-        self._registers[CALIBRATION_00 : CALIBRATION_00 + 26] = first
-        self._registers[CALIBRATION_26 : CALIBRATION_26 + 7] = second
-        self._samples_humidity = False
-        self._busy = 0
-        self._show(*_NOTHING)
 
 
 def _first(end: int, reached: Callable[[int], bool]) -> int:

@@ -1,29 +1,4 @@
-"""Objects of a CANopen node: read, received in a PDO, or written.
-
-The objects are those of the node's EDS or DCF file, by name or by index::
-
-    [sensor.position]
-    driver = "canopen"
-    bus = "drive"
-    node = 5
-    eds = "motor.eds"
-    object = "Position actual value"        # or [0x6064, 0]
-
-    [actuator.velocity]
-    driver = "canopen"
-    bus = "drive"
-    node = 5
-    eds = "motor.eds"
-    object = "Target velocity"
-    safe = 0
-
-All devices on one node share its opening: its identity is compared with the file, its
-heartbeat is watched, and it is started. Objects go through the package canopen, which
-waits for its answers, so it has a thread of its own for each bus; the frames go through
-the `esair.buses.CanBus` like all others, each with a deadline.
-
-Source: CiA 301 (object dictionary, SDO, PDO, NMT, heartbeat); CiA 306 (EDS and DCF).
-"""
+"""Objects of a CANopen node, as a sensor and as an actuator."""
 
 from __future__ import annotations
 
@@ -39,8 +14,6 @@ from canopen.objectdictionary import (
 )
 from canopen.sdo.exceptions import SdoAbortedError
 
-from esair.buses import CanBus
-from esair.drivers._on_can import can_bus
 from esair.drivers.canopen._dictionary import (
     BOOLEAN,
     TEXT,
@@ -67,14 +40,17 @@ logging.getLogger("canopen.sdo.client").addFilter(lambda _record: False)
 class _Object(OnNode):
     """What the sensor and the actuator have in common: an object of a node."""
 
-    def _find(
+    def __init__(
         self,
+        *,
         eds: Path | str,
-        object_: str | int | tuple[int, int],
-        factor: float | None,
+        object: str | int | tuple[int, int],  # noqa: A002 - the word of the standard
+        factor: float | None = None,
+        **settings: Any,
     ) -> None:
+        super().__init__(**settings)
         self.dictionary = read_eds(self.name, eds, self.node)
-        self.variable = find_object(self.name, self.dictionary, object_)
+        self.variable = find_object(self.name, self.dictionary, object)
         if factor is not None and (
             not factor or self.variable.data_type not in INTEGER_TYPES + FLOAT_TYPES
         ):
@@ -82,6 +58,18 @@ class _Object(OnNode):
                 self.name, "factor", "expected a factor that is not 0, for a number"
             )
         self.factor = factor
+
+    @property
+    def value_type(self) -> Any:
+        """The type of the object; float if there is a factor."""
+        kind = self.variable.data_type
+        if self.factor is not None or kind in FLOAT_TYPES:
+            return float
+        if kind in INTEGER_TYPES:
+            return int
+        if kind == BOOLEAN:
+            return bool
+        return str if kind in TEXT else bytes
 
     def _object_of(self, remote: Any) -> Any:
         """The object as canopen reads and writes it, in its thread."""
@@ -91,17 +79,6 @@ class _Object(OnNode):
         if self.factor is not None:
             return raw * self.factor
         return bytes(raw) if isinstance(raw, bytearray) else raw
-
-    @property
-    def _type(self) -> Any:
-        kind = self.variable.data_type
-        if self.factor is not None or kind in FLOAT_TYPES:
-            return float
-        if kind in INTEGER_TYPES:
-            return int
-        if kind == BOOLEAN:
-            return bool
-        return str if kind in TEXT else bytes
 
 
 class CanopenSensor(_Object, Sensor[Any]):
@@ -126,24 +103,8 @@ class CanopenSensor(_Object, Sensor[Any]):
         bad_frames: How many PDOs were too short.
     """
 
-    bus: CanBus
-    deadline = 2.0
-
-    def __init__(
-        self,
-        *,
-        node: int,
-        eds: Path | str,
-        object: str | int | tuple[int, int],  # noqa: A002 - the word of the standard
-        factor: float | None = None,
-        pdo: bool = False,
-        heartbeat: float | None = None,
-        sdo_timeout: float = 0.3,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, *, pdo: bool = False, **settings: Any) -> None:
         super().__init__(**settings)
-        self._describe(node, heartbeat, sdo_timeout)
-        self._find(eds, object, factor)
         self.pdo = pdo
         self.bad_frames = 0
         self._mapped: Mapped | None = None
@@ -151,11 +112,6 @@ class CanopenSensor(_Object, Sensor[Any]):
             raise ConfigError(
                 self.name, "object", f"{self.variable.qualname!r} cannot be read"
             )
-
-    @property
-    def value_type(self) -> Any:
-        """The type of the object; float if there is a factor."""
-        return self._type
 
     @property
     def can_be_asked(self) -> bool:
@@ -169,27 +125,22 @@ class CanopenSensor(_Object, Sensor[Any]):
 
     async def open(self) -> None:
         """Open the node; find the PDO that has the object, if it is to come in one."""
-        await self._join()
+        await super().open()
         if self.pdo:
             self._mapped = await self._call(self._find_mapped)
-
-    async def close(self) -> None:
-        """Leave the node."""
-        await self._part()
 
     async def read(self) -> Any:
         """Ask the node for the object."""
         return self._to_value(await self._call(self._get))
 
     def _get(self) -> Any:
-        assert self._link is not None
-        return self._object_of(self._link.remote).raw
+        return self._object_of(self._remote).raw
 
     async def stream(self) -> AsyncIterator[Any]:
         """Yield the object from each PDO."""
         mapped = self._mapped
         assert mapped is not None  # as it is open
-        inbox = can_bus(self).frames(mapped.id, limit=64)
+        inbox = self.bus.frames(mapped.id, limit=64)
         with contextlib.closing(inbox):
             async for frame in inbox:
                 if len(frame.data) < mapped.size:
@@ -199,8 +150,8 @@ class CanopenSensor(_Object, Sensor[Any]):
 
     def _find_mapped(self) -> Mapped:
         """Find a PDO of the node with the object, in the thread."""
-        assert self._link is not None
-        for pdo in self._link.remote.tpdo.values():
+        wanted = self.variable
+        for pdo in self._remote.tpdo.values():
             try:
                 pdo.read()
             except SdoAbortedError:
@@ -208,20 +159,12 @@ class CanopenSensor(_Object, Sensor[Any]):
             if not pdo.enabled:
                 continue
             for mapped in pdo.map:
-                if (mapped.index, mapped.subindex) == (
-                    self.variable.index,
-                    self.variable.subindex,
-                ):
-                    bits = sum(each.length for each in pdo.map)
-                    return Mapped(
-                        self.variable,
-                        pdo.cob_id,
-                        (bits + 7) // 8,
-                        mapped.offset,
-                        mapped.length,
-                    )
+                if (mapped.index, mapped.subindex) == (wanted.index, wanted.subindex):
+                    size = (sum(each.length for each in pdo.map) + 7) // 8
+                    place = size, mapped.offset, mapped.length
+                    return Mapped(wanted, pdo.cob_id, *place)
         raise DeviceFaultError(
-            self.name, f"the node sends no PDO with {self.variable.qualname!r}"
+            self.name, f"the node sends no PDO with {wanted.qualname!r}"
         )
 
 
@@ -244,30 +187,15 @@ class CanopenActuator(_Object, Actuator[Any]):
         limits: Narrower limits than those of the file.
     """
 
-    bus: CanBus
-    deadline = 2.0
-
     def __init__(
-        self,
-        *,
-        node: int,
-        eds: Path | str,
-        object: str | int | tuple[int, int],  # noqa: A002 - the word of the standard
-        safe: Any,
-        factor: float | None = None,
-        heartbeat: float | None = None,
-        sdo_timeout: float = 0.3,
-        limits: tuple[float, float] | None = None,
-        **settings: Any,
+        self, *, safe: Any, limits: tuple[float, float] | None = None, **settings: Any
     ) -> None:
         super().__init__(**settings)
-        self._describe(node, heartbeat, sdo_timeout)
-        self._find(eds, object, factor)
         if not self.variable.writable:
             raise ConfigError(
                 self.name, "object", f"{self.variable.qualname!r} cannot be written"
             )
-        kind = self._type
+        kind = self.value_type
         if kind is float and type(safe) is int:
             safe = float(safe)
         if type(safe) is not kind:
@@ -283,13 +211,8 @@ class CanopenActuator(_Object, Actuator[Any]):
                 f"expected {allowed[0]:g} to {allowed[1]:g}, not {safe!r:.80}",
             )
         self.limits = allowed
-        self.claim = f"{self.variable.qualname} of node {node}"
+        self.claim = f"{self.variable.qualname} of node {self.node}"
         self._newest = 0
-
-    @property
-    def value_type(self) -> Any:
-        """The type of the object; float if there is a factor."""
-        return self._type
 
     def safe_frames(self) -> SafeFrames | None:
         """An abort of a transfer that was cut, then the safe command by SDO.
@@ -303,14 +226,6 @@ class CanopenActuator(_Object, Actuator[Any]):
         return SafeFrames(
             sdo_frames(self.node, variable.index, variable.subindex, data)
         )
-
-    async def open(self) -> None:
-        """Open the node."""
-        await self._join()
-
-    async def close(self) -> None:
-        """Leave the node."""
-        await self._part()
 
     async def write(self, command: Any) -> None:
         """Write the object."""
@@ -326,8 +241,7 @@ class CanopenActuator(_Object, Actuator[Any]):
         self._object_of(remote).raw = self._to_raw(self.safe)
 
     def _put(self, command: Any) -> None:
-        assert self._link is not None
-        self._object_of(self._link.remote).raw = self._to_raw(command)
+        self._object_of(self._remote).raw = self._to_raw(command)
 
     def _to_raw(self, command: Any) -> Any:
         raw = command if self.factor is None else command / self.factor

@@ -24,7 +24,6 @@ from esair.exceptions import (
 )
 
 BOOLEAN = 0x1
-
 TEXT = frozenset({0x9, 0xB})
 
 
@@ -79,11 +78,7 @@ def bounds(variable: ODVariable) -> tuple[float, float] | None:
 def find_object(
     component: str, dictionary: ObjectDictionary, wanted: str | int | tuple[int, int]
 ) -> ODVariable:
-    """Return an object of a dictionary.
-
-    Raises:
-        ConfigError: There is none, or it has members and none is named.
-    """
+    """Return an object of a dictionary; a `ConfigError` if it is none, or has members."""
     names = _names_of(dictionary)
     found: Any = None
     with contextlib.suppress(KeyError, TypeError, ValueError):

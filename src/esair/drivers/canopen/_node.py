@@ -38,12 +38,7 @@ SEND_TIMEOUT = 0.2
 HEARTBEATS_MISSED = 2.5
 """After how many heartbeat periods of silence a node is lost."""
 
-DEVICE_TYPE = 0x1000
-
-HEARTBEAT_TIME = 0x1017
-
-IDENTITY = 0x1018
-
+DEVICE_TYPE, HEARTBEAT_TIME, IDENTITY = 0x1000, 0x1017, 0x1018
 _BOOT_UP, _OPERATIONAL = 0, 5
 
 
@@ -154,7 +149,10 @@ class Node:
         self.users: set[NodeUser] = set()
         self.usable = True
         """Whether devices may still join it; a new one is made otherwise."""
-        self.exchanges = _exchanges_of(bus, number)
+        # Those of the former opening, if there was one: what is owed is owed still.
+        self.exchanges = _exchanges_of_bus.setdefault(bus, {}).setdefault(
+            number, Exchanges(bus, late_limit=LATE_LIMIT)
+        )
         self.opening = asyncio.Lock()
         self._is_open = False
         self.remote: Any = None
@@ -170,10 +168,7 @@ class Node:
         return self._is_open and self.usable
 
     async def open(self, device: NodeUser) -> None:
-        """Find the node, compare its identity, start it and watch its heartbeat.
-
-        Who moves it puts its safe command there before it is started.
-        """
+        """Find the node, compare its identity, start it safely, and watch its heartbeat."""
         async with self.opening:
             if self._is_open:
                 return
@@ -266,10 +261,9 @@ class Node:
             milliseconds = round(heartbeat * 1000)
             sdo.download(HEARTBEAT_TIME, 0, milliseconds.to_bytes(2, "little"))
         try:
-            period = int.from_bytes(sdo.upload(HEARTBEAT_TIME, 0), "little") / 1000
+            return int.from_bytes(sdo.upload(HEARTBEAT_TIME, 0), "little") / 1000
         except SdoAbortedError:
-            period = 0.0  # a node without a heartbeat: its loss shows when it is asked
-        return period
+            return 0.0  # a node without a heartbeat: its loss shows when it is asked
 
     def _start(self, users: tuple[NodeUser, ...]) -> None:
         """Have it obey what it was told: that is what is safe; in the thread."""
@@ -336,12 +330,6 @@ class Node:
 nodes_of_bus: weakref.WeakKeyDictionary[CanBus, dict[int, Node]] = (
     weakref.WeakKeyDictionary()
 )
-
-
-def _exchanges_of(bus: CanBus, number: int) -> Exchanges:
-    """Those of a node: what is owed is owed to its next opening, too."""
-    of_bus = _exchanges_of_bus.setdefault(bus, {})
-    return of_bus.setdefault(number, Exchanges(bus, late_limit=LATE_LIMIT))
 
 
 _exchanges_of_bus: weakref.WeakKeyDictionary[CanBus, dict[int, Exchanges]] = (

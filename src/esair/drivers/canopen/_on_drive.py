@@ -10,15 +10,14 @@ from typing import Any, Final, Literal
 from canopen.sdo.exceptions import SdoAbortedError
 
 from esair.buses import Frame, Inbox
-from esair.drivers._on_can import can_bus
 from esair.drivers.canopen import _profile as profile
 from esair.drivers.canopen._dictionary import read_eds
 from esair.drivers.canopen._node import Emergency, sdo_frames
 from esair.drivers.canopen._on_node import OnNode
 from esair.drivers.canopen._profile import State, state_of
 from esair.drivers.canopen._sync import SYNC, Sync, sync_of
-from esair.exceptions import BusyError, ConfigError, DeviceFaultError, DeviceLostError
-from esair.values import check_seconds
+from esair.exceptions import BusyError, ConfigError, DeviceFaultError
+from esair.values import check_choice, check_seconds
 from esair.watchdog import SafeFrames, can_frame
 
 ENABLE_TIMEOUT: Final = 1.0
@@ -37,27 +36,30 @@ TOLD: Final = (profile.STATUSWORD, profile.POSITION), (profile.VELOCITY,)
 class OnDrive(OnNode):
     """What the sensor and the actuators of a drive have in common."""
 
-    def _describe_drive(
+    sync: float | None = None
+
+    def __init__(
         self,
-        node: int,
-        eds: Path | str | None,
-        heartbeat: float | None,
-        sdo_timeout: float,
-        tell_every: float,
-        sync: float | None,
+        *,
+        eds: Path | str | None = None,
+        tell_every: float = 0.02,
+        **settings: Any,
     ) -> None:
-        self._describe(node, heartbeat, sdo_timeout)
+        super().__init__(**settings)
+        node = self.node
         self.dictionary = (
             profile.standard(node) if eds is None else read_eds(self.name, eds, node)
         )
         self.tell_every = check_seconds(self.name, "tell_every", tell_every)
-        self.sync = None if sync is None else check_seconds(self.name, "sync", sync)
-        if self.sync is not None and self.sync > LONGEST_SYNC:
+        self._is_prepared = False
+        self._sync: Sync | None = None
+
+    def _check_sync(self, sync: float | None) -> float | None:
+        if sync is not None and check_seconds(self.name, "sync", sync) > LONGEST_SYNC:
             raise ConfigError(
                 self.name, "sync", f"expected {LONGEST_SYNC:g} s at most, not {sync!r}"
             )
-        self._is_prepared = False
-        self._sync: Sync | None = None
+        return sync
 
     def make_ready(self, remote: Any) -> None:
         """Set its PDOs up before it is started, in the thread."""
@@ -83,20 +85,22 @@ class OnDrive(OnNode):
         pdo.enabled = True
         pdo.save()
 
-    async def _open_drive(self) -> None:
+    async def open(self) -> None:
+        """Find the node and have it tell."""
         self._is_prepared = False
-        link = await self._join()
+        await super().open()
         if not self._is_prepared:  # the node runs for another device already
-            await self._call(self._prepare, link.remote)
+            await self._call(self._prepare, self._remote)
         if self.sync is not None:
-            self._sync = sync_of(self, can_bus(self), self.sync)
+            self._sync = sync_of(self, self.bus, self.sync)
             self._sync.join(self)
 
-    async def _close_drive(self) -> None:
+    async def close(self) -> None:
+        """Leave the node."""
         sync, self._sync = self._sync, None
         if sync is not None:
             await sync.leave(self)
-        await self._part()
+        await super().close()
 
 
 class DriveActuator(OnDrive):
@@ -105,19 +109,22 @@ class DriveActuator(OnDrive):
     mode: int
     target: int
 
-    def _describe_actuator(
-        self, stop: Literal["quick_stop", "halt"], factor: float
-    ) -> tuple[float, float]:
-        """Return what its target can be at least and at most."""
+    def __init__(
+        self,
+        *,
+        factor: float = 1.0,
+        limits: tuple[float, float] | None = None,
+        stop: Literal["quick_stop", "halt"] = "quick_stop",
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
         if not factor:
             raise ConfigError(self.name, "factor", "expected a factor that is not 0")
         self.factor = factor
+        largest = abs(factor) * (2**31 - 1)
+        self._allowed = (-largest, largest) if limits is None else limits
         self.claim = f"the drive of node {self.node}"
-        if stop not in {"quick_stop", "halt"}:
-            raise ConfigError(
-                self.name, "stop", f"expected 'quick_stop' or 'halt', not {stop!r:.80}"
-            )
-        self.stop = stop
+        self.stop = check_choice(self.name, "stop", stop, ("quick_stop", "halt"))
         self.state: State | None = None
         """What the drive told last; None while it is not open."""
         self._is_on = False
@@ -126,8 +133,6 @@ class DriveActuator(OnDrive):
         self._emergency: Emergency | None = None
         self._watching: asyncio.Task[None] | None = None
         self._news = asyncio.Event()
-        largest = abs(factor) * (2**31 - 1)
-        return -largest, largest
 
     @property
     def _stop_word(self) -> int:
@@ -161,10 +166,9 @@ class DriveActuator(OnDrive):
         self._is_on = self._is_stopping = False
         self._emergency = None
         self.state = None
-        await self._open_drive()
-        assert self._link is not None
-        self.state = await self._call(self._reset, self._link.remote)
-        inbox = can_bus(self).frames(0x180 + self.node, limit=8)
+        await super().open()
+        self.state = await self._call(self._reset, self._remote)
+        inbox = self.bus.frames(0x180 + self.node, limit=8)
         self._watching = asyncio.get_running_loop().create_task(
             self._watch(inbox), name=f"{self.name} state"
         )
@@ -175,7 +179,7 @@ class DriveActuator(OnDrive):
         if task is not None:
             task.cancel()
             await asyncio.wait({task})
-        await self._close_drive()
+        await super().close()
         self.state = None
 
     def _reset(self, remote: Any) -> State:
@@ -205,7 +209,7 @@ class DriveActuator(OnDrive):
         self._is_on = self._is_on and word != profile.QUICK_STOP
         await self._tell(self._begin(), word, 0)
         if self.sync is not None:  # at once: the next one may be after the close
-            await can_bus(self).send(SYNC, b"")
+            await self.bus.send(SYNC, b"")
         if word == profile.QUICK_STOP and self.state is State.ENABLED:
             self.state = State.QUICK_STOP
             self._is_stopping = True  # what it told before may still come
@@ -217,10 +221,9 @@ class DriveActuator(OnDrive):
     async def _tell(self, mine: int, word: int, value: int) -> None:
         if mine != self._newest:
             raise BusyError(self.name, "number of waiting writes", 1)
-        if self._link is None:
-            raise DeviceLostError(self.name, f"node {self.node} is not open")
+        self._connected()
         data = struct.pack("<Hi", word, value)
-        await can_bus(self).send(0x200 + self.node, data, replaces=word)
+        await self.bus.send(0x200 + self.node, data, replaces=word)
 
     async def _enable(self, mine: int) -> None:
         if self._is_stopping:
@@ -255,8 +258,7 @@ class DriveActuator(OnDrive):
                 self._hear(await self._call(self._ask))
 
     def _ask(self) -> int:
-        assert self._link is not None
-        return int(self._link.remote.sdo[profile.STATUSWORD].raw)
+        return int(self._remote.sdo[profile.STATUSWORD].raw)
 
     def _hear(self, status: int) -> None:
         state = state_of(status)
@@ -286,7 +288,5 @@ class DriveActuator(OnDrive):
             inbox.close()
 
     def _fault(self) -> DeviceFaultError:
-        why = "no emergency told why"
-        if self._emergency is not None:
-            why = str(self._emergency)
+        why = self._emergency or "no emergency told why"
         return DeviceFaultError(self.name, f"the drive has a fault: {why}")

@@ -8,11 +8,11 @@ from typing import Any
 
 from canopen.objectdictionary import ObjectDictionary
 
-from esair.drivers._on_can import can_bus
+from esair.buses import CanBus
 from esair.drivers.canopen._node import Emergency, Node, T, nodes_of_bus
 from esair.exceptions import ConfigError, DeviceLostError
 from esair.resources import Resource
-from esair.values import check_seconds
+from esair.values import check_seconds, check_whole
 
 
 class OnNode(Resource):
@@ -24,10 +24,19 @@ class OnNode(Resource):
     emergencies: collections.deque[Emergency]
     """What the node has told in emergency messages, the newest last; 16 are kept."""
 
-    def _describe(self, node: int, heartbeat: float | None, sdo_timeout: float) -> None:
-        if type(node) is not int or not 1 <= node <= 127:
-            raise ConfigError(self.name, "node", f"expected 1 to 127, not {node!r:.80}")
-        self.node = node
+    bus: CanBus
+    deadline = 2.0
+
+    def __init__(
+        self,
+        *,
+        node: int,
+        heartbeat: float | None = None,
+        sdo_timeout: float = 0.3,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self.node = check_whole(self.name, "node", node, 1, 127)
         self.heartbeat = heartbeat
         if heartbeat is not None and not 0.001 <= heartbeat <= 65.0:
             raise ConfigError(
@@ -36,6 +45,23 @@ class OnNode(Resource):
         self.sdo_timeout = check_seconds(self.name, "sdo_timeout", sdo_timeout)
         self.emergencies = collections.deque(maxlen=16)
         self._link: Node | None = None
+
+    async def open(self) -> None:
+        """Open the node."""
+        await self.close()
+        nodes = nodes_of_bus.setdefault(self.bus, {})
+        link = nodes.get(self.node)
+        if link is None or not link.usable:
+            link = nodes[self.node] = Node(self.bus, self.node)
+        link.users.add(self)
+        self._link = link
+        await link.open(self)
+
+    async def close(self) -> None:
+        """Leave the node."""
+        link, self._link = self._link, None
+        if link is not None:
+            await link.leave(self)
 
     async def is_set_up(self) -> bool:
         """Tell whether the node still runs, as far as its heartbeat shows it."""
@@ -48,22 +74,15 @@ class OnNode(Resource):
     def make_ready(self, remote: Any) -> None:
         """Tell the node what must be there before it is started, in its thread."""
 
-    async def _join(self) -> Node:
-        await self._part()
-        bus = can_bus(self)
-        nodes = nodes_of_bus.setdefault(bus, {})
-        link = nodes.get(self.node)
-        if link is None or not link.usable:
-            link = nodes[self.node] = Node(bus, self.node)
-        link.users.add(self)
-        self._link = link
-        await link.open(self)
-        return link
+    def _connected(self) -> Node:
+        if self._link is None or self._link.remote is None:
+            raise DeviceLostError(self.name, f"node {self.node} is not open")
+        return self._link
 
-    async def _part(self) -> None:
-        link, self._link = self._link, None
-        if link is not None:
-            await link.leave(self)
+    @property
+    def _remote(self) -> Any:
+        """The node as the package canopen has it."""
+        return self._connected().remote
 
     async def _call(
         self,
@@ -71,7 +90,4 @@ class OnNode(Resource):
         *args: Any,
         guard: Callable[[], bool] | None = None,
     ) -> T:
-        link = self._link
-        if link is None or link.remote is None:
-            raise DeviceLostError(self.name, f"node {self.node} is not open")
-        return await link.call(self, function, *args, guard=guard)
+        return await self._connected().call(self, function, *args, guard=guard)

@@ -24,14 +24,7 @@ LOOP_TIMEOUT: Final = 1.0
 
 
 class RemoteNode(canopen.RemoteNode):
-    """A node as the package sees it, with requests that go by `Exchanges`.
-
-    Args:
-        number: Its id.
-        dictionary: Its objects.
-        bus: The bus that it is on.
-        exchanges: What knows which of its answers are owed.
-    """
+    """A node as the package sees it, with requests that go by `Exchanges`."""
 
     def __init__(
         self, number: int, dictionary: Any, bus: CanBus, exchanges: Exchanges

@@ -67,11 +67,7 @@ _syncs: weakref.WeakKeyDictionary[CanBus, Sync] = weakref.WeakKeyDictionary()
 
 
 def sync_of(device: Resource, bus: CanBus, period: float) -> Sync:
-    """Return the producer of a bus.
-
-    Raises:
-        ConfigError: It has another period.
-    """
+    """Return the producer of a bus; a `ConfigError` if it has another period."""
     found = _syncs.setdefault(bus, Sync(bus, period))
     if found.period != period:
         raise ConfigError(

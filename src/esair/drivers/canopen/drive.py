@@ -26,13 +26,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import attrs
 
-from esair.buses import CanBus
-from esair.drivers._on_can import can_bus
 from esair.drivers.canopen import _profile as profile
 from esair.drivers.canopen._on_drive import DriveActuator, OnDrive
 from esair.drivers.canopen._profile import State, state_of
@@ -74,41 +71,25 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         bad_frames: How many PDOs were too short.
     """
 
-    bus: CanBus
-    deadline = 2.0
-
     def __init__(
         self,
         *,
-        node: int,
-        eds: Path | str | None = None,
         position_factor: float = 1.0,
         velocity_factor: float = 1.0,
-        tell_every: float = 0.02,
         sync: float | None = None,
-        heartbeat: float | None = None,
-        sdo_timeout: float = 0.3,
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self._describe_drive(node, eds, heartbeat, sdo_timeout, tell_every, sync)
+        self.sync = self._check_sync(sync)
         self.position_factor = position_factor
         self.velocity_factor = velocity_factor
         self.bad_frames = 0
-
-    async def open(self) -> None:
-        """Find the node and have it tell."""
-        await self._open_drive()
-
-    async def close(self) -> None:
-        """Leave the node."""
-        await self._close_drive()
 
     async def stream(self) -> AsyncIterator[DriveReading]:
         """Yield what it tells; its second PDO completes a reading."""
         first, second = 0x180 + self.node, 0x280 + self.node
         told: bytes | None = None
-        inbox = can_bus(self).frames(first, second, limit=64)
+        inbox = self.bus.frames(first, second, limit=64)
         with contextlib.closing(inbox):
             async for frame in inbox:
                 if len(frame.data) < (6 if frame.id == first else 4):
@@ -147,30 +128,14 @@ class Drive(DriveActuator, Actuator[float]):
         sdo_timeout: How long it may take to answer, in seconds.
     """
 
-    bus: CanBus
-    deadline = 2.0
     safe = 0.0
     mode = profile.PROFILE_VELOCITY
     target = profile.TARGET_VELOCITY
 
-    def __init__(
-        self,
-        *,
-        node: int,
-        eds: Path | str | None = None,
-        factor: float = 1.0,
-        limits: tuple[float, float] | None = None,
-        stop: Literal["quick_stop", "halt"] = "quick_stop",
-        tell_every: float = 0.02,
-        sync: float | None = None,
-        heartbeat: float | None = None,
-        sdo_timeout: float = 0.3,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, *, sync: float | None = None, **settings: Any) -> None:
         super().__init__(**settings)
-        self._describe_drive(node, eds, heartbeat, sdo_timeout, tell_every, sync)
-        allowed = self._describe_actuator(stop, factor)
-        self.limits = allowed if limits is None else limits
+        self.sync = self._check_sync(sync)
+        self.limits = self._allowed
 
     async def write(self, command: float) -> None:
         """Tell the drive its velocity, and enable it if that is not 0; or stop it."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import attrs
 
-from esair.buses import CanBus
 from esair.drivers.canopen import _profile as profile
 from esair.drivers.canopen._on_drive import DriveActuator
 from esair.resources import Actuator
@@ -45,29 +43,13 @@ class PositionDrive(DriveActuator, Actuator[Move]):
         sdo_timeout: How long it may take to answer, in seconds.
     """
 
-    bus: CanBus
-    deadline = 2.0
     safe = Move(stop=True)
     mode = profile.PROFILE_POSITION
     target = profile.TARGET_POSITION
 
-    def __init__(
-        self,
-        *,
-        node: int,
-        eds: Path | str | None = None,
-        factor: float = 1.0,
-        limits: tuple[float, float] | None = None,
-        stop: Literal["quick_stop", "halt"] = "quick_stop",
-        tell_every: float = 0.02,
-        heartbeat: float | None = None,
-        sdo_timeout: float = 0.3,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self._describe_drive(node, eds, heartbeat, sdo_timeout, tell_every, None)
-        allowed = self._describe_actuator(stop, factor)
-        self.limits = {"position": limits or allowed}
+        self.limits = {"position": self._allowed}
 
     async def write(self, command: Move) -> None:
         """Tell the drive where to go, and enable it; or stop it."""

@@ -11,7 +11,6 @@ from typing import Any
 from cantools.database.can import Signal
 
 from esair.buses import CanBus
-from esair.drivers._on_can import can_bus
 from esair.drivers.dbc._claim import Claim, checked_name, claim_of
 from esair.drivers.dbc._codec import (
     NUMBERS,
@@ -134,7 +133,9 @@ class DbcActuator(Actuator[Any]):
         self.safe = safe
         self.limits = self._narrowed(limits)
         self._limited_only = self._names_with_limits()
-        self._value_type = self._type_of_commands()
+        self._value_type: Any = dict
+        if signal is not None:
+            self._value_type = str if isinstance(safe, str) else float
         alone = None if signal is None else codec.signals[signal]
         self._is_plain = (
             alone is not None
@@ -145,7 +146,13 @@ class DbcActuator(Actuator[Any]):
         self._check_safe()
         if slew is not None:
             self.slew = slew
-        self._check_slew()
+        for name in self.slew if isinstance(self.slew, Mapping) else ():
+            if find_signal(self.name, "slew", codec, name).multiplexer_ids:
+                raise ConfigError(
+                    self.name,
+                    f"slew.{name}",
+                    "it is multiplexed: a command without it has nothing to begin from",
+                )
 
     @property
     def value_type(self) -> Any:
@@ -203,11 +210,10 @@ class DbcActuator(Actuator[Any]):
         Raises:
             DeviceLostError: The address belongs to another node.
         """
-        bus = can_bus(self)
         self._last = None
         if self._own_name is not None:
             source = self._id & SOURCE if self._claim is None else self._claim.preferred
-            claim = self._claim = claim_of(self.name, bus, self._own_name, source)
+            claim = self._claim = claim_of(self.name, self.bus, self._own_name, source)
             address = await claim.join(self.report_lost)
             self._id = self._id & ~SOURCE | address
         if self.cycle is not None:
@@ -248,9 +254,9 @@ class DbcActuator(Actuator[Any]):
         if self._claim is not None and self._claim.address is None:
             raise DeviceLostError(self.name, "another node has its address")
         if self._in_packets:
-            await send_in_packets(can_bus(self), self._id, data)
+            await send_in_packets(self.bus, self._id, data)
             return
-        await can_bus(self).send(
+        await self.bus.send(
             self._id,
             data,
             extended=message.is_extended_frame,
@@ -283,34 +289,14 @@ class DbcActuator(Actuator[Any]):
                 faults = 0
 
     def _values(self, command: Any) -> Signals:
-        given = command if self.signal is None else {self.signal: command}
-        values = {**given, **self._fixed}
-        if self.signal is not None:
-            for name in self._others(values):
-                values[name] = at_rest(self.codec.signals[name])
+        """Return all signals of a frame but the sequence; who has one gets the others."""
+        if self.signal is None:
+            return {**command, **self._fixed}
+        values = {self.signal: command, **self._fixed}
+        rest = {name: at_rest(each) for name, each in self.codec.signals.items()}
+        for name in self.codec.selected({**rest, **values}) - {self.sequence}:
+            values.setdefault(name, rest[name])
         return values
-
-    def _others(self, values: Signals) -> list[str]:
-        """The signals that a frame with the only signal needs besides."""
-        wanted = {
-            name: values.get(name, at_rest(signal))
-            for name, signal in self.codec.signals.items()
-        }
-        return [
-            name
-            for name in self.codec.selected(wanted)
-            if name not in values and name != self.sequence
-        ]
-
-    def _check_slew(self) -> None:
-        """Refuse to limit how fast a signal changes that not all commands have."""
-        for name in self.slew if isinstance(self.slew, Mapping) else ():
-            if find_signal(self.name, "slew", self.codec, name).multiplexer_ids:
-                raise ConfigError(
-                    self.name,
-                    f"slew.{name}",
-                    "it is multiplexed: a command without it has nothing to begin from",
-                )
 
     def _narrowed(self, given: Any) -> Any:
         """Return the limits of the file, narrowed by those that were given."""
@@ -370,11 +356,6 @@ class DbcActuator(Actuator[Any]):
         if self.signal is not None:
             return name == self.signal
         return name not in self._fixed and name != self.sequence
-
-    def _type_of_commands(self) -> Any:
-        if self.signal is None:
-            return dict
-        return str if isinstance(self.safe, str) else float
 
     def _check_safe(self) -> None:
         safe: Any = self.safe

@@ -45,11 +45,7 @@ Lost = Callable[[EsairError], None]
 
 
 def checked_name(component: str, name: object) -> int:
-    """Return a NAME, which may be written as 16 hexadecimal digits.
-
-    Raises:
-        ConfigError: It is none.
-    """
+    """Return a NAME, which may be written as 16 hexadecimal digits."""
     number: object = name
     if isinstance(name, str) and len(name) == 16:
         with contextlib.suppress(ValueError):
@@ -69,9 +65,6 @@ class Claim:
     It is claimed when the first of them opens and let go when the last one closes. In
     between it is defended against greater NAMEs; lost to a lesser one each device is
     told, and the next opening has another address, or fails.
-
-    Attributes:
-        address: The address; None while there is none.
     """
 
     def __init__(self, bus: CanBus, name: int, preferred: int) -> None:
@@ -87,12 +80,7 @@ class Claim:
         self._is_parting = False
 
     async def join(self, lost: Lost) -> int:
-        """Have the address, and be told when it is lost.
-
-        Raises:
-            DeviceLostError: It belongs to another node, or the bus is gone.
-            DeviceFaultError: No other node acknowledges.
-        """
+        """Have the address, and be told when it is lost; raises if it is another's."""
         loop = asyncio.get_running_loop()
         self._users.append(lost)
         if self._task is None or self._task.done():
@@ -164,11 +152,7 @@ class Claim:
                 return
 
     async def _yield(self, address: int, name: int) -> None:
-        """Choose another address to claim.
-
-        Raises:
-            DeviceLostError: There is none.
-        """
+        """Choose another address to claim, or raise if there is none."""
         is_twin = name == self.name
         error = DeviceLostError(
             "J1939",
@@ -221,11 +205,7 @@ _claims: weakref.WeakKeyDictionary[CanBus, dict[int, Claim]] = (
 
 
 def claim_of(component: str, bus: CanBus, name: int, preferred: int) -> Claim:
-    """Return the claim that all devices on a bus with one NAME share.
-
-    Raises:
-        ConfigError: They want different addresses, which a node has one of.
-    """
+    """Return the claim that all devices on a bus with one NAME share, and an address."""
     claims = _claims.setdefault(bus, {})
     claim = claims.setdefault(name, Claim(bus, name, preferred))
     if claim.preferred != preferred:

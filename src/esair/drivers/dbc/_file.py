@@ -63,11 +63,7 @@ def find_signal(component: str, field: str, codec: MessageCodec, name: str) -> S
 
 
 def modulus_of(component: str, codec: MessageCodec, name: str | None) -> int:
-    """Return where a signal that counts frames begins anew; 1 if there is none.
-
-    Raises:
-        ConfigError: There is no such signal, or it cannot count.
-    """
+    """Return where a signal that counts frames begins anew; 1 if there is none."""
     if name is None:
         return 1
     signal = find_signal(component, "sequence", codec, name)

@@ -27,17 +27,7 @@ def is_j1939(message: Message) -> bool:
 
 
 def ids_from(component: str, message: Message, source: Source) -> Ids:
-    """Return the ids that a message comes with.
-
-    Args:
-        component: The name of the device.
-        message: The message.
-        source: The address that sends it; that of any node if ``"any"``, or if None and
-            the file says that it is one of J1939.
-
-    Raises:
-        ConfigError: The address is none.
-    """
+    """Return the ids that a message of J1939 comes with: from any node, or from one."""
     if source is None and not is_j1939(message):
         return int(message.frame_id)
     counts = 0x1FFF_FFFF & ~PRIORITY & ~SOURCE
@@ -53,11 +43,7 @@ def ids_from(component: str, message: Message, source: Source) -> Ids:
 def id_to(
     component: str, message: Message, source: int | None, destination: int | None
 ) -> int:
-    """Return the id to send a message with; that of the file as far as not given.
-
-    Raises:
-        ConfigError: An address is none, or the message is for all nodes.
-    """
+    """Return the id to send a message with; that of the file as far as not given."""
     number = int(message.frame_id)
     if source is not None:
         number = _with(component, "source", message, source, SOURCE)

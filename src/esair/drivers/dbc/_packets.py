@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import weakref
-from typing import Final, NoReturn
+from typing import Final
 
 from esair.buses import CanBus, Exchanges, Frame
 from esair.buses.can import Mask
@@ -73,13 +73,7 @@ class Sender:
         self._exchanges = Exchanges(bus)
 
     async def send(self, frame_id: int, data: bytes) -> None:
-        """Send a message, by the id that it would have as one frame.
-
-        Raises:
-            DeviceFaultError: The node did not want it, or asked for what is no packet.
-            DriverStuckError: The node did not answer.
-            EsairError: What sending a frame raises.
-        """
+        """Send a message, by the id that it would have as one frame."""
         destination = destination_of(frame_id)
         time = 2 * seconds_for(len(data), frame_id)
         async with self._exchanges.request(timeout=time) as exchange:
@@ -134,16 +128,12 @@ class Sender:
         count, first = answer.data[1:3]
         wanted = range(first, first + count)
         if first < 1 or (wanted.stop - 1) * SIZE >= size + SIZE:
-            self._refuse(answer)
+            raise DeviceFaultError(
+                "J1939",
+                f"node {answer.id & SOURCE} asks for {count} packets from {first} on, "
+                "which there are not",
+            )
         return wanted
-
-    def _refuse(self, answer: Frame) -> NoReturn:
-        count, first = answer.data[1:3]
-        raise DeviceFaultError(
-            "J1939",
-            f"node {answer.id & SOURCE} asks for {count} packets from {first} on, "
-            "which there are not",
-        )
 
     def _abort(self, frame_id: int, destination: int) -> None:
         """Tell the node that nothing more comes; in a task, as this one is ending."""
@@ -189,10 +179,7 @@ _senders: weakref.WeakKeyDictionary[CanBus, dict[tuple[int, int], Sender]] = (
 
 
 async def send_in_packets(bus: CanBus, frame_id: int, data: bytes) -> None:
-    """Send a message of more than 8 bytes. Args and errors are those of `Sender.send`.
-
-    Between two addresses there is one message at a time.
-    """
+    """Send a message of more than 8 bytes; between two addresses one at a time."""
     ends = frame_id & SOURCE, destination_of(frame_id)
     sender = _senders.setdefault(bus, {}).setdefault(ends, Sender(bus))
     await sender.send(frame_id, data)

@@ -10,15 +10,14 @@ from typing import Any, Literal
 
 from esair.buses import CanBus, Frame, Inbox
 from esair.buses.can import Mask
-from esair.drivers._on_can import can_bus
-from esair.drivers._silence import heard
+from esair.drivers._on_bus import heard
 from esair.drivers.dbc._codec import FrameError, MessageCodec, Signals
 from esair.drivers.dbc._file import find_message, find_signal, modulus_of
 from esair.drivers.dbc._j1939 import SOURCE, Source, ids_from
 from esair.drivers.dbc._transport import TRANSPORT, Reassembly
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.resources import Sensor
-from esair.values import check_seconds
+from esair.values import check_choice, check_seconds, check_whole
 
 
 class DbcSensor(Sensor[Any]):
@@ -73,14 +72,7 @@ class DbcSensor(Sensor[Any]):
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        if choices not in {"numbers", "names"}:
-            raise ConfigError(
-                self.name, "choices", f"expected 'numbers' or 'names', not {choices!r}"
-            )
-        if type(buffer) is not int or buffer < 1:
-            raise ConfigError(
-                self.name, "buffer", f"expected 1 or more, not {buffer!r}"
-            )
+        check_choice(self.name, "choices", choices, ("numbers", "names"))
         self.codec = MessageCodec(
             find_message(self.name, database, message), names=choices == "names"
         )
@@ -102,10 +94,8 @@ class DbcSensor(Sensor[Any]):
                 TRANSPORT.id | self._ids.id & sender, TRANSPORT.mask | sender
             )
         self.sources: dict[int, int] = {}
-        self.buffer = buffer
-        self.bad_frames = 0
-        self.repeated = 0
-        self.missed = 0
+        self.buffer = check_whole(self.name, "buffer", buffer, 1)
+        self.bad_frames = self.repeated = self.missed = 0
         self._numbers: dict[int, int] = {}
         self._dropped = 0
         self._inbox: Any = None
@@ -144,7 +134,7 @@ class DbcSensor(Sensor[Any]):
                 raise DeviceLostError(self.name, f"nothing came for {limit:g} s")
 
     def _frames(self) -> Inbox[Frame]:
-        return can_bus(self).frames(
+        return self.bus.frames(
             self._ids,
             extended=self.codec.message.is_extended_frame,
             limit=self.buffer,
@@ -175,11 +165,7 @@ class DbcSensor(Sensor[Any]):
                     yield str(values[signal]) if as_text else values[signal]
 
     def _decoded(self, frame: Frame) -> Signals:
-        """Return the signals of a frame that counts.
-
-        Raises:
-            FrameError: It cannot be decoded, or is that of before once more.
-        """
+        """Return the signals of a frame that is none of before once more."""
         try:
             values = self.codec.decode(frame.data)
         except FrameError:

@@ -44,19 +44,11 @@ class _Begun:
 
 
 class Reassembly:
-    """Puts the packets of one kind of message together. No I/O.
-
-    Args:
-        frame_id: The id of the message; its priority and who sends it do not count.
-
-    Attributes:
-        given_up: How many messages were not whole: a packet was missing, or late.
-    """
+    """Puts the packets of one kind of message together. No I/O."""
 
     def __init__(self, frame_id: int) -> None:
         self._group = group_of(frame_id)
         self._begun: dict[tuple[int, int], _Begun] = {}
-        self.given_up = 0
 
     def feed(self, frame: Frame) -> Frame | None:
         """Take a frame; return the message that it completes, as if it were one frame."""
@@ -71,13 +63,11 @@ class Reassembly:
         if place != PACKETS or begun is None:
             return None
         if frame.time - begun.heard > GAP or data[0] > begun.packets + 1:
-            self._give_up(ends)
+            del self._begun[ends]  # a packet is missing, or late
             return None
         begun.heard = frame.time
         begun.packets = data[0]
-        begun.data[7 * (data[0] - 1) :] = data[
-            1:
-        ]  # or once more what was asked for again
+        begun.data[7 * (data[0] - 1) :] = data[1:]  # or once more, asked for again
         if len(begun.data) < begun.size:
             return None
         del self._begun[ends]
@@ -90,18 +80,13 @@ class Reassembly:
             return
         sender = ends if kind != ABORT else ends[::-1]  # either of both may end it
         for each in {ends, sender}:
-            if each in self._begun:
-                self._give_up(each)
+            self._begun.pop(each, None)
         group = int.from_bytes(data[5:8], "little")
         if kind == ABORT or group != self._group or not 8 < size <= MOST:
             return
         if len(self._begun) >= MESSAGES:
-            self._give_up(next(iter(self._begun)))
+            del self._begun[next(iter(self._begun))]
         self._begun[ends] = _Begun(group, size, time)
-
-    def _give_up(self, ends: tuple[int, int]) -> None:
-        del self._begun[ends]
-        self.given_up += 1
 
 
 def group_of(frame_id: int) -> int:

@@ -30,7 +30,7 @@ import attrs
 from pynmeagps import NMEAReader, exceptions  # type: ignore[import-untyped]
 
 from esair.buses import SerialBus
-from esair.drivers._silence import heard
+from esair.drivers._on_bus import check_bus, heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Looks, Sentences
 from esair.resources import Sensor
@@ -261,12 +261,7 @@ class Gps(Sensor[Fix]):
                 "sentences",
                 f"expected of GGA and RMC, not {sentences!r:.80}",
             )
-        if not isinstance(getattr(self.bus, "framing", None), Sentences):
-            raise ConfigError(
-                self.name,
-                "bus",
-                f"expected a SerialBus with framing='nmea', not {self.bus!r}",
-            )
+        check_bus(self, SerialBus, Sentences)
         self.sentences = tuple(sentences)
         self.builder = FixBuilder(self.sentences)
 

@@ -24,10 +24,10 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from esair.buses import Inbox, SerialBus
-from esair.drivers._silence import hear_first, heard
+from esair.drivers._on_bus import check_bus, hear_first, heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Raw
-from esair.resources import Actuator, Sensor
+from esair.resources import Actuator, Resource, Sensor
 from esair.values import check_seconds
 from esair.watchdog import SafeFrames
 
@@ -81,30 +81,25 @@ def _number(text: bytes) -> float | None:
     return value if math.isfinite(value) else None
 
 
-class _LineDevice:
+class _OnLine(Resource):
     """What sensors and actuators on such a board have in common."""
 
-    name: str
     bus: SerialBus
-    identity: object
 
-    def _check(self, key: str | None) -> str:
-        if not isinstance(self.bus, SerialBus):
-            raise ConfigError(
-                self.name, "bus", f"expected a SerialBus, not {self.bus!r}"
-            )
+    def __init__(self, *, key: str | None = None, **settings: Any) -> None:
+        super().__init__(**settings)
+        check_bus(self, SerialBus)
         if isinstance(self.bus.framing, Raw):
             raise ConfigError(
                 self.name, "bus", "expected a SerialBus with framing='lines', not 'raw'"
             )
-        key = self.name if key is None else key
-        if not _KEY.match(key):
+        self.key = self.name if key is None else key
+        if not _KEY.match(self.key):
             raise ConfigError(
                 self.name,
                 "key",
                 f"expected letters, digits and _, at most 32, not {key!r:.80}",
             )
-        return key
 
     async def identify(self) -> str | None:
         """Ask the board who it is, if ``identity`` says who it has to be."""
@@ -114,7 +109,7 @@ class _LineDevice:
         return answer.partition(b"=")[2].strip().decode("ascii", "replace")
 
 
-class LineSensor(_LineDevice, Sensor[float]):
+class LineSensor(_OnLine, Sensor[float]):
     """One number that a board tells.
 
     Args:
@@ -128,18 +123,10 @@ class LineSensor(_LineDevice, Sensor[float]):
         bad_lines: How many values were no number.
     """
 
-    bus: SerialBus
-
     def __init__(
-        self,
-        *,
-        key: str | None = None,
-        ask: bool = False,
-        silent_after: float | None = None,
-        **keywords: Any,
+        self, *, ask: bool = False, silent_after: float | None = None, **keywords: Any
     ) -> None:
         super().__init__(**keywords)
-        self.key = self._check(key)
         self.ask = ask
         self.silent_after = silent_after
         if silent_after is not None:
@@ -194,7 +181,7 @@ class LineSensor(_LineDevice, Sensor[float]):
         return self.bus.frames(f"{self.key}=".encode("ascii"), limit=WAITING)
 
 
-class LineActuator(_LineDevice, Actuator[float]):
+class LineActuator(_OnLine, Actuator[float]):
     """One number that a board is told.
 
     Args:
@@ -205,20 +192,16 @@ class LineActuator(_LineDevice, Actuator[float]):
         own_timeout: After how many seconds without a command the board itself stops.
     """
 
-    bus: SerialBus
-
     def __init__(
         self,
         *,
         safe: float,
-        key: str | None = None,
         ack: bool = False,
         limits: tuple[float, float] | None = None,
         own_timeout: float | None = None,
         **keywords: Any,
     ) -> None:
         super().__init__(**keywords)
-        self.key = self._check(key)
         self.claim = f"the value {self.key!r}"
         self.safe = safe
         self.ack = ack

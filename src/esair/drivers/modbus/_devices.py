@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from pymodbus.client.mixin import ModbusClientMixin
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
@@ -19,10 +19,11 @@ from pymodbus.pdu.register_message import (
 )
 
 from esair.buses import SerialBus
+from esair.drivers._on_bus import check_bus
 from esair.exceptions import ConfigError, DeviceFaultError, describe
 from esair.framing import ModbusRtu, ModbusTcp
 from esair.resources import Actuator, Resource, Sensor
-from esair.values import check_seconds
+from esair.values import check_choice, check_seconds, check_whole
 from esair.watchdog import SafeFrames
 
 Table = Literal["holding", "input", "coil", "discrete"]
@@ -40,7 +41,6 @@ _READS: Final[dict[str, Any]] = {
     "discrete": ReadDiscreteInputsRequest,
 }
 _KINDS: Final = {kind.name.lower(): kind for kind in ModbusClientMixin.DATATYPE}
-_NUMBERS: Final = frozenset(Kind.__args__)  # type: ignore[attr-defined]
 _FAULTS: Final = {
     1: "it does not know the function",
     2: "it has no such register",
@@ -56,56 +56,41 @@ class _OnUnit(Resource):
     """What the sensor and the actuator have in common: a value of a unit."""
 
     bus: SerialBus
+    _tables: tuple[str, ...] = get_args(Table)
 
-    def _describe(
+    def __init__(
         self,
-        unit: int,
+        *,
+        unit: int = 1,
         register: int,
-        table: Table,
-        kind: Kind,
-        word_order: Literal["big", "little"],
-        factor: float,
-        timeout: float,
+        table: Table = "holding",
+        type: Kind = "int16",  # noqa: A002 - what everybody calls it
+        word_order: Literal["big", "little"] = "big",
+        factor: float = 1.0,
+        timeout: float = 0.5,
+        **settings: Any,
     ) -> None:
-        framing = getattr(self.bus, "framing", None)
-        if not isinstance(framing, ModbusRtu | ModbusTcp):
-            raise ConfigError(
-                self.name,
-                "bus",
-                "expected a SerialBus with framing='modbus-rtu' or 'modbus-tcp', "
-                f"not {self.bus!r}",
-            )
-        if type(unit) is not int or not 0 <= unit <= 255:
-            raise ConfigError(self.name, "unit", f"expected 0 to 255, not {unit!r:.80}")
-        if type(register) is not int or not 0 <= register <= 0xFFFF:
-            raise ConfigError(
-                self.name, "register", f"expected 0 to 65535, not {register!r:.80}"
-            )
-        if table not in _READS:
-            raise ConfigError(
-                self.name,
-                "table",
-                f"expected one of {', '.join(_READS)}, not {table!r}",
-            )
-        if kind not in _NUMBERS:
-            known = ", ".join(sorted(_NUMBERS))
-            raise ConfigError(
-                self.name, "type", f"expected one of {known}, not {kind!r:.80}"
-            )
-        if word_order not in {"big", "little"}:
-            raise ConfigError(
-                self.name,
-                "word_order",
-                f"expected 'big' or 'little', not {word_order!r}",
-            )
+        super().__init__(**settings)
+        check_bus(self, SerialBus, ModbusRtu, ModbusTcp)
+        self.unit = check_whole(self.name, "unit", unit, 0, 255)
+        self.register = check_whole(self.name, "register", register, 0, 0xFFFF)
+        self.table = check_choice(self.name, "table", table, self._tables)
+        self.kind = check_choice(self.name, "type", type, get_args(Kind))
+        self.word_order = check_choice(
+            self.name, "word_order", word_order, ("big", "little")
+        )
         if not factor:
             raise ConfigError(self.name, "factor", "expected a factor that is not 0")
-        self.unit, self.register, self.table = unit, register, table
-        self.kind, self.word_order, self.factor = kind, word_order, factor
+        self.factor = factor
         self.timeout = check_seconds(self.name, "timeout", timeout)
         self.is_bit = table in {"coil", "discrete"}
-        self._type = _KINDS[kind]
+        self._type = _KINDS[type]
         self._decoder = DecodePDU(False)
+
+    @property
+    def value_type(self) -> Any:
+        """A bool in a bit, else a float."""
+        return bool if self.is_bit else float
 
     @property
     def _size(self) -> int:
@@ -119,13 +104,7 @@ class _OnUnit(Resource):
         return head + bytes(request.encode())
 
     async def _ask(self, request: ModbusPDU) -> ModbusPDU:
-        """Make a request and return the answer of the unit.
-
-        Raises:
-            DeviceFaultError: It refuses, or answers something else.
-            DeviceLostError: The wire is gone.
-            DriverStuckError: It does not answer.
-        """
+        """Make a request and return the answer of the unit, or raise why it refuses."""
         message = self._message(request)
         head = message[: len(message) - len(request.encode())]
         refused = head[:-1] + bytes([head[-1] | 0x80])
@@ -181,31 +160,9 @@ class ModbusSensor(_OnUnit, Sensor[Any]):
         timeout: How long the unit may take to answer, in seconds.
     """
 
-    bus: SerialBus
-
-    def __init__(
-        self,
-        *,
-        unit: int = 1,
-        register: int,
-        table: Table = "holding",
-        type: Kind = "int16",  # noqa: A002 - what everybody calls it
-        word_order: Literal["big", "little"] = "big",
-        factor: float = 1.0,
-        timeout: float = 0.5,
-        **settings: Any,
-    ) -> None:
-        super().__init__(**settings)
-        self._describe(unit, register, table, type, word_order, factor, timeout)
-
-    @property
-    def value_type(self) -> Any:
-        """A bool in a bit, else a float."""
-        return bool if self.is_bit else float
-
     async def open(self) -> None:
         """Make sure that the unit answers."""
-        await self._get()
+        await self.read()
 
     async def read(self) -> Any:
         """Ask for the value; errors as those of the bus, and a fault if it refuses."""
@@ -228,31 +185,19 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
         own_timeout: After how many seconds without a command the unit itself stops.
     """
 
-    bus: SerialBus
+    _tables = ("holding", "coil")
 
     def __init__(
         self,
         *,
         safe: float | bool,
-        unit: int = 1,
-        register: int,
-        table: Literal["holding", "coil"] = "holding",
-        type: Kind = "int16",  # noqa: A002 - what everybody calls it
-        word_order: Literal["big", "little"] = "big",
-        factor: float = 1.0,
         limits: tuple[float, float] | None = None,
-        timeout: float = 0.5,
         own_timeout: float | None = None,
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self._describe(unit, register, table, type, word_order, factor, timeout)
-        if table not in {"holding", "coil"}:
-            raise ConfigError(
-                self.name, "table", f"expected 'holding' or 'coil', not {table!r}"
-            )
         self.own_timeout = own_timeout
-        self.claim = f"{table} {register} of unit {unit}"
+        self.claim = f"{self.table} {self.register} of unit {self.unit}"
         if self.is_bit:
             if not isinstance(safe, bool):
                 raise ConfigError(self.name, "safe", f"expected a bool, not {safe!r}")
@@ -269,11 +214,6 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
                 f"expected {self.safe:g} within, and {allowed[0]:g} to {allowed[1]:g} at "
                 f"most, not {self.limits!r:.80}",
             )
-
-    @property
-    def value_type(self) -> Any:
-        """A bool in a coil, else a float."""
-        return bool if self.is_bit else float
 
     def safe_frames(self) -> SafeFrames:
         """The safe value, as bytes of a serial line."""

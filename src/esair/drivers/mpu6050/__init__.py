@@ -13,15 +13,13 @@ from typing import Any
 import attrs
 
 from esair.buses import I2CBus
-from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
+from esair.drivers._on_bus import check_address, expected_at
 from esair.exceptions import DeviceFaultError
 from esair.resources import Sensor, setting
 
 __all__ = ["Motion", "Mpu6050", "decode_motion", "encode_motion"]
 
 ADDRESS = 0x68
-SMPLRT_DIV = 0x19
-CONFIG = 0x1A
 GYRO_CONFIG = 0x1B
 ACCEL_CONFIG = 0x1C
 ACCEL_XOUT_H = 0x3B
@@ -111,12 +109,11 @@ class Mpu6050(Sensor[Motion]):
     def __init__(self, *, address: int = ADDRESS, **settings: Any) -> None:
         super().__init__(**settings)
         self.address = check_address(self, address, range(0x68, 0x6A))
-        self._gyro_step = 0
-        self._accel_step = 0
+        self._gyro_step = self._accel_step = 0
 
     async def open(self) -> None:
         """Check that it is the chip, wake it and set its ranges."""
-        bus = i2c_bus(self)
+        bus = self.bus
         with expected_at(self, self.address):
             found = (await bus.read(self.address, WHO_AM_I))[0]
         if found != IDENTITY:
@@ -143,7 +140,7 @@ class Mpu6050(Sensor[Motion]):
 
     async def read(self) -> Motion:
         """Read all axes at one moment, in one transfer."""
-        block = await i2c_bus(self).read(self.address, ACCEL_XOUT_H, _BLOCK.size)
+        block = await self.bus.read(self.address, ACCEL_XOUT_H, _BLOCK.size)
         if not any(block):
             raise DeviceFaultError(
                 self.name, "every axis is 0: the chip sleeps, it has lost its power"
@@ -152,20 +149,14 @@ class Mpu6050(Sensor[Motion]):
 
     async def is_set_up(self) -> bool:
         """Tell whether it is awake and has its ranges, which a restart forgets."""
-        bus = i2c_bus(self)
-        power = (await bus.read(self.address, PWR_MGMT_1))[0]
-        ranges = await bus.read(self.address, GYRO_CONFIG, 2)
+        power = (await self.bus.read(self.address, PWR_MGMT_1))[0]
+        ranges = await self.bus.read(self.address, GYRO_CONFIG, 2)
         told = bytes([self._gyro_step << 3, self._accel_step << 3])
         return power == CLOCK_FROM_GYRO and ranges == told
 
     async def _scale(self, gyro_range: int, accel_range: int) -> None:
         gyro_step = (250, 500, 1000, 2000).index(gyro_range)
         accel_step = (2, 4, 8, 16).index(accel_range)
-        await i2c_bus(self).write(
-            self.address,
-            GYRO_CONFIG,
-            bytes([gyro_step << 3, accel_step << 3]),
-            idempotent=True,
-        )
-        self._gyro_step = gyro_step
-        self._accel_step = accel_step
+        told = bytes([gyro_step << 3, accel_step << 3])
+        await self.bus.write(self.address, GYRO_CONFIG, told, idempotent=True)
+        self._gyro_step, self._accel_step = gyro_step, accel_step

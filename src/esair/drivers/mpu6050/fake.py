@@ -32,7 +32,7 @@ class FakeMpu6050:
     def __init__(self, motion: Motion = AT_REST) -> None:
         self._motion = motion
         self._registers = bytearray(128)
-        self._reset()
+        self.power_cycle()
 
     @property
     def asleep(self) -> bool:
@@ -51,7 +51,9 @@ class FakeMpu6050:
 
     def power_cycle(self) -> None:
         """Lose the power for a moment: it is as after power-up."""
-        self._reset()
+        self._registers[:] = bytes(128)
+        self._registers[WHO_AM_I] = IDENTITY
+        self._registers[PWR_MGMT_1] = SLEEP
 
     def read(self, register: int, length: int) -> bytes:
         """Return registers that follow one another; they wrap around at the end."""
@@ -63,7 +65,7 @@ class FakeMpu6050:
         for index, value in enumerate(data):
             number = (register + index) % 128
             if number == PWR_MGMT_1 and value & _RESET:
-                self._reset()
+                self.power_cycle()
             elif number not in _READ_ONLY:
                 self._registers[number] = value
         self._measure()
@@ -75,8 +77,3 @@ class FakeMpu6050:
                 self._registers[ACCEL_CONFIG] >> 3 & 3,
                 self._registers[GYRO_CONFIG] >> 3 & 3,
             )
-
-    def _reset(self) -> None:
-        self._registers[:] = bytes(128)
-        self._registers[WHO_AM_I] = IDENTITY
-        self._registers[PWR_MGMT_1] = SLEEP

@@ -1,14 +1,4 @@
-"""An axis of an ODrive motor controller, over CAN.
-
-The axis is set up with the maker's tools: calibrated, with its node id, its limits, and
-the rates at which it tells its heartbeat and its encoder estimates. Set its watchdog
-too (``axis.config.watchdog_timeout`` and ``enable_watchdog``) and say so with
-``own_timeout``: nothing else stops the motor when this computer dies.
-
-Source: ODrive documentation, "CAN Protocol" (CANSimple), firmware 0.6; the names of the
-messages and of the error bits are those of that page. The controller counts in turns;
-everything here is in rad.
-"""
+"""An axis of an ODrive, as a sensor and as an actuator."""
 
 from __future__ import annotations
 
@@ -21,7 +11,6 @@ import attrs
 
 from esair.buses import CanBus, Inbox
 from esair.buses import Frame as CanFrame
-from esair.drivers._on_can import can_bus
 from esair.drivers.odrive._codec import (
     AxisState,
     ControlMode,
@@ -41,8 +30,8 @@ from esair.exceptions import (
     DeviceLostError,
     EsairError,
 )
-from esair.resources import HOLD, Actuator, Sensor
-from esair.values import check_seconds
+from esair.resources import HOLD, Actuator, Resource, Sensor
+from esair.values import check_choice, check_seconds, check_whole
 from esair.watchdog import SafeFrames, can_frame
 
 ARM_TIMEOUT = 0.5
@@ -72,7 +61,46 @@ class AxisReading:
     errors: tuple[str, ...]
 
 
-class OdriveState(Sensor[AxisReading]):
+class _OnAxis(Resource):
+    """What the sensor and the actuator have in common: the heartbeat of an axis."""
+
+    bus: CanBus
+    deadline = 2.0
+
+    def __init__(
+        self, *, node: int, heartbeat_timeout: float = 0.5, **settings: Any
+    ) -> None:
+        super().__init__(**settings)
+        self.node = check_whole(self.name, "node", node, 0, 0x3E)
+        self.heartbeat_timeout = check_seconds(
+            self.name, "heartbeat_timeout", heartbeat_timeout
+        )
+
+    def _frames(self, *messages: Message, limit: int) -> Inbox[CanFrame]:
+        ids = (frame_id(self.node, message) for message in messages)
+        return self.bus.frames(*ids, limit=limit)
+
+    async def _next(self, inbox: Inbox[CanFrame]) -> Heartbeat:
+        """Wait for the next heartbeat."""
+        loop = asyncio.get_running_loop()
+        due = loop.time() + self.heartbeat_timeout
+        while True:
+            try:
+                frame = await inbox.take(timeout=max(0.0, due - loop.time()))
+                return decode_heartbeat(frame.data)
+            except FrameError:
+                continue
+            except TimeoutError:
+                raise self._silent() from None
+
+    def _silent(self) -> DeviceLostError:
+        return DeviceLostError(
+            self.name,
+            f"no heartbeat of node {self.node} for {self.heartbeat_timeout:g} s",
+        )
+
+
+class OdriveState(_OnAxis, Sensor[AxisReading]):
     """What an axis measures, each time that it tells, and how it is.
 
     An error of the axis is no fault of this sensor: it is in the reading. Without a
@@ -86,23 +114,14 @@ class OdriveState(Sensor[AxisReading]):
         bad_frames: How many frames were too short.
     """
 
-    bus: CanBus
-    deadline = 2.0
-
-    def __init__(
-        self, *, node: int, heartbeat_timeout: float = 0.5, **settings: Any
-    ) -> None:
+    def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.node = _node(self.name, node)
-        self.heartbeat_timeout = check_seconds(
-            self.name, "heartbeat_timeout", heartbeat_timeout
-        )
         self.bad_frames = 0
 
     async def open(self) -> None:
         """Make sure that the axis is there."""
-        with contextlib.closing(_heartbeats(self, self.node)) as inbox:
-            await _next(self, inbox)
+        with contextlib.closing(self._frames(Message.HEARTBEAT, limit=4)) as inbox:
+            await self._next(inbox)
 
     async def stream(self) -> AsyncIterator[AxisReading]:
         """Yield each estimate of the encoder."""
@@ -110,15 +129,13 @@ class OdriveState(Sensor[AxisReading]):
         loop = asyncio.get_running_loop()
         due = loop.time() + self.heartbeat_timeout
         heartbeat: Heartbeat | None = None
-        inbox = can_bus(self).frames(
-            heartbeat_id, frame_id(self.node, Message.GET_ENCODER_ESTIMATES), limit=64
-        )
+        inbox = self._frames(Message.HEARTBEAT, Message.GET_ENCODER_ESTIMATES, limit=64)
         with contextlib.closing(inbox):
             while True:
                 try:
                     frame = await inbox.take(timeout=max(0.0, due - loop.time()))
                 except TimeoutError:
-                    raise _silent(self, self.node, self.heartbeat_timeout) from None
+                    raise self._silent() from None
                 except StopAsyncIteration:
                     return
                 try:
@@ -131,14 +148,14 @@ class OdriveState(Sensor[AxisReading]):
                     self.bad_frames += 1
                     continue
                 if loop.time() >= due:  # it measures, but its heart stands still
-                    raise _silent(self, self.node, self.heartbeat_timeout)
+                    raise self._silent()
                 if heartbeat is not None:
                     yield AxisReading(
                         position, velocity, heartbeat.state, heartbeat.error_names
                     )
 
 
-class OdriveAxis(Actuator[float]):
+class OdriveAxis(_OnAxis, Actuator[float]):
     """An axis that is told a velocity in rad/s, a position in rad or a torque in Nm.
 
     It is armed, which is to say it enters closed loop control, only by a command that
@@ -162,27 +179,16 @@ class OdriveAxis(Actuator[float]):
         heartbeat_timeout: In seconds.
     """
 
-    bus: CanBus
-    deadline = 2.0
-
     def __init__(
         self,
         *,
-        node: int,
         control: Literal["velocity", "position", "torque"] = "velocity",
         safe: float | None = None,
         idle: bool = False,
-        heartbeat_timeout: float = 0.5,
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self.node = _node(self.name, node)
-        if str(control).upper() not in ControlMode.__members__:
-            raise ConfigError(
-                self.name,
-                "control",
-                f"expected 'velocity', 'position' or 'torque', not {control!r:.80}",
-            )
+        check_choice(self.name, "control", control, ("velocity", "position", "torque"))
         self.control = ControlMode[control.upper()]
         self.claim = f"node {self.node}"
         goes = self.control is ControlMode.POSITION
@@ -197,9 +203,6 @@ class OdriveAxis(Actuator[float]):
         self.safe = safe
         self.safe_moves = goes and safe is not HOLD
         self.idle = idle
-        self.heartbeat_timeout = check_seconds(
-            self.name, "heartbeat_timeout", heartbeat_timeout
-        )
         self._armed_at: float | None = None
         """When it was told to enter closed loop control; None if it was not."""
         self._holds = False
@@ -225,9 +228,9 @@ class OdriveAxis(Actuator[float]):
 
     async def open(self) -> None:
         """Make sure that it is there and without errors; it is not armed by that."""
-        inbox = _heartbeats(self, self.node)
+        inbox = self._frames(Message.HEARTBEAT, limit=4)
         try:
-            heartbeat = await _next(self, inbox)
+            heartbeat = await self._next(inbox)
             if heartbeat.errors:
                 await self._send(Message.CLEAR_ERRORS, b"\0")
                 heartbeat = await self._cleared(inbox, heartbeat)
@@ -294,12 +297,12 @@ class OdriveAxis(Actuator[float]):
             self._holds = False
 
     async def _send(self, message: Message, data: bytes) -> None:
-        await can_bus(self).send(frame_id(self.node, message), data, replaces=True)
+        await self.bus.send(frame_id(self.node, message), data, replaces=True)
 
     async def _cleared(self, inbox: Inbox[CanFrame], heartbeat: Heartbeat) -> Heartbeat:
         """Wait for a heartbeat without errors, which may be the second one."""
         for _ in range(3):
-            heartbeat = await _next(self, inbox)
+            heartbeat = await self._next(inbox)
             if not heartbeat.errors:
                 return heartbeat
         raise DeviceFaultError(
@@ -308,7 +311,7 @@ class OdriveAxis(Actuator[float]):
 
     async def _watch(self, inbox: Inbox[CanFrame]) -> None:
         try:
-            while (problem := self._problem(await _next(self, inbox))) is None:
+            while (problem := self._problem(await self._next(inbox))) is None:
                 pass
         except (OSError, StopAsyncIteration) as error:
             self.report_lost(error if isinstance(error, OSError) else None)
@@ -337,39 +340,3 @@ class OdriveAxis(Actuator[float]):
                 f"it was not armed in {ARM_TIMEOUT:g} s: it is {heartbeat.state.name}",
             )
         return None
-
-
-def _node(component: str, node: int) -> int:
-    if type(node) is not int or not 0 <= node <= 0x3E:
-        raise ConfigError(component, "node", f"expected 0 to 62, not {node!r:.80}")
-    return node
-
-
-def _heartbeats(device: OdriveAxis | OdriveState, node: int) -> Inbox[CanFrame]:
-    return can_bus(device).frames(frame_id(node, Message.HEARTBEAT), limit=4)
-
-
-async def _next(device: OdriveAxis | OdriveState, inbox: Inbox[CanFrame]) -> Heartbeat:
-    """Wait for the next heartbeat.
-
-    Raises:
-        DeviceLostError: None came in time.
-    """
-    loop = asyncio.get_running_loop()
-    due = loop.time() + device.heartbeat_timeout
-    while True:
-        try:
-            frame = await inbox.take(timeout=max(0.0, due - loop.time()))
-            return decode_heartbeat(frame.data)
-        except FrameError:
-            continue
-        except TimeoutError:
-            raise _silent(device, device.node, device.heartbeat_timeout) from None
-
-
-def _silent(
-    device: OdriveAxis | OdriveState, node: int, seconds: float
-) -> DeviceLostError:
-    return DeviceLostError(
-        device.name, f"no heartbeat of node {node} for {seconds:g} s"
-    )

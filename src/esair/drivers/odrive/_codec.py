@@ -89,17 +89,11 @@ PASSTHROUGH = 1
 """The input mode that takes the input as it is."""
 
 _HEARTBEAT = struct.Struct("<IBBBx")
-
 _ESTIMATES = struct.Struct("<ff")
-
 _STATE = struct.Struct("<I")
-
 _MODE = struct.Struct("<II")
-
 _POSITION = struct.Struct("<fhh")
-
 _VELOCITY = struct.Struct("<ff")
-
 _TORQUE = struct.Struct("<f")
 
 

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import asyncio
 import weakref
-from typing import Any
+from typing import Any, TypeVar
 
 import attrs
 
 from esair.buses import I2CBus, RegisterLink
-from esair.drivers._on_i2c import check_address, expected_at, i2c_bus
+from esair.drivers._on_bus import check_address, expected_at
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Actuator
+from esair.values import check_whole
 from esair.watchdog import SafeFrames
+
+T = TypeVar("T")
 
 ADDRESSES = range(0x40, 0x78)
 """What the pins A0 to A5 give, without what no chip may have."""
@@ -76,12 +79,7 @@ def decode_steps(registers: bytes) -> int:
 
 @attrs.define
 class Chip:
-    """What is known of a chip that several actuators use.
-
-    Attributes:
-        frequency: The one frequency of all its channels, in Hz.
-        channels: Who uses which.
-    """
+    """What is known of a chip: the one frequency of its channels, and who uses which."""
 
     frequency: float
     channels: weakref.WeakValueDictionary[int, Actuator[Any]] = attrs.field(
@@ -92,76 +90,71 @@ class Chip:
 _chips: weakref.WeakKeyDictionary[I2CBus, dict[int, Chip]] = weakref.WeakKeyDictionary()
 
 
-class Channel:
-    """One channel of a chip, for one actuator.
+class OnChannel(Actuator[T]):
+    """What all that is on a channel has in common."""
 
-    Args:
-        owner: The actuator.
-        address: 0x40 to 0x77.
-        channel: 0 to 15.
-        frequency: How many periods a second, 24 to 1526 Hz; of all channels.
-    """
+    bus: I2CBus
 
     def __init__(
-        self, owner: Actuator[Any], address: int, channel: int, frequency: float
+        self,
+        *,
+        channel: int,
+        address: int = 0x40,
+        frequency: float = 50.0,
+        **settings: Any,
     ) -> None:
-        self.owner = owner
-        self.address = check_address(owner, address, ADDRESSES)
-        if type(channel) is not int or not 0 <= channel <= 15:
-            raise ConfigError(
-                owner.name, "channel", f"expected 0 to 15, not {channel!r:.80}"
-            )
+        super().__init__(**settings)
+        self.address = check_address(self, address, ADDRESSES)
+        self.channel = check_whole(self.name, "channel", channel, 0, 15)
         if not 24.0 <= frequency <= 1526.0:
             raise ConfigError(
-                owner.name,
-                "frequency",
-                f"expected 24 to 1526 Hz, not {frequency!r:.80}",
+                self.name, "frequency", f"expected 24 to 1526 Hz, not {frequency!r:.80}"
             )
-        self.number = channel
         self.frequency = float(frequency)
+        self.register = LED0_ON_L + 4 * channel
+        self.claim = f"channel {channel} of the chip {address:#04x}"
         self._chip: Chip | None = None
 
-    @property
-    def place(self) -> str:
-        """The channel and its chip, in words."""
-        return f"channel {self.number} of the chip {self.address:#04x}"
-
-    @property
-    def register(self) -> int:
-        """The first of its four registers."""
-        return LED0_ON_L + 4 * self.number
-
     async def open(self) -> None:
-        """Set the chip up unless it is, and turn the channel off.
+        """Set the chip up unless it is, and turn the output off.
 
         Raises:
             ConfigError: Another actuator uses the channel, or another frequency.
         """
-        bus = i2c_bus(self.owner)
-        self._claim(bus)
-        with expected_at(self.owner, self.address):
-            found = await bus.transaction(
+        self._take_channel()
+        with expected_at(self, self.address):
+            found = await self.bus.transaction(
                 self._set_up, address=self.address, idempotent=True
             )
         if found != prescale(self.frequency):
             raise DeviceFaultError(
-                self.owner.name,
+                self.name,
                 f"PRE_SCALE is {found} instead of {prescale(self.frequency)}: "
                 f"no PCA9685 at {self.address:#04x}",
             )
         await asyncio.sleep(SETTLING)
 
-    def off(self) -> SafeFrames:
-        """Return what turns the channel off, for the watchdog."""
+    async def close(self) -> None:
+        """Leave the channel to others, as it is."""
+        chip, self._chip = self._chip, None
+        if chip is not None and chip.channels.get(self.channel) is self:
+            del chip.channels[self.channel]
+
+    async def is_set_up(self) -> bool:
+        """Tell whether the chip is awake, with its frequency: asleep it takes commands."""
+
+        def look(link: RegisterLink) -> bool:
+            found = link.read_byte_data(self.address, PRE_SCALE)
+            return self._is_awake(link) and found == prescale(self.frequency)
+
+        return await self.bus.transaction(look, address=self.address, idempotent=True)
+
+    def _off(self) -> SafeFrames:
         data = bytes([self.register]) + encode_steps(0)
         return SafeFrames([data], address=self.address)
 
-    async def write(self, steps: int) -> None:
-        """Be on for so many of the 4096 steps of a period, from its beginning.
-
-        Raises:
-            DeviceLostError: The chip has restarted: it sleeps, and nothing was written.
-        """
+    async def _be_on(self, steps: int) -> None:
+        """Be on for so many steps of a period, unless the chip has restarted: it sleeps."""
 
         def put(link: RegisterLink) -> bool:
             is_set_up = self._is_awake(link)
@@ -171,62 +164,37 @@ class Channel:
                 )
             return is_set_up
 
-        bus = i2c_bus(self.owner)
-        if not await bus.transaction(put, address=self.address, idempotent=True):
-            raise DeviceLostError(
-                self.owner.name, "it has restarted: its set-up is gone"
-            )
-
-    async def is_set_up(self) -> bool:
-        """Tell whether the chip is awake, with the frequency that it was given."""
-
-        def look(link: RegisterLink) -> bool:
-            found = link.read_byte_data(self.address, PRE_SCALE)
-            return self._is_awake(link) and found == prescale(self.frequency)
-
-        return await i2c_bus(self.owner).transaction(
-            look, address=self.address, idempotent=True
-        )
+        if not await self.bus.transaction(put, address=self.address, idempotent=True):
+            raise DeviceLostError(self.name, "it has restarted: its set-up is gone")
 
     def _is_awake(self, link: RegisterLink) -> bool:
         mode = link.read_byte_data(self.address, MODE1)
         return bool(mode & AUTO_INCREMENT) and not mode & SLEEP
 
-    def close(self) -> None:
-        """Leave the channel to others."""
-        chip, self._chip = self._chip, None
-        if chip is not None and chip.channels.get(self.number) is self.owner:
-            del chip.channels[self.number]
-
-    def _claim(self, bus: I2CBus) -> None:
-        chips = _chips.setdefault(bus, {})
+    def _take_channel(self) -> None:
+        chips = _chips.setdefault(self.bus, {})
         chip = chips.get(self.address)
         others = {} if chip is None else dict(chip.channels)
-        user = others.pop(self.number, None)
-        if user is not None and user is not self.owner:
+        user = others.pop(self.channel, None)
+        if user is not None and user is not self:
             raise ConfigError(
-                self.owner.name,
-                "channel",
-                f"{self.place} is {user.name!r} already",
+                self.name, "channel", f"{self.claim} is {user.name!r} already"
             )
         if chip is None or (not others and chip.frequency != self.frequency):
             chip = chips[self.address] = Chip(self.frequency)
         if chip.frequency != self.frequency:
             other = next(iter(others.values())).name
             raise ConfigError(
-                self.owner.name,
+                self.name,
                 "frequency",
                 f"expected {chip.frequency:g} Hz as for {other!r}: "
                 "a chip has one frequency for all its channels",
             )
-        chip.channels[self.number] = self.owner
+        chip.channels[self.channel] = self
         self._chip = chip
 
     def _set_up(self, link: RegisterLink) -> int:
-        """Wake the chip and set its frequency, if nobody has; then be off.
-
-        It can change its frequency only while it sleeps, which stops all channels.
-        """
+        """Wake the chip and set its frequency, if nobody has; that stops all channels."""
         address, wanted = self.address, prescale(self.frequency)
         found = link.read_byte_data(address, PRE_SCALE)
         if not self._is_awake(link) or found != wanted:

@@ -32,19 +32,15 @@ class FakePca9685:
     def __init__(self) -> None:
         self._registers = bytearray(256)
         self.stops = 0
-        self.power_up()
+        self.power_cycle()
 
-    def power_up(self) -> None:
-        """Forget everything, as when the power was off."""
+    def power_cycle(self) -> None:
+        """Lose the power for a moment: everything is forgotten."""
         self._registers[:] = bytes(256)
         for register, value in _POWER_UP.items():
             self._registers[register] = value
         for channel in range(16):
             self._registers[LED0_ON_L + 4 * channel + 3] = FULL
-
-    def power_cycle(self) -> None:
-        """Lose the power for a moment."""
-        self.power_up()
 
     @property
     def asleep(self) -> bool:

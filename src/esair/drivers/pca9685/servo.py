@@ -11,10 +11,8 @@ from typing import Any
 
 import attrs
 
-from esair.buses import I2CBus
-from esair.drivers.pca9685._chip import STEPS, Channel, frequency_of, prescale
+from esair.drivers.pca9685._chip import STEPS, OnChannel, frequency_of, prescale
 from esair.exceptions import ConfigError
-from esair.resources import Actuator
 from esair.watchdog import SafeFrames
 
 __all__ = ["PwmServo", "ServoPosition"]
@@ -36,7 +34,7 @@ class ServoPosition:
     on: bool = True
 
 
-class PwmServo(Actuator[ServoPosition]):
+class PwmServo(OnChannel[ServoPosition]):
     """A hobby servo on one channel of a PCA9685.
 
     Its safe command is no pulses: it lets go, where it is. The servo goes on holding
@@ -54,14 +52,9 @@ class PwmServo(Actuator[ServoPosition]):
         max_pulse: The longest pulse, in seconds.
     """
 
-    bus: I2CBus
-
     def __init__(
         self,
         *,
-        channel: int,
-        address: int = 0x40,
-        frequency: float = 50.0,
         min_angle: float = -math.pi / 4,
         max_angle: float = math.pi / 4,
         min_pulse: float = 0.001,
@@ -69,13 +62,12 @@ class PwmServo(Actuator[ServoPosition]):
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self.channel = Channel(self, address, channel, frequency)
-        self.claim = self.channel.place
-        if not 0.0 < min_pulse < max_pulse < 1.0 / frequency:
+        period = 1.0 / self.frequency
+        if not 0.0 < min_pulse < max_pulse < period:
             raise ConfigError(
                 self.name,
                 "max_pulse",
-                f"expected pulses of 0 s < min_pulse < max_pulse < {1 / frequency:g} s, "
+                f"expected pulses of 0 s < min_pulse < max_pulse < {period:g} s, "
                 f"not {min_pulse!r:.80} and {max_pulse!r:.80}",
             )
         if not 0.0 < abs(max_angle - min_angle) <= WIDEST:
@@ -99,24 +91,12 @@ class PwmServo(Actuator[ServoPosition]):
 
     def safe_frames(self) -> SafeFrames | None:
         """No pulses; None if the safe command is another one."""
-        return self.channel.off() if not self.safe.on else None
-
-    async def open(self) -> None:
-        """Set the chip up unless it is, and send no pulses."""
-        await self.channel.open()
-
-    async def is_set_up(self) -> bool:
-        """Tell whether the chip is awake, with its frequency: asleep it takes commands."""
-        return await self.channel.is_set_up()
-
-    async def close(self) -> None:
-        """Leave the channel to others, as it is."""
-        self.channel.close()
+        return self._off() if not self.safe.on else None
 
     async def write(self, command: ServoPosition) -> None:
         """Send pulses for an angle, or none."""
         if not command.on:
-            await self.channel.write(0)
+            await self._be_on(0)
             return
-        period = 1.0 / frequency_of(prescale(self.channel.frequency))
-        await self.channel.write(round(self.pulse(command.angle) / period * STEPS))
+        period = 1.0 / frequency_of(prescale(self.frequency))
+        await self._be_on(round(self.pulse(command.angle) / period * STEPS))

@@ -33,8 +33,8 @@ from typing import Any
 import attrs
 
 from esair.buses import Inbox, SerialBus
-from esair.drivers._silence import heard
-from esair.exceptions import ConfigError, DeviceFaultError
+from esair.drivers._on_bus import check_bus, heard
+from esair.exceptions import DeviceFaultError
 from esair.framing import Looks, Raw
 from esair.resources import Sensor
 
@@ -289,12 +289,7 @@ class RpLidar(Sensor[Scan]):
 
     def __init__(self, **keywords: Any) -> None:
         super().__init__(**keywords)
-        if not isinstance(getattr(self.bus, "framing", None), Raw):
-            raise ConfigError(
-                self.name,
-                "bus",
-                f"expected a SerialBus with framing='raw', not {self.bus!r}",
-            )
+        check_bus(self, SerialBus, Raw)
         self.decoder = ScanDecoder()
         self.info: Info | None = None
 

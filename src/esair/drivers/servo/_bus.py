@@ -29,6 +29,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import now
+from esair.values import check_whole
 from esair.watchdog import Outlet
 
 T = TypeVar("T")
@@ -88,12 +89,8 @@ class ServoBus(Bus):
         opener: Callable[[], ServoLink] | None = None,
     ) -> None:
         super().__init__(name=name)
-        if type(baudrate) is not int or baudrate < 1:
-            raise ConfigError(
-                name, "baudrate", f"expected bits per second, not {baudrate!r:.80}"
-            )
         self.port = port
-        self.baudrate = baudrate
+        self.baudrate = check_whole(name, "baudrate", baudrate, 1)
         self.timeout = timeout
         self._opener = opener
         self._exchanges = Exchanges(self, late_limit=LATE_LIMIT)

@@ -1,25 +1,4 @@
-"""Dynamixel servos of the X series, on their own half-duplex serial line.
-
-Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, and the control table of the
-XL430-W250 (the same for all of the X series as far as it is used here). The packets are
-made and checked by the maker's ``dynamixel-sdk``, whose calls block: they run on the
-bus's thread, one after the other, each with a deadline.
-
-The bus is one of its own kind, because master and servos take turns on one wire::
-
-    [bus.arm]
-    type = "esair.drivers.servo:ServoBus"
-    port = "usb:0403:6014"
-    baudrate = 57600
-
-    [actuator.elbow]
-    driver = "servo"
-    bus = "arm"
-    id = 3
-    safe = { mode = "release" }
-
-A servo goes on to the goal that it has when this computer dies, and holds it.
-"""
+"""Servos that go to an angle, and where they are; see the package."""
 
 from __future__ import annotations
 
@@ -29,27 +8,24 @@ from typing import Any, Final, TypeVar
 
 import attrs
 
+from esair.drivers._on_bus import check_bus
 from esair.drivers.servo._bus import ServoBus
 from esair.drivers.servo._tables import Snapshot
-from esair.exceptions import ConfigError, DeviceLostError
-from esair.resources import Actuator, Sensor, setting
+from esair.exceptions import DeviceLostError
+from esair.resources import Actuator, Resource, Sensor, setting
+from esair.values import check_whole
 from esair.watchdog import SafeFrames
 
 OPERATING_MODE = 11
-
 TORQUE_ENABLE = 64
 
 LED = 65
 """Lit once the servo is set up; a restart puts it out, and so it is noticed."""
 
 GOAL_CURRENT = 102
-
 GOAL_VELOCITY = 104
-
 PROFILE_VELOCITY = 112
-
 GOAL_POSITION = 116
-
 PRESENT_POSITION = 132
 
 T = TypeVar("T")
@@ -104,32 +80,25 @@ class Goal:
     mode: Mode = Mode.MOVE
 
 
-def _check_id(name: str, servo: object) -> int:
-    if type(servo) is not int or not 0 <= servo <= 252:
-        raise ConfigError(name, "id", f"expected 0 to 252, not {servo!r:.80}")
-    return servo
+class _OnServo(Resource):
+    """What all that is on a servo has in common."""
+
+    bus: ServoBus
+
+    def __init__(self, *, id: int = 1, **keywords: Any) -> None:  # noqa: A002 - the maker's word
+        super().__init__(**keywords)
+        check_bus(self, ServoBus)
+        self.id = check_whole(self.name, "id", id, 0, 252)
 
 
-def _servo_bus(name: str, bus: object) -> ServoBus:
-    if not isinstance(bus, ServoBus):
-        raise ConfigError(name, "bus", f"expected a ServoBus, not {bus!r}")
-    return bus
-
-
-class ServoPosition(Sensor[float]):
+class ServoPosition(_OnServo, Sensor[float]):
     """Where a servo is, in rad, counter-clockwise from its middle.
 
     Args:
         id: The servo's id, 0 to 252; they come with 1.
     """
 
-    bus: ServoBus
     rate = setting(50.0, unit="Hz", min=0.1, max=500.0, doc="how often it is asked")
-
-    def __init__(self, *, id: int = 1, **keywords: Any) -> None:  # noqa: A002 - the maker's word
-        super().__init__(**keywords)
-        _servo_bus(self.name, self.bus)
-        self.id = _check_id(self.name, id)
 
     async def open(self) -> None:
         """Make sure that the servo answers, and can be asked in one turn of the wire."""
@@ -149,16 +118,13 @@ class ServoPosition(Sensor[float]):
         return (seen.position - CENTER) * math.tau / STEPS
 
 
-class Torqued(Actuator[T]):
+class Torqued(_OnServo, Actuator[T]):
     """What servos have in common in each mode: a torque, and a light that is lit."""
 
-    bus: ServoBus
     mode: int
 
-    def __init__(self, *, id: int, **keywords: Any) -> None:  # noqa: A002 - the maker's word
+    def __init__(self, **keywords: Any) -> None:
         super().__init__(**keywords)
-        _servo_bus(self.name, self.bus)
-        self.id = _check_id(self.name, id)
         self.claim = f"servo {self.id}"
         self._torque = False
 
@@ -215,11 +181,10 @@ class Servo(Torqued[Goal]):
         self,
         *,
         safe: Goal,
-        id: int = 1,  # noqa: A002 - the maker's word
         limits: tuple[float, float] = (to_angle(0), to_angle(STEPS - 1)),
         **keywords: Any,
     ) -> None:
-        super().__init__(id=id, **keywords)
+        super().__init__(**keywords)
         self.safe = safe
         self._told_speed: int | None = None
         self.limits = {"angle": tuple(limits)}  # type: ignore[dict-item]

@@ -31,6 +31,7 @@ from esair.drivers.servo._bus import ServoBus
 from esair.drivers.servo._line import SdkPort, ServoLink
 from esair.drivers.servo._tables import FEETECH_HLS, FEETECH_STS
 from esair.exceptions import ConfigError, describe
+from esair.values import check_choice
 
 _FAULTS = {
     0x01: "input voltage",
@@ -72,11 +73,7 @@ class FeetechBus(ServoBus):
         super().__init__(
             name=name, port=port, baudrate=baudrate, timeout=timeout, opener=opener
         )
-        if series not in _TABLES:
-            raise ConfigError(
-                name, "series", f"expected 'sts' or 'hls', not {series!r:.80}"
-            )
-        self.table = _TABLES[series]
+        self.table = _TABLES[check_choice(name, "series", series, _TABLES)]
 
     def _make_handler(self) -> Any:
         try:

@@ -15,11 +15,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from esair.drivers.servo._servo import (
-    CURRENT,
-    VELOCITY,
-    Torqued,
-)
+from esair.drivers.servo._servo import CURRENT, VELOCITY, Torqued
 from esair.drivers.servo._tables import Entry
 from esair.exceptions import ConfigError
 from esair.watchdog import SafeFrames
@@ -43,12 +39,7 @@ class _Turned(Torqued[float]):
         return SafeFrames([self.bus.packet(self.id, entry.address, 0, entry.size)])
 
     async def write(self, command: float) -> None:
-        """Tell the servo, with torque from the first command that is not safe.
-
-        Raises:
-            DeviceFaultError: It does not answer, or has shut down.
-            DeviceLostError: It has restarted, its torque is off: nothing was sent.
-        """
+        """Tell the servo, with torque from the first command that is not safe."""
         await self._check_set_up()
         entry = self._entry
         told = self.id, entry.address, entry.size, entry.pack(self._units(command))
@@ -75,11 +66,10 @@ class ServoVelocity(_Turned):
     def __init__(
         self,
         *,
-        id: int = 1,  # noqa: A002 - the maker's word
         limits: tuple[float, float] = (-6.0, 6.0),
         **keywords: Any,
     ) -> None:
-        super().__init__(id=id, **keywords)
+        super().__init__(**keywords)
         self.limits = limits
         self._entry = self.bus.table.velocity
 
@@ -104,12 +94,11 @@ class ServoCurrent(_Turned):
     def __init__(
         self,
         *,
-        id: int = 1,  # noqa: A002 - the maker's word
         unit: float | None = None,
         limits: tuple[float, float] = (-0.5, 0.5),
         **keywords: Any,
     ) -> None:
-        super().__init__(id=id, **keywords)
+        super().__init__(**keywords)
         table = self.bus.table
         if table.current is None:
             raise ConfigError(self.name, "bus", "its servos have no current mode")

@@ -1,0 +1,81 @@
+"""What drivers ask of the bus that their parts are on.
+
+Which kind of bus that is says the annotation ``bus:`` of a class, and the rulebook reads it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator, Iterator
+from typing import TypeVar
+
+from esair.buses import Bus, Inbox
+from esair.buses.i2c import SILENT
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.framing import FRAMINGS, Framing
+from esair.resources import Resource
+
+T = TypeVar("T")
+
+
+def check_bus(device: Resource, kind: type[Bus], *framings: type[Framing]) -> None:
+    """Refuse, as soon as a device is made, a bus of another kind or framed otherwise."""
+    bus: object = device.bus
+    framing = getattr(bus, "framing", None)
+    if isinstance(bus, kind) and (not framings or isinstance(framing, framings)):
+        return
+    names = [repr(name) for name, each in FRAMINGS.items() if each in framings]
+    framed = f" with framing={' or '.join(names)}" if names else ""
+    raise ConfigError(
+        device.name, "bus", f"expected a {kind.__name__}{framed}, not {bus!r}"
+    )
+
+
+def check_address(device: Resource, address: object, allowed: range) -> int:
+    """Return the address of a chip on an I²C bus, if the chip can have it."""
+    if type(address) is int and address in allowed:
+        return address
+    shown = f"{address:#04x}" if type(address) is int else f"{address!r:.80}"
+    raise ConfigError(
+        device.name,
+        "address",
+        f"expected {allowed[0]:#04x} to {allowed[-1]:#04x}, not {shown}",
+    )
+
+
+@contextlib.contextmanager
+def expected_at(device: Resource, address: int) -> Iterator[None]:
+    """Take a chip that does not answer as lost: it is waited for; a wrong answer is not."""
+    try:
+        yield
+    except DeviceFaultError as error:
+        if error.errno not in SILENT:
+            raise
+        raise DeviceLostError(
+            device.name, f"no chip answers at {address:#04x}"
+        ) from error
+
+
+async def heard(
+    device: Resource, inbox: Inbox[T], silent_after: float | None
+) -> AsyncIterator[T]:
+    """Yield what comes; who is silent for so many seconds is a `DeviceLostError`."""
+    while True:
+        try:
+            yield await inbox.take(timeout=silent_after)
+        except StopAsyncIteration:
+            return
+        except TimeoutError:
+            raise DeviceLostError(
+                device.name, f"nothing came for {silent_after:g} s"
+            ) from None
+
+
+async def hear_first(
+    device: Resource, inbox: Inbox[T], silent_after: float | None
+) -> None:
+    """Wait for a sign of life, if there has to be one."""
+    with contextlib.closing(inbox):
+        if silent_after is not None:
+            async for _ in heard(device, inbox, silent_after):
+                return
