@@ -260,11 +260,11 @@ async def test_a_slow_client_gets_the_newest_only(rover, raw):
         lazy.send(b'{"v":1,"id":"w","act":"watch","every":0.1}\n')
         await asyncio.sleep(0.05)
         client_limit = robot._seat.seat._socket
-        for client in client_limit.clients:
+        for client in client_limit.there:
             link = client.transport.get_extra_info("socket")
             link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
         await eventually(lambda: robot.journal.counts()["socket"]["dropped"])
-        (client,) = client_limit.clients
+        (client,) = client_limit.there
         assert client.transport.get_write_buffer_size() < 64 * 1024
         lazy.close()
 

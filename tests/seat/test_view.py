@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import struct
+import types
 from typing import Any
 
 import attrs
@@ -13,7 +14,10 @@ from tests.seat.conftest import Twist, Wander, eventually
 import esair
 from esair.cli._foxglove import PROTOCOLS, VIEWERS, Views
 from esair.cli._view import show
+from esair.journal import Journal, Kind
 from esair.seat import connect
+from esair.seat._feeds import FEEDS
+from esair.seat._wire import Message
 
 websockets = pytest.importorskip("websockets")
 
@@ -196,3 +200,21 @@ async def test_there_are_not_too_many(viewed):
             await stack.enter_async_context(look())
         assert error.value.response.status_code == 429
         await channels_of(links[0], "/actuator/wheels")
+
+
+async def test_who_does_not_read_is_looked_at_by_one_timer():
+    """However often something happens meanwhile, there is one look at its room."""
+    loop, journal = asyncio.get_running_loop(), Journal()
+    console = types.SimpleNamespace(robot=types.SimpleNamespace(journal=journal))
+    slow = types.SimpleNamespace(console=console, gone=False, unread=1 << 20, dropped=0)
+    journal.start(loop)
+    feed = FEEDS["view"](slow, Message("a", "view", {}))
+    feed.start()
+    before = len(loop._scheduled)
+    for number in range(50):
+        journal.publish(Kind.READING, "laser", value=esair.Reading(1.0, 0.0, number))
+    await eventually(lambda: slow.dropped == 49)
+
+    assert len(loop._scheduled) - before <= 2  # the wait of this test is one
+    slow.gone = True
+    feed.stop()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import collections
 import json
 import time
 from typing import Any, Protocol
@@ -84,8 +83,52 @@ class _Watch(Feed):
             self._next.cancel()
 
 
-class _Log(Feed):
-    """Events of the journal, as they come."""
+class _Heard(Feed):
+    """What the journal tells, as fast as the client reads it."""
+
+    word = "event"
+    kinds: list[Kind] | None = None
+    _listener: Listener | None = None
+
+    def __init__(self, client: Fed, message: Message) -> None:
+        super().__init__(client, message)
+        self._waiting: dict[object, Any] = {}
+        self._rests = False
+
+    def start(self) -> None:
+        journal = self.client.console.robot.journal
+        self._listener = journal.listen(self._hear, kinds=self.kinds)
+
+    def stop(self) -> None:
+        if self._listener is not None:
+            self._listener.stop()
+
+    def _hear(self, event: Event) -> None:
+        raise NotImplementedError
+
+    def _shown(self, found: Any) -> dict[str, Any]:
+        raise NotImplementedError
+
+    def _keep(self, key: object, found: Any) -> None:
+        self._waiting[key] = found
+        if not self._rests:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Send what there is room for; the rest waits."""
+        client = self.client
+        self._rests = False
+        while self._waiting and not client.gone:
+            if client.unread > ROOM:
+                self._rests = True
+                asyncio.get_running_loop().call_later(0.05, self._flush)
+                return
+            found = self._shown(self._waiting.pop(next(iter(self._waiting))))
+            client.send({"v": VERSION, "id": self.name, self.word: found})
+
+
+class _Log(_Heard):
+    """Events of the journal, as they come; of too many the newest."""
 
     fields = frozenset({"components", "kinds"})
 
@@ -97,85 +140,46 @@ class _Log(Feed):
         if kinds - known:
             told = f"expected some of {', '.join(sorted(known))}"
             raise BadValueError("log", "kinds", told)
-        self._kinds = [Kind(each) for each in kinds] or None
-        self._listener: Listener | None = None
+        self.kinds = [Kind(each) for each in kinds] or None
         self._missed = 0
-        self._events: collections.deque[Event] = collections.deque(maxlen=BACKLOG)
-
-    def start(self) -> None:
-        journal = self.client.console.robot.journal
-        self._listener = journal.listen(self._hear, kinds=self._kinds)
-
-    def stop(self) -> None:
-        if self._listener is not None:
-            self._listener.stop()
 
     def _hear(self, event: Event) -> None:
         wanted = self._components
         if wanted and not wanted & {event.component, event.peer}:
             return
-        if len(self._events) == BACKLOG:
+        if len(self._waiting) == BACKLOG:
+            del self._waiting[next(iter(self._waiting))]
             self._missed += 1
             self.client.dropped += 1
-        self._events.append(event)
-        if len(self._events) == 1:
-            self._flush()
+        self._keep(event.number, event)
 
-    def _flush(self) -> None:
-        """Send what there is room for; the newest of the rest waits."""
-        client = self.client
-        while self._events and not client.gone:
-            if client.unread > ROOM:
-                asyncio.get_running_loop().call_later(0.1, self._flush)
-                return
-            event = self._events.popleft()
-            found = {
-                "number": event.number,
-                "time": event.time,
-                "kind": event.kind.value,
-                "component": event.component,
-                "peer": event.peer,
-                "value": _small(event.value),
-                "text": event.text[:4096],
-                "missed": self._missed,
-            }
-            client.send({"v": VERSION, "id": self.name, "event": found})
+    def _shown(self, event: Event) -> dict[str, Any]:
+        return {
+            **event._asdict(),
+            "kind": event.kind.value,
+            "value": _small(event.value),
+            "text": event.text[:4096],
+            "missed": self._missed,
+        }
 
 
-class _View(Feed):
+class _View(_Heard):
     """Every event as a message for viewers; of a slow client's topics the newest."""
 
-    def __init__(self, client: Fed, message: Message) -> None:
-        super().__init__(client, message)
-        self._listener: Listener | None = None
-        self._offset = 0.0
-        self._newest: dict[str, Seen] = {}
+    word = "message"
 
     def start(self) -> None:
-        loop = asyncio.get_running_loop()
-        self._offset = time.time() - clock_of(loop)()
-        self._listener = self.client.console.robot.journal.listen(self._hear)
-
-    def stop(self) -> None:
-        if self._listener is not None:
-            self._listener.stop()
+        self._offset = time.time() - clock_of(asyncio.get_running_loop())()
+        super().start()
 
     def _hear(self, event: Event) -> None:
         found = seen_as(event, self._offset, _viewed)
-        if self._newest.pop(found.topic, None) is not None:
+        if self._waiting.pop(found.topic, None) is not None:
             self.client.dropped += 1
-        self._newest[found.topic] = found
-        if len(self._newest) == 1:
-            self._flush()
+        self._keep(found.topic, found)
 
-    def _flush(self) -> None:
-        client = self.client
-        while self._newest and not client.gone:
-            if client.unread > ROOM:
-                asyncio.get_running_loop().call_later(0.05, self._flush)
-                return
-            found = self._newest.pop(next(iter(self._newest)))
-            client.send({"v": VERSION, "id": self.name, "message": found._asdict()})
+    def _shown(self, seen: Seen) -> dict[str, Any]:
+        return seen._asdict()
 
 
 def _viewed(value: Any) -> Any:

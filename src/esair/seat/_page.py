@@ -15,11 +15,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from esair.exceptions import BadValueError, ConfigError
+from esair.exceptions import ConfigError
 from esair.seat._metrics import metrics
 from esair.seat._place import secret_file
-from esair.seat._visitor import Visitor
-from esair.seat._wire import LIMIT, VERSION, encode, failure
+from esair.seat._visitor import Visitor, Way, line_of
+from esair.seat._wire import LIMIT
 
 if TYPE_CHECKING:
     from starlette.requests import HTTPConnection, Request
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from esair.seat._operator import Console
 
 VIEWERS = 16  # How many browsers may be there at a time; one lane more is kept for stop
-STOP_LANES = 4  # How many more may come in who can only stop the robot
 
 WAITING = 256
 """How many lines may wait for a browser that does not read; one more and it goes."""
@@ -80,30 +79,17 @@ def import_packages() -> None:
         raise ConfigError("page", "", told) from None
 
 
-class PageServer:
+class PageServer(Way["_Viewer"]):
     """Serves the page of a robot in its own event loop."""
 
     def __init__(self, console: Console, page: Page) -> None:
-        self.console = console
+        super().__init__(console, "page", VIEWERS)
         self.page = page
         self.token = page.token
-        self.viewers: set[_Viewer] = set()
-        self.turned_away = 0  # How many requests were refused
-        self._past = [0, 0]
         self._server: Any = None
         self._serving: asyncio.Task[None] | None = None
         self._secret: Path | None = None
         self.port = page.port  # The port, also if any was asked for
-        console.robot.journal.count("page", lambda: [("page", self.counts())])
-
-    def counts(self) -> dict[str, int]:
-        """Return the counters, by name."""
-        return {
-            "clients": len(self.viewers),
-            "turned_away": self.turned_away,
-            "garbage": self._past[0] + sum(each.garbage for each in self.viewers),
-            "dropped": self._past[1] + sum(each.dropped for each in self.viewers),
-        }
 
     async def start(self) -> None:
         """Serve from now on."""
@@ -154,7 +140,7 @@ class PageServer:
 
     async def close(self) -> None:
         """Serve no more."""
-        for viewer in tuple(self.viewers):
+        for viewer in tuple(self.there):
             viewer.end()
         if self._serving is not None:
             self._server.should_exit = True
@@ -239,15 +225,12 @@ class PageServer:
     async def _operate(self, link: WebSocket) -> None:
         from starlette.websockets import WebSocketDisconnect
 
-        viewer = _Viewer(self.console, link)
+        viewer = _Viewer(self, link)
         address = link.client.host if link.client is not None else "?"
         viewer.session.who = f"browser at {address}"
-        if len(self.viewers) >= VIEWERS + STOP_LANES:
-            self.turned_away += 1
+        if not self.has_room(viewer):
             await link.close(4429)
             return
-        viewer.narrow = VIEWERS if len(self.viewers) >= VIEWERS else 0
-        self.viewers.add(viewer)
         writes = asyncio.create_task(viewer.write(), name="esair page writes")
         try:
             if self.token is not None:
@@ -270,9 +253,7 @@ class PageServer:
         except (WebSocketDisconnect, TimeoutError, RuntimeError, KeyError):
             pass  # it has gone, or says nothing that is text
         finally:
-            self.viewers.discard(viewer)
-            self._past[0] += viewer.garbage
-            self._past[1] += viewer.dropped
+            self.forget(viewer)
             viewer.gone = True
             viewer.leave()
             writes.cancel()
@@ -283,8 +264,9 @@ class _Viewer(Visitor):
 
     gone = False
 
-    def __init__(self, console: Console, link: WebSocket) -> None:
-        super().__init__(console)
+    def __init__(self, way: PageServer, link: WebSocket) -> None:
+        super().__init__(way.console)
+        self._way = way
         self._link = link
         self._lines: collections.deque[bytes] = collections.deque()
         self._news = asyncio.Event()
@@ -297,21 +279,15 @@ class _Viewer(Visitor):
     def send(self, found: dict[str, Any]) -> None:
         if self.gone:
             return
-        line = encode(found)
-        if len(line) > 1 << 20:
-            told = f"the answer has {len(line)} bytes"
-            line = encode(failure(found.get("id"), BadValueError("answer", "", told)))
+        line = line_of(found)
         if len(self._lines) >= WAITING:
+            self._way.cut_off += 1
             self.gone = True
             self._news.set()
             return
         self._lines.append(line)
         self._bytes += len(line)
         self._news.set()
-
-    def end(self) -> None:
-        """Say that the robot has ended."""
-        self.send({"v": VERSION, "id": None, "ended": True})
 
     async def write(self) -> None:
         """Hand over what is to be sent, as fast as the browser takes it."""

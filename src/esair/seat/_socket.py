@@ -12,13 +12,12 @@ from typing import Any
 from esair.exceptions import BadValueError, BusyError
 from esair.seat._operator import Console
 from esair.seat._place import Place
-from esair.seat._visitor import Visitor
-from esair.seat._wire import LIMIT, VERSION, encode, failure
+from esair.seat._visitor import LONGEST, Visitor, Way, line_of
+from esair.seat._wire import LIMIT, VERSION, failure
 
 CLIENTS = 16
 """How many clients may be there at a time."""
 
-STOP_LANES = 4  # How many more may come in who can only stop the robot
 
 WAITING = 256 * 1024
 """How many bytes may wait for a client that does not read; one more and it goes."""
@@ -30,14 +29,13 @@ LINGER = 0.5  # How long a client that is turned away may take to hear why, in s
 LINES = 2000
 """How many lines a client may send in a second; the rest waits in its own pipe."""
 
-LONGEST = 1 << 20  # How long an answer may be, in bytes
 
 _CREDENTIALS = struct.Struct("3i")
 
 _log = logging.getLogger("esair")
 
 
-class Socket:
+class Socket(Way["_Client"]):
     """The control socket of a robot, in its own event loop.
 
     Args:
@@ -46,26 +44,9 @@ class Socket:
     """
 
     def __init__(self, console: Console, place: Place) -> None:
-        self.console = console
+        super().__init__(console, "socket", CLIENTS)
         self.place = place
-        self.clients: set[_Client] = set()
-        self.turned_away = 0
-        """How many came who may not, or were too many."""
-        self._past = [0, 0]
-        self.cut_off = 0
-        """How many clients were cut off because they did not read."""
         self._server: asyncio.Server | None = None
-        console.robot.journal.count("socket", lambda: [("socket", self.counts())])
-
-    def counts(self) -> dict[str, int]:
-        """Return the counters, by name."""
-        return {
-            "clients": len(self.clients),
-            "turned_away": self.turned_away,
-            "garbage": self._past[0] + sum(each.garbage for each in self.clients),
-            "dropped": self._past[1] + sum(each.dropped for each in self.clients),
-            "cut_off": self.cut_off,
-        }
 
     async def start(self) -> None:
         """Let clients come."""
@@ -81,17 +62,10 @@ class Socket:
         """Let nobody in any more; those who are in are told that it ends."""
         if self._server is not None:
             self._server.close()
-        for client in tuple(self.clients):
+        for client in tuple(self.there):
             client.end()
         await asyncio.sleep(0)  # what they are told leaves
         self.place.close()
-
-    def forget(self, client: _Client) -> None:
-        """A client has gone; what it has counted stays."""
-        if client in self.clients:
-            self.clients.discard(client)
-            self._past[0] += client.garbage
-            self._past[1] += client.dropped
 
     def admits(self, client: _Client) -> bool:
         """Decide whether a client may come in; one too many can still stop."""
@@ -105,13 +79,10 @@ class Socket:
             return False
         client.session.who = f"user {user}"
         client.process = process
-        client.narrow = CLIENTS if len(self.clients) >= CLIENTS else 0
-        if len(self.clients) >= CLIENTS + STOP_LANES:
-            self.turned_away += 1
-            client.send(failure(None, BusyError("control socket", "clients", CLIENTS)))
-            return False
-        self.clients.add(client)
-        return True
+        if self.has_room(client):
+            return True
+        client.send(failure(None, BusyError("control socket", "clients", CLIENTS)))
+        return False
 
 
 def _not_you(user: int) -> dict[str, Any]:
@@ -167,16 +138,12 @@ class _Client(Visitor, asyncio.Protocol):
         return self.transport.get_write_buffer_size()
 
     def end(self) -> None:
-        """Say that the robot has ended, and close."""
-        self.send({"v": VERSION, "id": None, "ended": True})
+        super().end()
         self.transport.close()
 
     def send(self, found: dict[str, Any]) -> None:
         """Send a line; a client that does not read is cut off."""
-        line = encode(found)
-        if len(line) > LONGEST:
-            told = f"the answer has {len(line)} bytes, more than {LONGEST}"
-            line = encode(failure(found.get("id"), BadValueError("answer", "", told)))
+        line = line_of(found)
         if self.transport.get_write_buffer_size() + len(line) > WAITING + LONGEST:
             self.server.cut_off += 1
             self.transport.abort()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from esair.exceptions import BusyError
+from esair.exceptions import BadValueError, BusyError
 from esair.seat._feeds import FEEDS, Feed
 from esair.seat._leases import Lease
 from esair.seat._operator import Console, Session
@@ -13,11 +13,65 @@ from esair.seat._wire import (
     VERSION,
     Message,
     decode,
+    encode,
     failure,
     id_of,
     message_of,
     outcome,
 )
+
+LONGEST = 1 << 20  # How long an answer may be, in bytes
+STOP_LANES = 4  # How many more may come in by each way who can only stop the robot
+
+V = TypeVar("V", bound="Visitor")
+
+
+class Way(Generic[V]):
+    """One way in: who is there, and what they have counted."""
+
+    def __init__(self, console: Console, name: str, room: int) -> None:
+        self.console = console
+        self.there: set[V] = set()
+        self.turned_away = 0  # How many came who may not, or were too many
+        self.cut_off = 0  # How many were cut off because they did not read
+        self._room = room
+        self._past = [0, 0]
+        console.robot.journal.count(name, lambda: [(name, self.counts())])
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters, by name."""
+        return {
+            "clients": len(self.there),
+            "turned_away": self.turned_away,
+            "garbage": self._past[0] + sum(each.garbage for each in self.there),
+            "dropped": self._past[1] + sum(each.dropped for each in self.there),
+            "cut_off": self.cut_off,
+        }
+
+    def has_room(self, visitor: V) -> bool:
+        """Let somebody in if there is room; one too many can still stop the robot."""
+        if len(self.there) >= self._room + STOP_LANES:
+            self.turned_away += 1
+            return False
+        visitor.narrow = self._room if len(self.there) >= self._room else 0
+        self.there.add(visitor)
+        return True
+
+    def forget(self, visitor: V) -> None:
+        """Somebody has gone; what it has counted stays."""
+        if visitor in self.there:
+            self.there.discard(visitor)
+            self._past[0] += visitor.garbage
+            self._past[1] += visitor.dropped
+
+
+def line_of(found: dict[str, Any]) -> bytes:
+    """Return the line of an answer; of one that is too long, only that it is."""
+    line = encode(found)
+    if len(line) > LONGEST:
+        told = f"the answer has {len(line)} bytes, more than {LONGEST}"
+        line = encode(failure(found.get("id"), BadValueError("answer", "", told)))
+    return line
 
 
 class Visitor:
@@ -49,6 +103,10 @@ class Visitor:
         raise NotImplementedError
 
     # What is the same for all.
+
+    def end(self) -> None:
+        """Say that the robot has ended."""
+        self.send({"v": VERSION, "id": None, "ended": True})
 
     def leave(self) -> None:
         """It is gone: what it drives is released, what it watches ends."""
