@@ -20,11 +20,11 @@ PORTS = '''"""Ports whose calls wait. Written by tools/make_blocking.py."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
-from esair.actions._waiting import in_loop, next_of
 from esair.connections import ActuatorPort, Port, SensorPort
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
@@ -32,6 +32,15 @@ from esair.messages import Reading, Refused, ResourceState, Why, Written
 from esair.resources import Operation
 
 T = TypeVar("T")
+
+
+async def in_loop(function: Callable[..., T], *args: Any, **options: Any) -> T:
+    """Call a plain function where it belongs, while its thread waits."""
+    return function(*args, **options)
+
+
+async def forever() -> None:
+    await asyncio.get_running_loop().create_future()
 
 
 def blocking(port: Any, portal: Portal) -> Any:
@@ -52,11 +61,15 @@ from typing import Any, Literal, TypeVar, cast, overload
 
 from esair import minimal
 from esair.actions._behavior import Behavior, portal_of
-from esair.actions._blocking_ports import BlockingActuatorPort, BlockingSensorPort
+from esair.actions._blocking_ports import (
+    BlockingActuatorPort,
+    BlockingSensorPort,
+    forever,
+    in_loop,
+)
 from esair.actions._reaction import Reaction
 from esair.actions._request import Request
 from esair.actions._supervisor import BlockingBehaviors
-from esair.actions._waiting import forever, in_loop
 from esair.connections import Stopped
 from esair.messages import Access
 
@@ -92,7 +105,7 @@ ITERATION = '''
         values = self._port._values()  # noqa: SLF001 - the same port, for a thread
         try:
             while True:
-                yield self._portal.call(next_of, values)
+                yield self._portal.call(values.__anext__)
         finally:
             with contextlib.suppress(BehaviorRemovedError):  # its tasks are gone too
                 self._portal.call(values.aclose)
@@ -154,13 +167,15 @@ def passed(arguments: ast.arguments) -> str:
     return "".join(f", {name}" for name in names)
 
 
-def method(node: ast.FunctionDef | ast.AsyncFunctionDef, *, of_port: bool) -> str:
+def method(node: ast.FunctionDef | ast.AsyncFunctionDef, cls: str) -> str:
     """Return the text of the method that waits."""
     returns = ast.unparse(node.returns) if node.returns is not None else "None"
     head = f"    def {node.name}({ast.unparse(node.args)}) -> "
-    doc = ast.get_docstring(node) or ""
-    text = '        """' + doc.replace("\n", "\n        ") + '\n        """\n'
-    text = "\n".join(line.rstrip() for line in text.split("\n"))
+    summary, *rest = (ast.get_docstring(node) or "").split("\n")
+    if rest:  # told once, where it is awaited
+        told = f" See `{cls}.{node.name}`."
+        summary += told if len(summary + told) < 86 else f"\n\n       {told}\n        "
+    text = f'        """{summary}"""\n'
     if any(ast.unparse(each) == "property" for each in node.decorator_list):
         return f"\n    @property\n{head}{returns}:\n{text}        return self._port.{node.name}\n"
     returns = returns.replace("SensorPort[", "BlockingSensorPort[").replace(
@@ -169,6 +184,7 @@ def method(node: ast.FunctionDef | ast.AsyncFunctionDef, *, of_port: bool) -> st
     if any(ast.unparse(each) == "overload" for each in node.decorator_list):
         return f"    @overload\n{head}{returns}: ...\n"
     is_async = isinstance(node, ast.AsyncFunctionDef)
+    of_port = cls != "Behavior"
     if returns == "Awaitable[None]":
         returns = "None"
     target = f"self._port.{node.name}" if of_port else f"Behavior.{node.name}"
@@ -187,7 +203,7 @@ def made() -> dict[str, str]:
     ports += port_methods("_ports.py", "ActuatorPort")
     behavior = [HEADER, BEHAVIOR]
     behavior += [
-        method(each, of_port=False)
+        method(each, "Behavior")
         for each in methods("actions/_behavior.py", "Behavior")
     ]
     return {
@@ -199,7 +215,7 @@ def made() -> dict[str, str]:
 def port_methods(module: str, cls: str) -> list[str]:
     """Return the methods of a port that waits."""
     found = methods(f"connections/{module}", cls)
-    return [method(each, of_port=True) for each in found]
+    return [method(each, cls) for each in found]
 
 
 def formatted(text: str) -> str:

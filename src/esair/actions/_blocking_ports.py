@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
-from esair.actions._waiting import in_loop, next_of
 from esair.connections import ActuatorPort, Port, SensorPort
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
@@ -17,6 +17,15 @@ from esair.messages import Reading, Refused, ResourceState, Why, Written
 from esair.resources import Operation
 
 T = TypeVar("T")
+
+
+async def in_loop(function: Callable[..., T], *args: Any, **options: Any) -> T:
+    """Call a plain function where it belongs, while its thread waits."""
+    return function(*args, **options)
+
+
+async def forever() -> None:
+    await asyncio.get_running_loop().create_future()
 
 
 def blocking(port: Any, portal: Portal) -> Any:
@@ -40,33 +49,13 @@ class BlockingPort(Generic[T]):
         return self._port.resource
 
     def configure(self, **settings: Any) -> None:
-        """Change settings of the device: all of them, or none.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``.
-            BadValueError: A setting is unknown, or a value is not allowed.
-        """
+        """Change settings of the device: all of them, or none. See `Port.configure`."""
         self._portal.call(self._port.configure, **settings)
 
     def operate(self, name: str, /, **parameters: Any) -> Any:
         """Call an operation of the device, such as ``home``, and wait for its outcome.
 
-        Args:
-            name: The name of the operation.
-            **parameters: What it takes, by name; checked before anything is done.
-
-        Returns:
-            What the operation returns.
-
-        Raises:
-            AccessDeniedError: The port was not declared with ``configure=True``, or
-                somebody else holds the actuator.
-            UnknownNameError: There is no such operation.
-            BadValueError: A parameter is unknown, missing, or not allowed.
-            HaltedError: The robot is halted.
-            DeviceLostError: The device is not there.
-            DeviceFaultError: The device answered wrongly.
-            DriverStuckError: It did not end within its deadline.
+        See `Port.operate`.
         """
         return self._portal.call(self._port.operate, name, **parameters)
 
@@ -105,22 +94,7 @@ class BlockingSensorPort(BlockingPort[T]):
         max_age: float | None = None,
         timeout: float | None = None,
     ) -> T:
-        """Return a value: the newest one, or one that is newer than now.
-
-        The device is asked when its newest reading is older than its period.
-
-        Args:
-            fresh: Only a value that was measured after this call.
-            max_age: The greatest age, in seconds; the port's unless given.
-            timeout: How long to wait for the device; 1 s unless given.
-
-        Raises:
-            StaleReadingError: There is no reading that is fresh enough.
-            DeviceLostError: The device is not there.
-            DeviceFaultError: The device answered wrongly.
-            ResourceRemovedError: The user took the sensor away.
-            NotRegisteredError: The registration was revoked.
-        """
+        """Return a value: the newest one, or one that is newer than now. See `SensorPort.read`."""
         return self._portal.call(
             self._port.read, fresh=fresh, max_age=max_age, timeout=timeout
         )
@@ -139,14 +113,7 @@ class BlockingSensorPort(BlockingPort[T]):
 
     @property
     def newest(self) -> Reading[T]:
-        """The newest reading, without a wait, as a reaction sees it.
-
-        Raises:
-            StaleReadingError: There is none, or it is older than `max_age`.
-            DeviceLostError: The device is not there.
-            ResourceRemovedError: The user took the sensor away.
-            NotRegisteredError: The registration was revoked.
-        """
+        """The newest reading, without a wait, as a reaction sees it. See `SensorPort.newest`."""
         return self._port.newest
 
     def history(self, count: int) -> list[Reading[T]]:
@@ -158,7 +125,7 @@ class BlockingSensorPort(BlockingPort[T]):
         values = self._port._values()  # noqa: SLF001 - the same port, for a thread
         try:
             while True:
-                yield self._portal.call(next_of, values)
+                yield self._portal.call(values.__anext__)
         finally:
             with contextlib.suppress(BehaviorRemovedError):  # its tasks are gone too
                 self._portal.call(values.aclose)
@@ -172,32 +139,13 @@ class BlockingActuatorPort(BlockingPort[T]):
     _port: ActuatorPort[T]
 
     def write(self, command: T, *, hold: float | None = None) -> Written[T] | Refused:
-        """Send a command, and hold the actuator for a while.
-
-        Args:
-            command: A command of the actuator's type, finite and within limits.
-            hold: For how long nobody of the same or a lower priority gets through,
-                in seconds; the actuator's command timeout unless given. Each write
-                renews it.
-
-        Returns:
-            What was really sent; or a refusal, false in a condition, that says who
-            holds the actuator.
-
-        Raises:
-            BadValueError: The command must not be sent; nothing was.
-            DeviceLostError: The device is not there.
-            DeviceFaultError: The device did not take it.
-            DriverStuckError: The driver did not return in time.
-            ResourceRemovedError: The user took the actuator away.
-            NotRegisteredError: The registration was revoked.
-        """
+        """Send a command, and hold the actuator for a while. See `ActuatorPort.write`."""
         return self._portal.call(self._port.write, command, hold=hold)
 
     def release(self) -> None:
         """Give the actuator back at once: lower priorities get through.
 
-        It is done when this returns; it may be awaited, like the other verbs of a port.
+        See `ActuatorPort.release`.
         """
         self._portal.call(in_loop, self._port.release)
 

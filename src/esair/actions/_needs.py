@@ -32,8 +32,37 @@ Blind = Literal["safe", "release"]
 """What is done with the actuator of a component that cannot see."""
 
 
+class _Declared(Generic[T]):
+    """What is declared of any device: it is named like the attribute unless said."""
+
+    __slots__ = ()
+
+    right: ClassVar[Access]
+    configure: bool
+    name: str | None
+    attribute: str
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        object.__setattr__(self, "attribute", name)
+
+    @property
+    def resource(self) -> str:
+        """The name of the device."""
+        return self.name or self.attribute
+
+    @property
+    def provider(self) -> str:
+        """Who has to be there for it."""
+        return self.resource
+
+    @property
+    def access(self) -> Access:
+        """What the action wants to do."""
+        return self.right | Access.CONFIGURE if self.configure else self.right
+
+
 @attrs.frozen
-class Reads(Generic[T]):
+class Reads(_Declared[T]):
     """An action reads a sensor; in the running action it is a `SensorPort`.
 
     Attributes:
@@ -46,6 +75,8 @@ class Reads(Generic[T]):
         optional: Whether a reaction decides without it; it gets None then.
     """
 
+    right: ClassVar[Access] = Access.READ
+
     type: Any
     name: str | None = None
     max_age: float | None = None
@@ -53,9 +84,6 @@ class Reads(Generic[T]):
     attribute: str = ""
     every: bool = attrs.field(default=False, kw_only=True)
     optional: bool = attrs.field(default=False, kw_only=True)
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        object.__setattr__(self, "attribute", name)
 
     @overload
     def __get__(self, instance: None, owner: type) -> Reads[T]: ...
@@ -70,23 +98,13 @@ class Reads(Generic[T]):
         raise _not_bound(instance, self.resource)
 
     @property
-    def resource(self) -> str:
-        """The name of the sensor."""
-        return self.name or self.attribute
-
-    @property
     def provider(self) -> str:
         """Who has to be there for it: the actuator, if it reads its last command."""
         return self.resource.removesuffix(APPLIED)
 
-    @property
-    def access(self) -> Access:
-        """What the action wants to do."""
-        return Access.READ | Access.CONFIGURE if self.configure else Access.READ
-
 
 @attrs.frozen
-class Writes(Generic[T]):
+class Writes(_Declared[T]):
     """An action writes an actuator; in the running action it is an `ActuatorPort`.
 
     Attributes:
@@ -100,6 +118,8 @@ class Writes(Generic[T]):
             what is usual: "safe" for a reaction, "release" for a behavior.
     """
 
+    right: ClassVar[Access] = Access.WRITE
+
     type: Any
     name: str | None = None
     priority: int = 0
@@ -107,9 +127,6 @@ class Writes(Generic[T]):
     configure: bool = False
     attribute: str = ""
     blind: Blind | None = attrs.field(default=None, kw_only=True)
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        object.__setattr__(self, "attribute", name)
 
     @overload
     def __get__(self, instance: None, owner: type) -> Writes[T]: ...
@@ -122,24 +139,9 @@ class Writes(Generic[T]):
             return self
         raise _not_bound(instance, self.resource)
 
-    @property
-    def resource(self) -> str:
-        """The name of the actuator."""
-        return self.name or self.attribute
-
-    @property
-    def provider(self) -> str:
-        """Who has to be there for it: the actuator."""
-        return self.resource
-
-    @property
-    def access(self) -> Access:
-        """What the action wants to do."""
-        return Access.WRITE | Access.CONFIGURE if self.configure else Access.WRITE
-
 
 @attrs.frozen
-class Guards(Generic[T]):
+class Guards(_Declared[T]):
     """A reaction guards an actuator: every command of everybody passes it.
 
     Attributes:
@@ -150,14 +152,14 @@ class Guards(Generic[T]):
             the user resets it.
     """
 
+    right: ClassVar[Access] = Access.GUARD
+    configure: ClassVar[bool] = False  # type: ignore[misc]
+
     type: Any
     name: str | None = None
     priority: int = 0
     latch: bool = False
     attribute: str = ""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        object.__setattr__(self, "attribute", name)
 
     @overload
     def __get__(self, instance: None, owner: type) -> Guards[T]: ...
@@ -169,21 +171,6 @@ class Guards(Generic[T]):
         raise AttributeError(
             f"{self.attribute}: a guard gets the command as a parameter of react"
         )
-
-    @property
-    def resource(self) -> str:
-        """The name of the actuator."""
-        return self.name or self.attribute
-
-    @property
-    def provider(self) -> str:
-        """Who has to be there for it: the actuator."""
-        return self.resource
-
-    @property
-    def access(self) -> Access:
-        """What the action wants to do."""
-        return Access.GUARD
 
 
 Need = Reads[Any] | Writes[Any] | Guards[Any]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from esair.abc import Action
+from esair.actions._blocking_ports import in_loop
 from esair.loop import Portal
 from esair.messages import BehaviorStatus
 
@@ -61,11 +62,7 @@ class BlockingBehaviors:
 
     def query(self, name: str) -> BehaviorStatus:
         """Tell what a behavior is doing; see `Behaviors.query`."""
-
-        async def query() -> BehaviorStatus:
-            return self._behaviors.query(name)
-
-        return self._portal.call(query)
+        return self._portal.call(in_loop, self._behaviors.query, name)  # type: ignore[no-any-return]
 
     def add(self, behavior: Action) -> None:
         """Deploy a behavior or reaction; see `BehaviorSupervisor.add`."""

@@ -8,12 +8,12 @@ from typing import Any, TypeVar
 
 from esair.loop._contained import contained
 from esair.loop._light_task import LightTask
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 
 T = TypeVar("T")
 
 
-class Arrivals:
+class Arrivals(OfLoop):
     """All that one callback of the loop brings from outside.
 
     A call of a driver that waits for some of it goes on in that very callback, and needs
@@ -30,10 +30,6 @@ class Arrivals:
         self._loop = loop
         self.so_far: list[tuple[asyncio.Future[Any], Any]] | None = None
         """What has arrived; None where a task runs, as no other can go on in it."""
-
-    @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> Arrivals:
-        return of_loop(loop, cls)
 
     def __enter__(self) -> None:
         if asyncio.current_task(self._loop) is None:

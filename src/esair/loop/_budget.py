@@ -6,7 +6,7 @@ import asyncio
 import weakref
 from collections.abc import Callable
 
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 from esair.loop._ownership import is_outside
 
 SPENDABLE = 48
@@ -19,7 +19,7 @@ PUT_COST = 2
 """What handing data over costs."""
 
 
-class Budget:
+class Budget(OfLoop):
     """Counts awaits that need not wait; a task that makes too many gives way.
 
     An await that is answered at once never gives the loop back, so a task that loops
@@ -39,15 +39,11 @@ class Budget:
         self._spender: Callable[[], object] = _nobody
 
     @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> Budget:
-        return of_loop(loop, cls)
-
-    @classmethod
     async def spend(cls, cost: int = 1) -> None:
         """Count one await of the running loop, and give way if all is spent."""
         loop = asyncio.get_running_loop()
         # What is outside of the robot may not change who of it gives way.
-        budget = of_loop(loop, _BudgetBeside) if is_outside() else cls.of(loop)
+        budget = _BudgetBeside.of(loop) if is_outside() else cls.of(loop)
         budget.left -= cost
         if budget.left < 0:
             await budget.give_way()

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from esair.loop._contained import contained
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 from esair.loop._rate_group import REACHED, OneShot, Order
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
@@ -51,7 +51,7 @@ class DeadMan:
             self._all.drop()
 
 
-class DeadMen:
+class DeadMen(OfLoop):
     """Looks after all of a loop behind one timer.
 
     A timer each, moved at each command, would cost more than the commands. Here being
@@ -70,10 +70,6 @@ class DeadMen:
         self._heap: list[tuple[float, int, DeadMan]] = []
         self._look: OneShot | None = None
         self._armed = 0
-
-    @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> DeadMen:
-        return of_loop(loop, cls)
 
     def add(self, man: DeadMan) -> None:
         self._armed += 1

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.loop._contained import contained
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 from esair.loop._rate_group import REACHED, Order
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
@@ -51,7 +51,7 @@ class Deadline:
         self._function(*self._arguments)
 
 
-class Deadlines:
+class Deadlines(OfLoop):
     """Calls functions at their moments, most of which never come.
 
     Nearly every wait is over long before its deadline, and a timer of the loop for
@@ -73,14 +73,10 @@ class Deadlines:
     _scheduler_of = Scheduler.of
 
     @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> Deadlines:
-        return of_loop(loop, cls)
-
-    @classmethod
     def beside(cls, loop: asyncio.AbstractEventLoop) -> Deadlines:
         """Return those of what is outside of the robot; see `Scheduler.beside`."""
         if getattr(loop, "wakes_scheduler", False):
-            return of_loop(loop, _DeadlinesBeside)
+            return _DeadlinesBeside.of(loop)
         return cls.of(loop)
 
     def after(

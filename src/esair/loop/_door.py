@@ -18,14 +18,14 @@ from typing import Any
 
 from esair.loop._arrivals import Arrivals
 from esair.loop._entry import Entry, Tag
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 from esair.loop._tape import Player, TapeWriter
 from esair.loop._timer import clock_of
 
 _log = logging.getLogger("esair")
 
 
-class Door:
+class Door(OfLoop):
     """Where what threads have done comes into a loop. One for each event loop.
 
     However many entries there are, one wake-up of the loop is under way at a time:
@@ -63,10 +63,6 @@ class Door:
         """How many entries have come in."""
         self.at_work = 0
         """How many works threads have in hand."""
-
-    @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> Door:
-        return of_loop(loop, cls)
 
     @property
     def waiting(self) -> bool:

@@ -7,7 +7,7 @@ import gc
 import math
 import time
 
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 from esair.loop._rate_group import Job
 from esair.loop._scheduler import Scheduler
 
@@ -121,7 +121,7 @@ collector = Collector()
 """The one of this process."""
 
 
-class Gaps:
+class Gaps(OfLoop):
     """Has the collector work in the gaps of one loop's scheduler; counted."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -130,10 +130,6 @@ class Gaps:
         self._users = 0
         self._job: Job | None = None
         self._tries = 0
-
-    @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> Gaps:
-        return of_loop(loop, cls)
 
     def start(self) -> None:
         collector.start()

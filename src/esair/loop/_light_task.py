@@ -20,7 +20,7 @@ from asyncio.tasks import (
 from collections.abc import Callable, Coroutine, Generator
 from typing import Any, Final, Protocol
 
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 
 
 class _Mark(enum.Enum):
@@ -238,7 +238,7 @@ class LightTask(asyncio.Future[None]):
             self._step()
 
 
-class FirstSteps:
+class FirstSteps(OfLoop):
     """Begins coroutines, most of which end at once: all of a loop share a light task."""
 
     __slots__ = ("_loop", "spare")
@@ -247,10 +247,6 @@ class FirstSteps:
         self._loop = loop
         self.spare: LightTask | None = LightTask(loop)
         """Runs the next first step; None while one runs."""
-
-    @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> FirstSteps:
-        return of_loop(loop, cls)
 
     def begin(self, coroutine: Coroutine[Any, Any, Any], caller: Caller) -> Any:
         """Run a coroutine to its end or its first wait, now."""

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any, TypeVar
-
-T = TypeVar("T")
+from typing import TYPE_CHECKING, Any, Self
 
 
-def of_loop(loop: asyncio.AbstractEventLoop, kind: type[T]) -> T:
-    """Return a loop's object of a class; it is made when it is asked for first.
+class OfLoop:
+    """What an event loop has one of; it is made when it is asked for first.
 
     It is an attribute of the loop and they go together. In a table elsewhere it would
     keep every loop that ever was, because it refers to its loop.
     """
-    attributes: dict[str, Any] = vars(loop)
-    key = _KEYS[kind]
-    found: T | None = attributes.get(key)
-    if found is None:
-        found = attributes[key] = kind(loop)  # type: ignore[call-arg]
-    return found
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        def __init__(self, loop: asyncio.AbstractEventLoop) -> None: ...
+
+    @classmethod
+    def of(cls, loop: asyncio.AbstractEventLoop) -> Self:
+        """Return the one of a loop."""
+        attributes: dict[str, Any] = vars(loop)
+        key = _KEYS[cls]
+        found: Self | None = attributes.get(key)
+        if found is None:
+            found = attributes[key] = cls(loop)
+        return found
 
 
 class _Keys(dict[type, str]):

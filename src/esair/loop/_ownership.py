@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Coroutine, Generator, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 
 if TYPE_CHECKING:
     from random import Random
@@ -149,7 +149,7 @@ class Contained(Coroutine[Any, Any, Any]):
         return self._inner.__await__()
 
 
-class OwnedTasks:
+class OwnedTasks(OfLoop):
     """The task factory of a loop while robots run on it; one for the loop, counted.
 
     It tells each owner of the tasks that are started in its context. The factory that
@@ -162,10 +162,6 @@ class OwnedTasks:
         self._factory: Any = None
         self.script = contextvars.Context()
         """The context variables of whoever has started the first robot."""
-
-    @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> OwnedTasks:
-        return of_loop(loop, cls)
 
     def install(self) -> None:
         self._users += 1

@@ -6,24 +6,20 @@ import asyncio
 import random
 from typing import Any
 
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 from esair.loop._ownership import Owner, current_owner
 
 _outside = random.Random()
 """For code that belongs to no component."""
 
 
-class Stepping:
+class Stepping(OfLoop):
     """Whose reaction decides now, in one event loop."""
 
     __slots__ = ("owner",)
 
     def __init__(self, _loop: asyncio.AbstractEventLoop | None = None) -> None:
         self.owner: Owner | None = None
-
-    @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> Stepping:
-        return of_loop(loop, cls)
 
 
 class Stream:

@@ -25,7 +25,7 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 from esair.loop._ownership import spawn
 from esair.loop._rate_group import (
     EARLY,
@@ -55,7 +55,7 @@ CROWD = 32
 """How many components share a phase before another phase is used."""
 
 
-class Scheduler:
+class Scheduler(OfLoop):
     """Calls steps when they are due, all from one timer. One for each event loop."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -94,10 +94,6 @@ class Scheduler:
         self._sleep: asyncio.Future[None] | None = None
 
     @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> Scheduler:
-        return of_loop(loop, cls)
-
-    @classmethod
     def beside(cls, loop: asyncio.AbstractEventLoop) -> Scheduler:
         """Return the one for what is outside of the robot: drivers, a simulation.
 
@@ -105,7 +101,7 @@ class Scheduler:
         nobody else may share them. On any other loop it is that of the robot.
         """
         if getattr(loop, "wakes_scheduler", False):
-            return of_loop(loop, _SchedulerBeside)
+            return _SchedulerBeside.of(loop)
         return cls.of(loop)
 
     def expect(self, components: int) -> None:

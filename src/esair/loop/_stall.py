@@ -13,13 +13,13 @@ import traceback
 from types import FrameType
 
 from esair.abc import Component
-from esair.loop._of_loop import of_loop
+from esair.loop._of_loop import OfLoop
 from esair.loop._overseer import overseer
 
 _log = logging.getLogger("esair")
 
 
-class StallWatch:
+class StallWatch(OfLoop):
     """Asks a loop again and again, from a thread, whether it still turns.
 
     Code that holds it longer than allowed is named in the log with its stack, while
@@ -34,10 +34,6 @@ class StallWatch:
         self._said = False
         self.stalls = 0
         """How often the loop was held too long."""
-
-    @classmethod
-    def of(cls, loop: asyncio.AbstractEventLoop) -> StallWatch:
-        return of_loop(loop, cls)
 
     def start(self, limit: float) -> None:
         """Watch for turns that take longer than a limit, in seconds."""
