@@ -9,20 +9,18 @@ from esair.connections._command_check import CommandCheck, limits_by_field, part
 from esair.connections._decision import Decision, Sight
 from esair.connections._derived_channel import DerivedChannel, Source
 from esair.connections._driver import Driver, Method, is_loss, translate
-from esair.connections._follower import Follower
 from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
 from esair.connections._held_device import BeingReplacedError
 from esair.connections._port import Port
 from esair.connections._ports import ActuatorPort, SensorPort
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._registrations import Registration, Registrations
-from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
+from esair.connections._sensor_channel import Follower, SensorChannel
 from esair.connections._sensor_connection import SensorConnection
 
 __all__ = [
     "BLIND",
     "HALT",
-    "READ_TIMEOUT",
     "UNDECIDED",
     "ActuatorChannel",
     "ActuatorConnection",

@@ -9,7 +9,6 @@ from typing import Any
 
 import attrs
 
-from esair.connections._answers import why, withdrawn
 from esair.connections._call import Call, End
 from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
@@ -24,7 +23,7 @@ from esair.exceptions import (
 )
 from esair.journal import Kind
 from esair.loop import CallRefused
-from esair.messages import Answer, Refused, ResourceState, Why, Written
+from esair.messages import Answer, Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
 _EARLY = 1e-6  # timers may fire a hair early
@@ -340,12 +339,13 @@ class ActuatorChannel(HeldDevice):
         stops = self._blind or next((g for g in self._guards if g.stopping), None)
         if stops is not None:
             return self._refuse(registration, stops.refusal())
-        now = self._time()
         told = "it was made safe before the turn of this command came"
-        return self._refuse(
-            registration,
-            Refused(registration.behavior, registration.priority, told, now, now),
-        )
+        return self._refuse(registration, self._too_late(registration, told))
+
+    def _too_late(self, registration: Registration, told: str) -> Refused:
+        """Answer a write whose turn did not come in time, for which nobody is to blame."""
+        now = self._time()
+        return Refused(registration.behavior, registration.priority, told, now, now)
 
     def _applied(
         self,
@@ -414,8 +414,12 @@ class ActuatorChannel(HeldDevice):
         for write in self._waiting:
             if write.registration is registration:
                 self._waiting.remove(write)
+                told = (
+                    f"{registration.behavior!r} gave it back before the turn of this "
+                    "command came"
+                )
                 write.end(
-                    withdrawn(registration, self._time())
+                    self._too_late(registration, told)
                     if registration.usable
                     else self._refusal(registration)
                 )
@@ -446,12 +450,6 @@ class ActuatorChannel(HeldDevice):
         """
         self._withdraw(registration)
         super().drop(registration)
-
-    # What people ask.
-
-    def why(self) -> Why:
-        """Tell who holds the actuator, by which rule, and what would free it."""
-        return why(self, self._time())
 
 
 def _as_it_is(command: Any) -> Any:

@@ -215,17 +215,9 @@ class ActuatorDevice:
             if call.ended is not None and call is self._lane:
                 self._lane_free(call)
 
-        try:
-            value = self.calls.begin(method.name, method, (), self.actuator.deadline)
-        except Exception as error:
-            told(End(None, error))
-        else:
-            if type(value) is Call:
-                value.apply = ended
-                self._lane = value
-                self._busy = True
-            else:
-                told(End(value, None))
+        waits = self.calls.attempt(method, self.actuator.deadline, told, ended)
+        if waits is not None:
+            self._lane, self._busy = waits, True
         return True
 
     # Calls that waited.

@@ -7,7 +7,7 @@ import contextvars
 from collections.abc import Callable
 from typing import Any
 
-from esair.connections._call import Call, End
+from esair.connections._call import Apply, Call, End
 from esair.connections._driver import Driver, Guard, Method
 from esair.connections._threaded_call import ThreadedCall, awaited
 from esair.exceptions import DeviceFaultError, DriverStuckError, describe
@@ -227,6 +227,21 @@ class Calls:
         """Call a method of the driver and wait for its outcome."""
         value = self.begin(kind, method, args, limit)
         return await self.outcome(value) if type(value) is Call else value
+
+    def attempt(
+        self, method: Method, limit: float, told: Callable[[End], None], apply: Apply
+    ) -> Call | None:
+        """Call a method of the driver, and tell its end now, unless it waits."""
+        try:
+            value = self.begin(method.name, method, (), limit)
+        except Exception as error:
+            told(End(None, error))
+            return None
+        if type(value) is Call:
+            value.apply = apply
+            return value
+        told(End(value, None))
+        return None
 
     async def outcome(self, call: Call) -> Any:
         """Wait for the outcome of a call; whoever is cancelled here cancels it."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 
-from esair.connections._measured import measured_at
+from esair.connections._reading_check import measured_at
 from esair.connections._sensor_channel import SensorChannel
 from esair.messages import Reading, ResourceState, Stamped
 

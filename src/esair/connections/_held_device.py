@@ -22,7 +22,7 @@ from esair.exceptions import (
 )
 from esair.journal import Kind
 from esair.loop import DeadMan
-from esair.messages import Refused, ResourceState
+from esair.messages import Refused, ResourceState, Why
 from esair.resources import Actuator
 
 _EARLY = 1e-6  # timers may fire a hair early
@@ -278,6 +278,41 @@ class HeldDevice(ProtectedDevice):
             "operate",
             "it was made safe meanwhile" if stops is None else stops.rule,
         )
+
+    # What people ask.
+
+    def why(self) -> Why:
+        """Tell who holds the actuator, by which rule, and what would free it."""
+        holder, blind, now = self.holder, self._blind, self._time()
+        halt, error = self.registrations.halt, self.error
+        if holder is not None and now >= self.until:
+            holder = None
+        by: tuple[str, int, str, float, float | None]
+        if halt is not None:
+            by = HALT, HALT_PRIORITY, halt.reason, halt.since, math.inf
+            frees = "robot.resume(), by the user"
+        elif isinstance(error, BeingReplacedError):
+            by = USER, HALT_PRIORITY, error.detail, self.since, None
+            frees = "the device that takes its place, when it is open"
+        elif blind is not None and (
+            holder is None or holder.priority <= blind.priority
+        ):
+            by = blind.component, blind.priority, blind.rule, blind.since, None
+            frees = (
+                f"its next decision, or a write with a priority above {blind.priority}"
+            )
+        elif holder is not None:
+            rule = rule_of(holder)
+            by = holder.behavior, holder.priority, rule, self.since, self.until
+            frees = (
+                f"a write with a priority above {holder.priority}, a release by "
+                f"{holder.behavior}, or {self.until - now:.3g} s without its writes"
+            )
+        else:
+            safe = "it was told its safe command"
+            rule = safe if self.is_safe else "no hold is in force"
+            return Why(self.name, self.state, rule=rule, last=self._told)
+        return Why(self.name, self.state, *by)._replace(frees=frees, last=self._told)
 
 
 def rule_of(holder: Registration) -> str:

@@ -8,10 +8,10 @@ from collections.abc import (
     AsyncIterator,
     Awaitable,
     Generator,
-    Mapping,
 )
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
+from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._port import Control, Port, run_ended
 from esair.connections._registrations import Registration
@@ -281,13 +281,42 @@ class _Done:
 _DONE = _Done()
 
 
-def way_of(registration: object, channels: Mapping[str, C], kind: str) -> C:
-    channel = channels.get(getattr(registration, "resource", ""))
-    if channel is not None:
-        channel.registrations.check(registration)  # type: ignore[arg-type]
-        return channel
-    if not isinstance(registration, Registration):
-        raise NotRegisteredError("?", "?", f"{registration!r:.80} is no registration")
-    if registration.reason is not None:
-        raise registration.reason()
-    raise UnknownNameError(kind, registration.resource, channels)
+class Ways(Connection, Generic[C]):
+    """The ways to all devices of one kind, and the ports that lead there."""
+
+    kind: ClassVar[str]
+
+    def __init__(self) -> None:
+        self.channels: dict[str, C] = {}
+        """The way to each device; the resource supervisor fills it."""
+        self.control: Control
+        """The control path of the ports; the resource supervisor gives it."""
+
+    def names(self) -> list[str]:
+        """Return the names of the devices."""
+        return list(self.channels)
+
+    def channel(self, name: str) -> C:
+        """Return the way to one device.
+
+        Raises:
+            UnknownNameError: No device of the kind has the name.
+        """
+        try:
+            return self.channels[name]
+        except KeyError:
+            raise UnknownNameError(self.kind, name, self.channels) from None
+
+    def way_of(self, registration: object) -> C:
+        """Return the way that a registration gives a right to."""
+        channel = self.channels.get(getattr(registration, "resource", ""))
+        if channel is not None:
+            channel.registrations.check(registration)  # type: ignore[arg-type]
+            return channel
+        if not isinstance(registration, Registration):
+            raise NotRegisteredError(
+                "?", "?", f"{registration!r:.80} is no registration"
+            )
+        if registration.reason is not None:
+            raise registration.reason()
+        raise UnknownNameError(self.kind, registration.resource, self.channels)

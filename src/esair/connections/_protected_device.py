@@ -49,6 +49,7 @@ class ProtectedDevice(ActuatorDevice):
     def attach(self, actuator: Any) -> None:
         if not hasattr(self, "_guards"):  # else what protects the name goes on
             self._blind: Protection | None = None
+            """The hold in force of those that cannot see, the highest of several."""
             self._guards: tuple[Protection, ...] = ()
             self._blind_look: OneShot | None = None
             self._fence = 0
@@ -59,11 +60,6 @@ class ProtectedDevice(ActuatorDevice):
         """Take over what is safe, for protection: to stay where safe is a place to go."""
         super().configured()
         self._still = HOLD if self.actuator.safe_moves else self.actuator.safe
-
-    @property
-    def blind(self) -> Protection | None:
-        """The hold in force of those that cannot see, the highest if there are several."""
-        return self._blind
 
     def protect(
         self, holds: tuple[Protection, ...], guards: tuple[Protection, ...]

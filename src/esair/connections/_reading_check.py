@@ -1,4 +1,4 @@
-"""The check of a reading before it reaches an action: type, finite, limits."""
+"""The check of a reading before it reaches an action: time, type, finite, limits."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ from typing import Any
 import attrs
 
 from esair.exceptions import describe
+from esair.messages import Stamped
 from esair.resources import Sensor
 from esair.values import checked_class, once_for_class, passes_as, type_name
+
+AHEAD = 0.01
+"""How far in the future a device may say that it has measured, in seconds."""
 
 _DEPTH = 4
 """How deeply a value is looked into."""
@@ -87,6 +91,17 @@ class ReadingCheck:
                 what = f"{field} = {number!r:.80}" if field else f"{number!r:.80}"
                 return f"expected {low:g} to {high:g}, it gave {what}"
         return None
+
+
+def measured_at(stamped: Stamped[Any], now: float) -> float | str:
+    """Return when a value was measured, or say what is wrong with its stamp."""
+    try:
+        at = now - stamped.age if stamped.time is None else stamped.time
+        if math.isfinite(at) and at <= now + AHEAD:
+            return min(at, now)
+    except TypeError:
+        pass
+    return f"expected a time of measurement until now ({now:.3f} s), it gave {stamped!r:.120}"
 
 
 class FrozenCheck:

@@ -6,14 +6,12 @@ import asyncio
 import collections
 import math
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, Protocol
 
 from esair.connections._call import Call
 from esair.connections._driver import translate_call
-from esair.connections._follower import Follower
 from esair.connections._listening import Listening
-from esair.connections._measured import measured_at
-from esair.connections._reading_check import FrozenCheck, ReadingCheck
+from esair.connections._reading_check import FrozenCheck, ReadingCheck, measured_at
 from esair.connections._registrations import Registration, Registrations
 from esair.connections._sensor_device import SensorDevice
 from esair.exceptions import (
@@ -43,6 +41,26 @@ READ_TIMEOUT = 1.0
 
 _new = tuple.__new__
 """Makes a reading of what is in the right order, in half of the time."""
+
+
+class Follower(Protocol):
+    """Gets every new reading of a sensor, at once, in the loop."""
+
+    @property
+    def registration(self) -> Registration:
+        """The right by which it follows."""
+
+    def feed(self, reading: Reading[Any]) -> None:
+        """Take a new reading; must not wait."""
+
+    def changed(self, error: EsairError | None) -> None:
+        """Learn that the sensor is gone for now (why), or back (None)."""
+
+    def limited(self) -> None:
+        """Learn that the sensor's own greatest age of a reading has changed."""
+
+    def doubt(self, error: EsairError) -> None:
+        """Learn that it has given a bad value, or an error instead of one."""
 
 
 class SensorChannel(SensorDevice):

@@ -4,39 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from esair.abc import Connection
-from esair.connections._port import Control
-from esair.connections._ports import SensorPort, way_of
+from esair.connections._ports import SensorPort, Ways
 from esair.connections._registrations import Registration
 from esair.connections._sensor_channel import SensorChannel
-from esair.exceptions import UnknownNameError
 from esair.messages import Reading
 from esair.values import check_duration
 
 
-class SensorConnection(Connection):
+class SensorConnection(Ways[SensorChannel]):
     """Reads sensors for whoever is registered, whatever bus is behind them."""
 
-    def __init__(self) -> None:
-        self.channels: dict[str, SensorChannel] = {}
-        """The way to each sensor; the resource supervisor fills it."""
-        self.control: Control | None = None
-        """The control path of the ports; the resource supervisor's."""
-
-    def names(self) -> list[str]:
-        """Return the names of the sensors."""
-        return list(self.channels)
-
-    def channel(self, name: str) -> SensorChannel:
-        """Return the way to one sensor.
-
-        Raises:
-            UnknownNameError: No sensor has the name.
-        """
-        try:
-            return self.channels[name]
-        except KeyError:
-            raise UnknownNameError("sensor", name, self.channels) from None
+    kind = "sensor"
 
     def port(
         self, registration: Registration, *, max_age: float | None = None
@@ -51,10 +29,9 @@ class SensorConnection(Connection):
         Raises:
             NotRegisteredError: The registration is not valid (any more).
         """
-        channel = way_of(registration, self.channels, "sensor")
+        channel = self.way_of(registration)
         if max_age is not None:
             check_duration(channel.name, "max_age", max_age)
-        assert self.control is not None
         return SensorPort(channel, registration, max_age, self.control)
 
     async def read(

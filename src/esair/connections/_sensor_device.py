@@ -196,16 +196,9 @@ class SensorDevice:
             told(end)
             self._free()
 
-        try:
-            value = self.calls.begin(method.name, method, (), self.sensor.deadline)
-        except Exception as error:
-            told(End(None, error))
-        else:
-            if type(value) is Call:
-                value.apply = ended
-                self._asking = value
-            else:
-                told(End(value, None))
+        waits = self.calls.attempt(method, self.sensor.deadline, told, ended)
+        if waits is not None:
+            self._asking = waits
         return True
 
     def _late(self, call: Call) -> None:
