@@ -1,7 +1,8 @@
-"""Whether a behavior has failed because something that it uses is not there."""
+"""Which errors say that something is not there (yet), rather than that it is broken."""
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 
 from esair.actions import Behavior, Reaction
@@ -9,9 +10,47 @@ from esair.exceptions import (
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
+    EsairError,
     ResourceRemovedError,
     UnknownNameError,
 )
+
+_SILENT = frozenset({errno.EREMOTEIO, errno.ENXIO, errno.ETIMEDOUT, errno.EHOSTDOWN})
+"""What the system says of a part that does not answer: nobody acknowledges, say."""
+
+
+class AnotherDeviceError(DeviceFaultError):
+    """Where the device was is another one now; waiting for the right one may help."""
+
+
+def is_silence(error: BaseException) -> bool:
+    """Tell whether a device has said nothing, or is not the right one: no wrong answer.
+
+    It has no power yet, or it is still starting: it is waited for, for ever.
+    """
+    if isinstance(error, TimeoutError | AnotherDeviceError):
+        return True
+    chain: list[BaseException] = []
+    cause: BaseException | None = error
+    while cause is not None and all(each is not cause for each in chain):
+        if isinstance(cause, OSError) and cause.errno in _SILENT:
+            return True
+        chain.append(cause)
+        cause = cause.__cause__  # a driver may have made a circle of them
+    return False
+
+
+def is_absence(error: BaseException | None) -> bool:
+    """Tell whether a device could not be opened because it cannot be had now.
+
+    It is in use, its node has other rights, or nobody answers yet: the operating
+    system says all of this by an OSError, and waiting may help. A fault that the device
+    itself shows has no ``errno``.
+    """
+    return isinstance(error, OSError) and (
+        error.errno is not None or not isinstance(error, EsairError)
+    )
+
 
 _ABSENCE = (
     DeviceFaultError,

@@ -15,8 +15,10 @@ from esair.connections import (
 )
 from esair.exceptions import (
     AccessDeniedError,
+    BusyError,
     ConfigError,
     DeviceLostError,
+    DriverStuckError,
     EsairError,
     ResourceRemovedError,
     StoppingError,
@@ -25,11 +27,13 @@ from esair.exceptions import (
 from esair.journal import Kind
 from esair.loop import Budget, spawn
 from esair.messages import Access, ResourceState, SupervisorPhase
-from esair.resources import APPLIED, check_settings, shown
-from esair.supervisors._operate import operate
+from esair.resources import APPLIED, check_settings, operation_of, shown
 from esair.supervisors._resource_life import ResourceLife
 from esair.supervisors._rules import Rules
 from esair.values import check_name, is_positive
+
+WAITING_LIMIT = 16
+"""How many operations of one resource may wait or run; more are refused."""
 
 
 class ControlPath:
@@ -143,7 +147,36 @@ class ControlPath:
         """Call an operation of a resource; see `ResourceSupervisor.operate`."""
         await Budget.spend()
         life = self._configurable(registration)
-        return await operate(life, registration, name, parameters)
+        resource = life.resource
+        operation = operation_of(resource, name)
+        checked = operation.check(resource.name, parameters)
+        limit = operation.deadline or resource.deadline
+        until = asyncio.get_running_loop().time() + limit
+        if life.operations >= WAITING_LIMIT:
+            raise BusyError(resource.name, "number of operations", WAITING_LIMIT)
+        life.operations += 1
+        try:
+            await self._turn_of(life, name, until, limit)
+            try:
+                if life.is_over:
+                    raise DeviceLostError(resource.name, "it was replaced")
+                # It has the device for itself: nothing is configured or opened.
+                run = life.channel.operations.run
+                return await run(registration, name, checked, until, limit)
+            finally:
+                life.configuring.release()
+        finally:
+            life.operations -= 1
+
+    async def _turn_of(
+        self, life: ResourceLife, name: str, until: float, limit: float
+    ) -> None:
+        try:
+            async with asyncio.timeout_at(until):
+                await life.configuring.acquire()
+        except TimeoutError as error:
+            what = f"operate {name}, which waited for its turn,"
+            raise DriverStuckError(life.name, what, limit) from error
 
     def _configurable(self, registration: Registration) -> ResourceLife:
         if (

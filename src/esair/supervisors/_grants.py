@@ -3,28 +3,44 @@
 from __future__ import annotations
 
 import logging
+import types
 from collections.abc import Mapping
 from typing import Any
 
 from esair.actions import (
     ActuatorPort,
+    Behavior,
     GuardRunner,
     Guards,
     Need,
     Reaction,
     ReactionRunner,
     Reads,
+    RequestPort,
     SensorPort,
+    Takes,
+    ThreadBehavior,
     Writes,
+    blocking,
 )
 from esair.connections import ActuatorChannel, Registration, SensorChannel
 from esair.exceptions import EsairError, describe
+from esair.loop import Portal
 from esair.messages import Access
 from esair.supervisors._crew import Crew
+from esair.supervisors._request_queue import RequestQueue
 
 Port = SensorPort[Any] | ActuatorPort[Any]
 
 _log = logging.getLogger("esair")
+
+
+_METHODS = {
+    name: method
+    for name, method in vars(ThreadBehavior).items()
+    if isinstance(method, types.FunctionType) and name != "run"
+}
+"""What a plain behavior calls in its thread, and others await."""
 
 
 class Grants:
@@ -157,3 +173,36 @@ def dispensable(need: Need) -> bool:
 def age_limit(need: Need) -> float | None:
     """Return the greatest age that a port declares, in seconds; None if none."""
     return need.max_age if isinstance(need, Reads) else None
+
+
+def fill(
+    behavior: Behavior,
+    host: Any,
+    grants: Grants,
+    queues: Mapping[Any, RequestQueue],
+    portal: Portal | None,
+) -> None:
+    """Give a behavior what it declares; with a portal all of it waits, in its thread."""
+    behavior._host = host  # noqa: SLF001 - the behavior's own supervisor
+    if portal is not None and not isinstance(behavior, ThreadBehavior):
+        for name, method in _METHODS.items():
+            behavior.__dict__[name] = types.MethodType(method, behavior)
+    for attribute, need in behavior.needs.items():
+        port: Any = grants.declare(attribute, need)
+        behavior.__dict__[attribute] = blocking(port, portal) if portal else port
+    for attribute, each in behavior.takes.items():
+        if isinstance(each, Takes):
+            requests: Any = RequestPort(queues[each.type])
+            behavior.__dict__[attribute] = (
+                requests.blocking(portal) if portal else requests
+            )
+
+
+def empty(behavior: Behavior | Reaction, host: Any, portal: Portal | None) -> None:
+    """Take a behavior its supervisor, if it has not another one by now."""
+    if isinstance(behavior, Reaction) or behavior._host is not host:  # noqa: SLF001 - the behavior's own supervisor
+        return
+    behavior._host = None  # noqa: SLF001 - the behavior's own supervisor
+    if portal is not None:
+        for method in _METHODS:
+            behavior.__dict__.pop(method, None)

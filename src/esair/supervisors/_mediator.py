@@ -26,10 +26,10 @@ from esair.loop import Deadlines, spawn
 from esair.messages import BehaviorState
 from esair.supervisors._asks import Asks, run_over
 from esair.supervisors._circles import circle_of_get
-from esair.supervisors._pending import Pending
 from esair.supervisors._requests import (
     REQUESTS_PER_TARGET,
     Outcome,
+    Pending,
     Record,
     Request,
     serving,

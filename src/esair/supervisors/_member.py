@@ -29,8 +29,7 @@ from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._absence import absent, absent_for
 from esair.supervisors._crew import Crew
 from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
-from esair.supervisors._grants import Grants, bind, dispensable
-from esair.supervisors._hands import empty, fill
+from esair.supervisors._grants import Grants, bind, dispensable, empty, fill
 from esair.supervisors._life import Life, RestartBudget, safe_to_raise
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._perform import Steps, runner_for

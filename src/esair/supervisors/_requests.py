@@ -9,6 +9,8 @@ import enum
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from esair.exceptions import BusyError
+
 if TYPE_CHECKING:
     from esair.supervisors._mailbox import Mailbox
 
@@ -132,6 +134,36 @@ class Request(Link):
     def over(self) -> bool:
         """Whether it has its outcome."""
         return self.future.done()
+
+
+class Pending:
+    """Counts the requests that wait."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.of_asker: dict[str, int] = {}
+
+    def full(self, asker: str) -> BusyError | None:
+        """Return what an asker gets if not one more request of it may wait."""
+        if self.of_asker.get(asker, 0) >= REQUESTS_PER_SENDER:
+            return BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
+        if self.count >= REQUESTS:
+            return BusyError("behaviors", "number of requests", REQUESTS)
+        return None
+
+    def begin(self, asker: str) -> None:
+        """Count a request that begins to wait."""
+        self.count += 1
+        self.of_asker[asker] = self.of_asker.get(asker, 0) + 1
+
+    def end(self, asker: str) -> None:
+        """Count a request that waits no more."""
+        self.count -= 1
+        left = self.of_asker[asker] - 1
+        if left:
+            self.of_asker[asker] = left
+        else:
+            del self.of_asker[asker]
 
 
 class FairQueue:

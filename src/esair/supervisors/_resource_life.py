@@ -36,8 +36,8 @@ from esair.loop import (
 )
 from esair.messages import ResourceState, ResourceStatus, Restart
 from esair.resources import Resource, settings_of, shown
+from esair.supervisors._absence import AnotherDeviceError, is_absence, is_silence
 from esair.supervisors._life import Life, RestartBudget
-from esair.supervisors._silence import AnotherDeviceError, is_absence, is_silence
 from esair.supervisors._watch import Watch
 
 if TYPE_CHECKING:
