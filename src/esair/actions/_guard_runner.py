@@ -17,7 +17,6 @@ from esair.connections import (
     SensorChannel,
     Sight,
 )
-from esair.loop import Owner
 
 
 class GuardRunner(ReactionRunner):
@@ -37,25 +36,9 @@ class GuardRunner(ReactionRunner):
         reaction: Reaction,
         port: str,
         protection: Protection,
-        *,
-        on_state: Callable[[bool, str], None],
-        on_crash: Callable[[BaseException], None],
-        on_sight: Callable[[], None],
-        until: Callable[..., bool] | None = None,
-        on_end: Callable[[], None] | None = None,
-        began: float = 0.0,
-        owner: Owner | None = None,
+        **hooks: Any,
     ) -> None:
-        super().__init__(
-            reaction,
-            on_state=on_state,
-            on_crash=on_crash,
-            on_sight=on_sight,
-            until=until,
-            on_end=on_end,
-            began=began,
-            owner=owner,
-        )
+        super().__init__(reaction, **hooks)
         self._port = port
         self._protection = protection
         self._channel: ActuatorChannel | None = None

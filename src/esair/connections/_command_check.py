@@ -129,7 +129,7 @@ class CommandCheck:
                 ) from None
             if bounded != value:
                 changes[field] = bounded
-        return _changed(command, changes)
+        return changed(command, changes)
 
     def _accept(self, command: Any, wanted: type) -> Any:
         if isinstance(command, wanted) and not (
@@ -184,7 +184,7 @@ class CommandCheck:
             changes[field] = min(
                 high, max(low, value)
             )  # value is finite: checked before
-        return _changed(command, changes)
+        return changed(command, changes)
 
 
 def _is_frozen(wanted: Any) -> bool:
@@ -269,7 +269,8 @@ def part_of(command: Any, field: str) -> Any:
     return getattr(command, field)
 
 
-def _changed(command: Any, changes: Mapping[str, float]) -> Any:
+def changed(command: Any, changes: Mapping[str, Any]) -> Any:
+    """Return a command like another one, with some fields changed."""
     if not changes:
         return command
     if "" in changes:
@@ -284,7 +285,7 @@ def _changed(command: Any, changes: Mapping[str, float]) -> Any:
         return dataclasses.replace(command, **changes)
     if isinstance(command, tuple):
         return command._replace(**changes)  # type: ignore[attr-defined]
-    changed = copy.copy(command)
+    other = copy.copy(command)
     for field, value in changes.items():
-        setattr(changed, field, value)
-    return changed
+        setattr(other, field, value)
+    return other

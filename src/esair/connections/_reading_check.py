@@ -149,7 +149,7 @@ def _not_finite(value: Any, where: str, depth: int) -> str | None:
         )
     if isinstance(value, Mapping):
         parts = [(str(key), part) for key, part in value.items()]
-    elif names := _fields(kind):
+    elif names := fields_of(kind):
         parts = [(name, getattr(value, name)) for name in names]
     elif isinstance(value, tuple | list):
         return _not_a_number(value, where, depth)
@@ -181,7 +181,7 @@ def _not_a_number(
 
 
 @once_for_class
-def _fields(cls: type) -> tuple[str, ...]:
+def fields_of(cls: type) -> tuple[str, ...]:
     """The fields of a structured value: attrs, a dataclass, or a named tuple."""
     if attrs.has(cls):
         return tuple(field.name for field in attrs.fields(cls))

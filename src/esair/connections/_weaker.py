@@ -8,7 +8,8 @@ import types
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import attrs
+from esair.connections._command_check import changed
+from esair.connections._reading_check import fields_of
 
 _MISSING: Any = object()
 
@@ -98,19 +99,16 @@ def _parts(one: Any, other: Any) -> dict[Any, tuple[Any, Any]] | None:
         if len(one) != len(other):
             return None
         return dict(enumerate(zip(one, other, strict=True)))
-    names = _fields(type(one)) or [*getattr(one, "__dict__", ()), *_slots(type(one))]
+    names = list(fields_of(type(one))) or [
+        *getattr(one, "__dict__", ()),
+        *_slots(type(one)),
+    ]
     if not names:
         return None
     return {
         name: (getattr(one, name, _MISSING), getattr(other, name, _MISSING))
         for name in names
     }
-
-
-def _fields(cls: type) -> list[str]:
-    if attrs.has(cls):
-        return [field.name for field in attrs.fields(cls)]
-    return list(getattr(cls, "__dataclass_fields__", ()))
 
 
 def _slots(cls: type) -> Iterator[str]:
@@ -131,27 +129,14 @@ def _part(whole: Any, key: Any) -> Any:
 
 
 def _rebuilt(command: Any, parts: dict[Any, Any]) -> Any:
-    if isinstance(command, Mapping):
-        return {**command, **parts}
     if hasattr(command, "tolist"):
-        changed = command.copy()
-        changed[...] = [parts[place] for place in range(len(parts))]
-        return changed
-    if isinstance(command, tuple):
+        rebuilt = command.copy()
+        rebuilt[...] = [parts[place] for place in range(len(parts))]
+        return rebuilt
+    if isinstance(command, Sequence):
         values = [parts[place] for place in range(len(parts))]
+        if not isinstance(command, tuple):
+            return values
         named = hasattr(command, "_fields")
         return type(command)(*values) if named else type(command)(values)
-    if isinstance(command, Sequence):
-        return [parts[place] for place in range(len(parts))]
-    if attrs.has(type(command)):
-        return attrs.evolve(command, **parts)
-    if hasattr(command, "__dataclass_fields__"):
-        import dataclasses  # only for the robots that use them
-
-        return dataclasses.replace(command, **parts)
-    import copy
-
-    changed = copy.copy(command)
-    for name, value in parts.items():
-        setattr(changed, name, value)
-    return changed
+    return changed(command, parts)

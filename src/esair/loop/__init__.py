@@ -11,7 +11,6 @@ from esair.loop._end_of_loop import (
     threads_that_keep_the_process,
 )
 from esair.loop._ending import Ending
-from esair.loop._entry import Entry
 from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._garbage import Gaps, collector
@@ -56,7 +55,6 @@ __all__ = [
     "DerivedJob",
     "Door",
     "Ending",
-    "Entry",
     "Every",
     "Executor",
     "First",

@@ -17,9 +17,8 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.loop._arrivals import Arrivals
-from esair.loop._entry import Entry, Tag
 from esair.loop._of_loop import OfLoop
-from esair.loop._tape import Player, TapeWriter
+from esair.loop._tape import Entry, Player, Tag, TapeWriter
 from esair.loop._timer import clock_of
 
 _log = logging.getLogger("esair")

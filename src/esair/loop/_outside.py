@@ -8,8 +8,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 from esair.loop._door import Door
-from esair.loop._entry import Tag
-from esair.loop._tape import WAITS, First, Player, TapeWriter
+from esair.loop._tape import WAITS, First, Player, Tag, TapeWriter
 
 T = TypeVar("T")
 
