@@ -27,17 +27,6 @@ class Sampling:
     A sensor that lately took longer than that is not waited for.
     """
 
-    __slots__ = (
-        "_awaits",
-        "_deferred",
-        "_half",
-        "_moved",
-        "_patience",
-        "_polled",
-        "_sampled_in",
-        "_scheduler",
-    )
-
     def __init__(
         self,
         scheduler: Scheduler,

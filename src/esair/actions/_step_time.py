@@ -15,8 +15,6 @@ _log = logging.getLogger("esair")
 class StepTime:
     """Counts the steps that take longer than their budget."""
 
-    __slots__ = ("_budget", "_clock", "_reaction", "in_row", "overruns")
-
     def __init__(
         self, reaction: Reaction, loop: asyncio.AbstractEventLoop, budget: float
     ) -> None:

@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+import attrs
+
 from esair.exceptions import DeviceLostError
 
 OPERATE = "operate"
@@ -39,65 +41,34 @@ class Ends(Protocol):
         """Bring it in; it has come about in the loop."""
 
 
+@attrs.define(eq=False, repr=False)
 class Call:
-    """One call of a driver that waits; one that ends in its first step is over at once.
+    """One call of a driver that waits; one that ends in its first step is over at once."""
 
-    Attributes:
-        resource: The name of the resource.
-        kind: What was called: read, write, safe, open, close, apply, identify, ...
-        opening: The opening of the device that it belongs to.
-        number: Higher than that of all calls of this driver before.
-        args: What the driver was called with.
-        begun: When, on the loop's clock.
-        ended: When the driver's code has ended; None while it is alive.
-        outcome: What its caller was told; None while nobody was told anything.
-        owner: The right by which it was begun, if it needs one.
-        cancelled: Its caller has gone; what it still does is nobody's fault.
-    """
-
-    __slots__ = (
-        "apply",
-        "args",
-        "begun",
-        "cancelled",
-        "deadline",
-        "ended",
-        "engine",
-        "kind",
-        "number",
-        "opening",
-        "outcome",
-        "owner",
-        "resource",
-        "taped",
-        "waiters",
-    )
-
-    def __init__(
-        self,
-        resource: str,
-        kind: str,
-        opening: int,
-        number: int,
-        args: tuple[Any, ...],
-        begun: float,
-    ) -> None:
-        self.resource = resource
-        self.kind = kind
-        self.opening = opening
-        self.number = number
-        self.args = args
-        self.begun = begun
-        self.apply: Apply | None = None
-        self.ended: float | None = None
-        self.outcome: End | None = None
-        self.cancelled = False
-        self.owner: object = None
-        self.engine: Engine | None = None
-        self.deadline: Any = None
-        self.waiters: list[asyncio.Future[None]] = []
-        self.taped: Callable[[End], None] | None = None
-        """Keeps its end, where a run is recorded."""
+    resource: str
+    kind: str
+    """What was called: read, write, safe, open, close, apply, identify, ..."""
+    opening: int
+    """The opening of the device that it belongs to."""
+    number: int
+    """Higher than that of all calls of this driver before."""
+    args: tuple[Any, ...]
+    begun: float
+    """When, on the loop's clock."""
+    apply: Apply | None = None
+    ended: float | None = None
+    """When the driver's code has ended; None while it is alive."""
+    outcome: End | None = None
+    """What its caller was told; None while nobody was told anything."""
+    cancelled: bool = False
+    """Its caller has gone; what it still does is nobody's fault."""
+    owner: object = None
+    """The right by which it was begun, if it needs one."""
+    engine: Engine | None = None
+    deadline: Any = None
+    waiters: list[asyncio.Future[None]] = attrs.field(factory=list)
+    taped: Callable[[End], None] | None = None
+    """Keeps its end, where a run is recorded."""
 
     @property
     def is_abandoned(self) -> bool:

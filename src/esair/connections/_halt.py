@@ -59,8 +59,6 @@ class Halting:
     Await it in the event loop, or call `result` in a thread.
     """
 
-    __slots__ = ("_outcome",)
-
     def __init__(self) -> None:
         self._outcome: concurrent.futures.Future[tuple[LastCommand, ...]] = (
             concurrent.futures.Future()

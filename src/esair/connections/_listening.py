@@ -22,8 +22,6 @@ LISTEN_AGAIN = 0.1
 class Listening:
     """Brings in what one sensor pushes, while the opening lasts that it belongs to."""
 
-    __slots__ = ("_channel", "_door", "_hear", "_tag")
-
     def __init__(
         self,
         channel: SensorDevice,

@@ -6,6 +6,8 @@ import asyncio
 from functools import partial
 from typing import Any, Protocol
 
+import attrs
+
 from esair.connections._call import OPERATE, Call, End
 from esair.connections._calls import Calls
 from esair.connections._driver import Driver, translate_call
@@ -42,27 +44,19 @@ class Device(Protocol):
         """It has its outcome; the device is free once the call has ended."""
 
 
+@attrs.define(eq=False)
 class Operating:
     """One operation that was asked for: it waits for its turn, or runs."""
 
-    def __init__(
-        self,
-        registration: Registration,
-        name: str,
-        parameters: dict[str, Any],
-        until: float,
-        limit: float,
-        outcome: asyncio.Future[Any],
-    ) -> None:
-        self.registration = registration
-        self.name = name
-        self.parameters = parameters
-        self.until = until
-        self.limit = limit
-        self.outcome = outcome
-        self.call: Call | None = None
-        self.ended_by: EsairError | None = None
-        """Why it was ended before its time."""
+    registration: Registration
+    name: str
+    parameters: dict[str, Any]
+    until: float
+    limit: float
+    outcome: asyncio.Future[Any]
+    call: Call | None = None
+    ended_by: EsairError | None = None
+    """Why it was ended before its time."""
 
     def __repr__(self) -> str:
         given = ", ".join(f"{key}={value!r}" for key, value in self.parameters.items())
@@ -71,8 +65,6 @@ class Operating:
 
 class Operations:
     """Runs the operations of a device; its caller sees to it that there is one."""
-
-    __slots__ = ("_deadlines", "_device", "_loop", "_on_error", "_time", "current")
 
     def __init__(
         self, device: Device, loop: asyncio.AbstractEventLoop, on_error: Any

@@ -63,26 +63,6 @@ class Protection:
         muted_until: Until when it lets everything pass, by the user's will.
     """
 
-    __slots__ = (
-        "actuator",
-        "component",
-        "fallback",
-        "guards",
-        "is_own",
-        "judge",
-        "label",
-        "latch",
-        "latched",
-        "muted_for",
-        "muted_until",
-        "on_crash",
-        "priority",
-        "reason",
-        "refused",
-        "since",
-        "stopping",
-    )
-
     def __init__(
         self,
         component: str,

@@ -39,17 +39,6 @@ class Registration:
     resource: str
     usable: bool
 
-    __slots__ = (
-        "access",
-        "behavior",
-        "hold",
-        "number",
-        "priority",
-        "reason",
-        "resource",
-        "usable",
-    )
-
     def __init__(
         self,
         number: int,

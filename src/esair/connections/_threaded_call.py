@@ -13,16 +13,6 @@ from esair.loop import WAITS, LightTask
 class ThreadedCall:
     """A call on a worker thread; what the function returns may have to be awaited."""
 
-    __slots__ = (
-        "_call",
-        "_ends",
-        "_function",
-        "_guard",
-        "_rest",
-        "_wanted",
-        "executor",
-    )
-
     def __init__(
         self, ends: Ends, call: Call, method: Method, guard: Guard | None
     ) -> None:

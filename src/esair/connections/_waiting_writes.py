@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Awaitable, Iterator
 from typing import Any
 
+import attrs
+
 from esair.connections._registrations import Registration
 from esair.exceptions import BusyError
 from esair.messages import Refused, Written
@@ -17,24 +19,15 @@ Sent = Written[Any] | Refused | Awaitable[Written[Any] | Refused]
 """What comes of a write: its outcome, or what to await for it."""
 
 
+@attrs.define(eq=False)
 class WaitingWrite:
     """A write that waits for its turn."""
 
-    __slots__ = ("command", "halts", "hold", "registration", "turn")
-
-    def __init__(
-        self,
-        registration: Registration,
-        command: Any,
-        hold: float | None,
-        halts: int,
-        turn: asyncio.Future[Sent],
-    ) -> None:
-        self.registration = registration
-        self.command = command
-        self.hold = hold
-        self.halts = halts
-        self.turn = turn
+    registration: Registration
+    command: Any
+    hold: float | None
+    halts: int
+    turn: asyncio.Future[Sent]
 
     def end(self, end: Sent | Exception) -> None:
         if self.turn.done():

@@ -186,22 +186,6 @@ class DerivedJob(Job):
 class RateGroup:
     """The jobs that share an order, a period and a phase. It never drifts."""
 
-    __slots__ = (
-        "_count",
-        "_denominator",
-        "_numerator",
-        "_phase",
-        "due",
-        "jobs",
-        "key",
-        "late",
-        "moment",
-        "order",
-        "rank",
-        "skipped",
-        "turns",
-    )
-
     def __init__(self, order: Order, period: Fraction, phase: int, after: int) -> None:
         self.key = (order, period, phase)
         self.order = order

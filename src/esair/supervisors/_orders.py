@@ -35,26 +35,6 @@ class Order(Link):
         cancelled: Whether the outcome came from elsewhere than from who works on it.
     """
 
-    __slots__ = (
-        "_asks",
-        "_before",
-        "_begins",
-        "_cancels",
-        "_error",
-        "_loop",
-        "_news",
-        "_over",
-        "_value",
-        "_wake",
-        "_worker",
-        "by",
-        "cancelled",
-        "data",
-        "deadline",
-        "handle",
-        "queue",
-    )
-
     def __init__(
         self,
         asks: Asks,

@@ -206,8 +206,6 @@ class RequestQueue:
 class Loop:
     """One loop of a behavior over the requests that it takes (`RequestLoop`)."""
 
-    __slots__ = ("__weakref__", "_queue", "current")
-
     def __init__(self, queue: RequestQueue) -> None:
         self._queue = queue
         self.current: Order | None = None

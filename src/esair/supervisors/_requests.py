@@ -58,8 +58,6 @@ class Link:
         over: Whether it has its outcome.
     """
 
-    __slots__ = ("asker", "outer", "parent", "peer", "task")
-
     if TYPE_CHECKING:
 
         @property
@@ -97,17 +95,6 @@ def chain() -> Iterator[Link]:
 
 class Request(Link):
     """A put or a get that waits for the other side."""
-
-    __slots__ = (
-        "by",
-        "data",
-        "future",
-        "kind",
-        "offered",
-        "provider",
-        "receiver",
-        "sender",
-    )
 
     def __init__(
         self,
@@ -168,8 +155,6 @@ class Pending:
 
 class FairQueue:
     """Waiting requests, one queue for each sender; they take turns."""
-
-    __slots__ = ("_queues", "count")
 
     def __init__(self) -> None:
         self._queues: dict[str, collections.deque[Request]] = {}
