@@ -23,7 +23,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import REACHED, Deadlines, clock_of, spawn
+from esair.loop import REACHED, Deadlines, clock_of, spawn, wake
 from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
@@ -247,9 +247,7 @@ class ActuatorDevice:
 
     def _pulse(self) -> None:
         pulses, self._pulses = self._pulses, []
-        for pulse in pulses:
-            if not pulse.done():
-                pulse.set_result(None)
+        wake(*pulses)
 
     def _failed(self, error: BaseException, kind: str) -> EsairError:
         """Take note of what the driver has raised; returns what its caller gets."""

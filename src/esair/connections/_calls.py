@@ -23,6 +23,7 @@ from esair.loop import (
     TapeWriter,
     clock_of,
     current_tasks,
+    wake,
 )
 
 UNWIND = 0.1
@@ -265,7 +266,7 @@ class Calls:
                 self.on_late_open(call)
             self._on_late(call)
             waiters, call.waiters = call.waiters, []
-            _wake(waiters)
+            wake(*waiters)
             return
         if call.deadline is not None:
             call.deadline.cancel()
@@ -291,9 +292,7 @@ class Calls:
         calls = tuple(self.alive.values())
         for call in calls:
             call.waiters.append(waiter)
-        deadline = self._deadlines.after(
-            max(0.0, until - self._time()), _wake, [waiter]
-        )
+        deadline = self._deadlines.after(max(0.0, until - self._time()), wake, waiter)
         try:
             await waiter
         finally:
@@ -345,7 +344,7 @@ class Calls:
         if current and call.apply is not None:
             call.apply(call, end)
         waiters, call.waiters = call.waiters, []
-        _wake(waiters)
+        wake(*waiters)
 
     def _contained(self, error: BaseException) -> Exception:
         """Make an error that may be raised in any task of what the driver has raised."""
@@ -363,9 +362,3 @@ class Calls:
             raise DriverStuckError(
                 self.resource, f"{kind}: {alive} calls have not ended; one call", UNWIND
             )
-
-
-def _wake(waiters: list[asyncio.Future[None]]) -> None:
-    for waiter in waiters:
-        if not waiter.done():
-            waiter.set_result(None)

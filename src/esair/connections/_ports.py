@@ -17,7 +17,7 @@ from esair.connections._port import Control, Port, run_ended
 from esair.connections._registrations import Registration
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.exceptions import EsairError, NotRegisteredError, UnknownNameError
-from esair.loop import WRITE_COST, Budget, current_owner
+from esair.loop import WRITE_COST, Budget, current_owner, wake
 from esair.messages import Answer, Reading, Refused, Why, Written
 from esair.values import check_duration
 
@@ -206,8 +206,7 @@ class _Stream:
         return newest
 
     def _wake(self) -> None:
-        if self._waiting is not None and not self._waiting.done():
-            self._waiting.set_result(None)
+        wake(self._waiting)
 
 
 class ActuatorPort(Port[T]):

@@ -10,6 +10,7 @@ import attrs
 
 from esair.connections._registrations import Registration
 from esair.exceptions import BusyError
+from esair.loop import fail, has_come
 from esair.messages import Refused, Written
 
 WAITING_LIMIT = 256
@@ -30,12 +31,9 @@ class WaitingWrite:
     turn: asyncio.Future[Sent]
 
     def end(self, end: Sent | Exception) -> None:
-        if self.turn.done():
-            return
         if isinstance(end, Exception):
-            self.turn.set_exception(end)
-            self.turn.exception()  # its writer may be cancelled in this moment
-        else:
+            fail(self.turn, end)
+        elif not self.turn.done():
             self.turn.set_result(end)
 
 
@@ -67,7 +65,7 @@ class WaitingWrites:
         try:
             return await turn
         except asyncio.CancelledError:
-            if turn.done() and not turn.cancelled() and turn.exception() is None:
+            if has_come(turn):
                 sent = turn.result()  # its turn came in the same tick
                 call = getattr(sent, "call", None)
                 if call is not None:

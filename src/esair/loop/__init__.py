@@ -13,6 +13,7 @@ from esair.loop._end_of_loop import (
 from esair.loop._ending import Ending
 from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
+from esair.loop._futures import fail, has_come, look_at, wake, wake_one
 from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import ENDED, WAITS, FirstSteps, LightTask, current_tasks
 from esair.loop._now import now, sleep_in_thread, works_for
@@ -88,7 +89,10 @@ __all__ = [
     "current_owner",
     "current_tasks",
     "every",
+    "fail",
+    "has_come",
     "leave_behind",
+    "look_at",
     "now",
     "outside",
     "portal",
@@ -98,5 +102,7 @@ __all__ = [
     "spawn",
     "speaks_for_nobody",
     "threads_that_keep_the_process",
+    "wake",
+    "wake_one",
     "works_for",
 ]

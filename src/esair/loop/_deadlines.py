@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.loop._contained import contained
+from esair.loop._futures import wake
 from esair.loop._of_loop import OfLoop
 from esair.loop._rate_group import REACHED, Order
 from esair.loop._scheduler import Scheduler
@@ -93,7 +94,7 @@ class Deadlines(OfLoop):
     async def wait(self, future: asyncio.Future[Any], seconds: float) -> None:
         """Wait until a future is done, or for some seconds; it goes on either way."""
         over: asyncio.Future[None] = self._loop.create_future()
-        deadline = self.after(max(0.0, seconds), _set, over)
+        deadline = self.after(max(0.0, seconds), wake, over)
         try:
             await asyncio.wait({future, over}, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -135,11 +136,6 @@ class _DeadlinesBeside(Deadlines):
     """The deadlines of what is outside of the robot."""
 
     _scheduler_of = Scheduler.beside
-
-
-def _set(future: asyncio.Future[None]) -> None:
-    if not future.done():
-        future.set_result(None)
 
 
 def _by_moment(deadline: Deadline) -> float:

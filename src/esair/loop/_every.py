@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Iterator
 
 from esair.exceptions import BadValueError
 from esair.loop._budget import Budget
+from esair.loop._futures import wake
 from esair.loop._ownership import is_outside
 from esair.loop._portal import portal
 from esair.loop._scheduler import Scheduler
@@ -48,12 +49,8 @@ class Every:
         else:
             woken = loop.create_future()
 
-            def wake(_now: float) -> None:
-                if not woken.done():
-                    woken.set_result(None)
-
             scheduler = Scheduler.beside(loop) if is_outside() else Scheduler.of(loop)
-            one_shot = scheduler.at(due, wake)
+            one_shot = scheduler.at(due, lambda _now: wake(woken))
             try:
                 await woken
             except BaseException:

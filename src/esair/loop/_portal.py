@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from esair.exceptions import BehaviorRemovedError
 from esair.loop._door import Door
+from esair.loop._futures import look_at, settle
 from esair.loop._ownership import Owner, spawn
 
 T = TypeVar("T")
@@ -45,12 +46,7 @@ class Portal:
 
         def finished(error: BaseException | None) -> None:
             owner.threads = tuple(t for t in owner.threads if t is not thread)
-            if ended.done():
-                return
-            if error is None:
-                ended.set_result(None)
-            else:
-                ended.set_exception(raisable(error))
+            settle(ended, None, None if error is None else raisable(error))
 
         go: concurrent.futures.Future[int] = concurrent.futures.Future()
 
@@ -81,7 +77,7 @@ class Portal:
             try:
                 await asyncio.shield(ended)
             except asyncio.CancelledError:
-                ended.add_done_callback(_look_at)
+                ended.add_done_callback(look_at)
                 raise
             except BehaviorRemovedError:
                 pass
@@ -170,11 +166,6 @@ def raisable(error: BaseException) -> BaseException:
         wrapped.__cause__ = error
         return wrapped
     return error
-
-
-def _look_at(ended: asyncio.Future[None]) -> None:
-    if not ended.cancelled():
-        ended.exception()
 
 
 portal: contextvars.ContextVar[Portal] = contextvars.ContextVar("esair_portal")

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.loop._door import Door
+from esair.loop._futures import settle
 from esair.loop._ownership import current_owner
 from esair.loop._portal import raisable
 from esair.loop._scheduler import Scheduler
@@ -115,23 +116,15 @@ class TurnLoop(asyncio.SelectorEventLoop):
         future: asyncio.Future[Any] = self.create_future()
         tag = ("thread", f"work {next(self._works)}")
 
-        def settle(result: Any, error: BaseException | None) -> None:
-            if future.done():
-                return
-            if error is None:
-                future.set_result(result)
-            else:
-                future.set_exception(raisable(error))
-
         def work() -> None:
             result: Any = None
             error: BaseException | None = None
             try:
                 result = func(*args)
             except BaseException as raised:  # contained, as in a task
-                error = raised
+                error = raisable(raised)
             with contextlib.suppress(RuntimeError):  # the loop is closed
-                self._door.post(0, tag, settle, result, error)
+                self._door.post(0, tag, settle, future, result, error)
 
         inner = super().run_in_executor(executor, work)
         future.add_done_callback(lambda done: done.cancelled() and inner.cancel())

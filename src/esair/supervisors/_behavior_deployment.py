@@ -20,7 +20,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Event, Kind
-from esair.loop import ProcessWatch, now, script_context, spawn
+from esair.loop import ProcessWatch, now, script_context, spawn, wake
 from esair.messages import Access, BehaviorsPolicy, BehaviorState, BehaviorStatus
 from esair.plan import Finding, Plan, examine_step, refuse, unmet
 from esair.supervisors._command_queue import CommandQueue
@@ -216,13 +216,10 @@ class BehaviorDeployment:
         await asyncio.shield(self._all_ended)
 
     def failures(self) -> list[BehaviorFailedError]:
-        failed = []
-        for member in self.members.values():
-            if member.state is BehaviorState.FAILED and member.error is not None:
-                error = BehaviorFailedError(member.name, describe(member.error))
-                error.__cause__ = member.error
-                failed.append(error)
-        return failed
+        members = self.members.values()
+        return [
+            each.failure() for each in members if each.state is BehaviorState.FAILED
+        ]
 
     # How one begins, and ends.
 
@@ -280,8 +277,7 @@ class BehaviorDeployment:
         if wrote:
             await self._until_safe(wrote, deadline)
         self.ending.remove(member)
-        if not over.done():  # the stop may end what a command was ending
-            over.set_result(None)
+        wake(over)
         self.undead.update(undead)
         for task in undead:
             task.add_done_callback(self.undead.discard)
@@ -357,8 +353,7 @@ class BehaviorDeployment:
         members = list(reversed(self.members.values()))
         members += [each for each in self.ending if each not in members]
         await asyncio.gather(*(self.end(member) for member in members))
-        if self._all_ended is not None and not self._all_ended.done():
-            self._all_ended.set_result(None)
+        wake(self._all_ended)
 
     # Inside.
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 from esair.exceptions import BusyError, StoppingError
-from esair.loop import spawn
+from esair.loop import has_come, look_at, spawn
 from esair.messages import SupervisorPhase
 
 T = TypeVar("T")
@@ -101,7 +101,7 @@ class CommandQueue:
             if self._stopped:  # in the same tick as the turn
                 raise StoppingError(self.name, self.phase.value)
         except asyncio.CancelledError:
-            if turn.done() and not turn.cancelled() and turn.exception() is None:
+            if has_come(turn):
                 self._next()  # the turn came in the same tick: pass it on
             elif turn in self._waiting:
                 self._waiting.remove(turn)
@@ -109,8 +109,7 @@ class CommandQueue:
 
     def _done(self, task: asyncio.Task[Any]) -> None:
         del self._undoes[task]
-        if not task.cancelled():
-            task.exception()  # its caller may have gone
+        look_at(task)
         if self._work is task:
             self._work = None
             self._next()

@@ -25,7 +25,7 @@ from esair.exceptions import (
     UnknownNameError,
 )
 from esair.journal import Kind
-from esair.loop import Budget, spawn
+from esair.loop import Budget, look_at, spawn
 from esair.messages import Access, ResourceState, SupervisorPhase
 from esair.resources import APPLIED, check_settings, operation_of, shown
 from esair.supervisors._resource_life import ResourceLife
@@ -138,7 +138,7 @@ class ControlPath:
             self._configure(registration, settings),
             name=f"configure {registration.resource}",
         )
-        task.add_done_callback(lambda done: done.cancelled() or done.exception())
+        task.add_done_callback(look_at)
         await asyncio.shield(task)
 
     async def operate(

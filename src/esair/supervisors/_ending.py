@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 from esair.exceptions import BehaviorRemovedError, EsairError, NotRegisteredError
-from esair.loop import Owner
+from esair.loop import Owner, look_at
 
 _SECOND = 0.04
 """How long a task may take that has swallowed its cancellation, in seconds."""
@@ -47,13 +47,8 @@ async def end(owner: Owner, grace: float) -> list[asyncio.Task[Any]]:
         await until_ended(left, seconds)
         left = living(owner)
     for task in left:
-        task.add_done_callback(_look_at)
+        task.add_done_callback(look_at)
     return left
-
-
-def _look_at(task: asyncio.Task[Any]) -> None:
-    if not task.cancelled():
-        task.exception()
 
 
 class UserRemovedError(BehaviorRemovedError, NotRegisteredError):

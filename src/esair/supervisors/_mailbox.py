@@ -18,7 +18,7 @@ from esair.exceptions import (
     NotRegisteredError,
     describe,
 )
-from esair.loop import Budget, Owner, Portal, speaks_for_nobody
+from esair.loop import Budget, Owner, Portal, speaks_for_nobody, wake, wake_one
 from esair.messages import BehaviorState
 from esair.supervisors._request_queue import RequestQueue
 from esair.supervisors._requests import FairQueue, Request
@@ -194,10 +194,7 @@ class Mailbox:
 
     def wake(self) -> None:
         """Wake one of those that wait in `receive`."""
-        for taker in self.takers or ():
-            if not taker.done():
-                taker.set_result(None)
-                return
+        wake_one(self.takers or ())
 
     async def make_data(self) -> Any:
         """Run the behavior's ``provide``, on a thread if it is a plain function."""
@@ -272,7 +269,7 @@ class Mailbox:
             self.takers.append(taker)
             timer = None
             if deadline is not None:
-                timer = loop.call_at(deadline, _wake, taker)
+                timer = loop.call_at(deadline, wake, taker)
             try:
                 await taker
             except asyncio.CancelledError:
@@ -310,8 +307,3 @@ class Mailbox:
             del self.outbox[:drop]
             self.dropped += drop
         self.outbox.append(data)
-
-
-def _wake(taker: asyncio.Future[None]) -> None:
-    if not taker.done():
-        taker.set_result(None)

@@ -22,7 +22,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Journal, Kind
-from esair.loop import Deadlines, spawn
+from esair.loop import Deadlines, fail, spawn
 from esair.messages import BehaviorState
 from esair.supervisors._asks import Asks, run_over
 from esair.supervisors._circles import circle_of_get
@@ -431,8 +431,7 @@ class Mediator:
     def _fail(self, request: Request, error: EsairError, outcome: Outcome) -> None:
         if not request.future.done():
             self.record(request.kind, request.sender, request.receiver, outcome)
-            request.future.set_exception(error)
-            request.future.exception()  # its asker may be cancelled in this moment
+            fail(request.future, error)
 
     def record(
         self,

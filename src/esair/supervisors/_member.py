@@ -24,7 +24,16 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Budget, Owner, Portal, Stream, spawn, speaks_for_nobody
+from esair.loop import (
+    Budget,
+    Owner,
+    Portal,
+    Stream,
+    fail,
+    spawn,
+    speaks_for_nobody,
+    wake,
+)
 from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._absence import absent, absent_for
 from esair.supervisors._crew import Crew
@@ -249,8 +258,7 @@ class Member(Life, Mailbox):
 
     def _is_ready(self) -> None:
         ready, self.ready = self.ready, None
-        if ready is not None and not ready.done():
-            ready.set_result(None)
+        wake(ready)
 
     def _ended(self, task: asyncio.Task[BaseException | None]) -> None:
         if task is not self.task or self.is_leaving:
@@ -277,8 +285,7 @@ class Member(Life, Mailbox):
         ready = self.ready
         if ready is not None and not ready.done() and self.crew.is_adding(self):
             self.state = BehaviorState.FAILED
-            ready.set_exception(safe_to_raise(error))
-            ready.exception()  # whoever adds it may be cancelled in this moment
+            fail(ready, safe_to_raise(error))
             return
         self._is_ready()
         missing = absent_for(error, self.action, self.crew.resources.is_ready)
@@ -361,9 +368,7 @@ class Member(Life, Mailbox):
         self.give_up()
         self._end_requests()
         self.run_over(None)
-        for taker in self.takers or ():
-            if not taker.done():
-                taker.set_result(None)
+        wake(*self.takers or ())
         undead = await end(self.owner, grace)
         self.task = None
         empty(self.action, self, self._portal)
@@ -397,9 +402,7 @@ class Member(Life, Mailbox):
         """End whoever waits for its setup, and what would wait for its turn to run."""
         self.given_up = True
         for future in (self.ready, self.gate):
-            if future is not None and not future.done():
-                future.set_exception(BehaviorRemovedError(self.name))
-                future.exception()  # there may be nobody who waits
+            fail(future, BehaviorRemovedError(self.name))
 
     def _end_requests(self) -> None:
         if self.asked:

@@ -15,6 +15,7 @@ from esair.exceptions import (
     RefusedError,
     describe,
 )
+from esair.loop import wake
 from esair.supervisors._requests import Link, Outcome
 
 if TYPE_CHECKING:
@@ -178,8 +179,7 @@ class Order(Link):
         return True
 
     def _rouse(self) -> None:
-        if self._wake is not None and not self._wake.done():
-            self._wake.set_result(None)
+        wake(self._wake)
 
     def works(self, task: asyncio.Task[Any]) -> None:
         self._worker = task

@@ -9,7 +9,7 @@ from typing import Any
 from esair.actions import GuardRunner, Reaction, ReactionRunner
 from esair.connections import Registration
 from esair.exceptions import ConfigError
-from esair.loop import Owner
+from esair.loop import Owner, fail
 from esair.supervisors._crew import Crew
 from esair.supervisors._grants import Grants, bind
 from esair.supervisors._life import safe_to_raise
@@ -146,9 +146,7 @@ class Step:
             self.ended.set_result(result)
 
     def crash(self, error: BaseException) -> None:
-        if not self.ended.done():
-            self.ended.set_exception(safe_to_raise(error))
-            self.ended.exception()  # the behavior may be cancelled in this moment
+        fail(self.ended, safe_to_raise(error))
 
 
 def runner_for(reaction: Reaction, sight: Sight, **hooks: Any) -> ReactionRunner:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from esair.actions import Answers, Request, Takes
 from esair.exceptions import BehaviorFailedError, BusyError, RefusedError, describe
-from esair.loop import Portal, spawn
+from esair.loop import Portal, spawn, wake, wake_one
 from esair.messages import BehaviorState
 from esair.supervisors._requests import Outcome, served, serving
 
@@ -107,10 +107,7 @@ class RequestQueue:
 
     def _wake(self) -> None:
         if self.waiting:
-            for taker in self._takers:
-                if not taker.done():
-                    taker.set_result(None)
-                    return
+            wake_one(self._takers)
 
     # In a method of the behavior.
 
@@ -168,9 +165,7 @@ class RequestQueue:
         self.working.clear()
         self._loops.clear()
         self._task = self._current = None
-        for taker in self._takers:
-            if not taker.done():
-                taker.set_result(None)
+        wake(*self._takers)
         self._takers.clear()
 
     def fail_all(self, detail: str, error: BaseException | None) -> None:

@@ -26,7 +26,7 @@ from esair.exceptions import (
     UnknownNameError,
 )
 from esair.journal import Kind
-from esair.loop import spawn
+from esair.loop import look_at, spawn, wake
 from esair.messages import Access, Policy, ResourceState, Restart
 from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
@@ -237,8 +237,7 @@ class ResourceDeployment:
     def _has_departed(self, name: str) -> None:
         self._leaving.discard(name)
         departure = self._departures.pop(name, None)
-        if departure is not None:
-            departure.set_result(None)
+        wake(departure)
 
     def _fence(self, name: str) -> None:
         """From now on nobody has, or gets, a right to what goes."""
@@ -264,13 +263,9 @@ class ResourceDeployment:
         """Do what takes a while, outside the command queue, and to its end."""
         task = spawn(asyncio.get_running_loop(), work, name=title)
         self._works.add(task)
-        task.add_done_callback(self._done)
+        task.add_done_callback(self._works.discard)
+        task.add_done_callback(look_at)
         return task
-
-    def _done(self, task: asyncio.Task[Any]) -> None:
-        self._works.discard(task)
-        if not task.cancelled():
-            task.exception()  # its caller may have gone
 
     async def _join(self, task: asyncio.Task[T]) -> T:
         try:

@@ -31,6 +31,7 @@ from esair.loop import (
     Door,
     TapeWriter,
     ask_outside,
+    fail,
     outside,
     spawn,
 )
@@ -270,11 +271,7 @@ class ResourceLife(Life):
         self.resource._listener = None  # noqa: SLF001 - the resource's own supervisor
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=LAST_TRY)
-        if not self.tried.done():
-            self.tried.set_exception(
-                self.channel.error or DeviceLostError(self.name, "closed")
-            )
-            self.tried.exception()  # nobody may wait for it
+        fail(self.tried, self.channel.error or DeviceLostError(self.name, "closed"))
         self._calls.next_opening(DeviceLostError(self.name, "it was closed"))
         if self._is_open:
             await self._calls.quiet(until - LAST_CLOSE)

@@ -9,6 +9,7 @@ from esair.actions import Behavior, Guards, Need, Reads, Writes
 from esair.actions import ProfiledAction as Action
 from esair.connections import UNDECIDED, Protection, Protections
 from esair.exceptions import AccessDeniedError, BadValueError
+from esair.loop import wake
 from esair.values import check_duration, printable
 
 _log = logging.getLogger("esair")
@@ -64,8 +65,7 @@ class Sight:
     def sees(self) -> None:
         self.reason = ""
         self._table.sees(self.entries)
-        if self._decided is not None and not self._decided.done():
-            self._decided.set_result(None)
+        wake(self._decided)
 
     def leave(self) -> None:
         self._table.leave(self.entries)
