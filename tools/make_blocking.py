@@ -203,8 +203,7 @@ def made() -> dict[str, str]:
     ports += port_methods("_ports.py", "ActuatorPort")
     behavior = [HEADER, BEHAVIOR]
     behavior += [
-        method(each, "Behavior")
-        for each in methods("actions/_behavior.py", "Behavior")
+        method(each, "Behavior") for each in methods("actions/_behavior.py", "Behavior")
     ]
     return {
         "_blocking_ports.py": formatted("".join(ports)),

@@ -8,6 +8,7 @@ from esair.connections._calls import Calls
 from esair.connections._command_check import CommandCheck, limits_by_field, part_of
 from esair.connections._decision import Decision, Sight
 from esair.connections._derived_channel import DerivedChannel, Source
+from esair.connections._device import Terms
 from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
 from esair.connections._held_device import BeingReplacedError
@@ -51,6 +52,7 @@ __all__ = [
     "Sight",
     "Source",
     "Stopped",
+    "Terms",
     "is_loss",
     "limits_by_field",
     "part_of",

@@ -12,9 +12,10 @@ import attrs
 from esair.connections._call import Call, End
 from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
+from esair.connections._device import Terms
 from esair.connections._driver import Guard
 from esair.connections._held_device import BeingReplacedError, HeldDevice
-from esair.connections._registrations import Registration, Registrations
+from esair.connections._registrations import Registration
 from esair.connections._waiting_writes import Sent, WaitingWrites
 from esair.exceptions import (
     DeviceLostError,
@@ -90,20 +91,14 @@ class ActuatorChannel(HeldDevice):
         "writes",
     )
 
-    def __init__(
-        self,
-        actuator: Actuator[Any],
-        registrations: Registrations,
-        loop: asyncio.AbstractEventLoop,
-        on_error: Callable[[Exception], None],
-        left: set[Call] | None = None,
-    ) -> None:
+    def __init__(self, actuator: Actuator[Any], terms: Terms) -> None:
+        loop = asyncio.get_running_loop()
         self.writes = 0
         self._accepts = False
         self._waiting = WaitingWrites(actuator.name, loop)
         self.decision = Decision(self, loop)
         """What reactions want of it in this turn."""
-        super().__init__(actuator, registrations, loop, on_error, left)
+        super().__init__(actuator, terms)
 
     def attach(self, actuator: Actuator[Any]) -> None:
         """Write to this actuator from now on; it is not ready yet."""
@@ -161,7 +156,7 @@ class ActuatorChannel(HeldDevice):
         self.latched = True
         self._accepts = False
         patience = self._turn_within + self.actuator.deadline + 0.1
-        self._last_moment = self._time() + patience
+        self._last_moment = self.time() + patience
         self._look()
         if self.state is ResourceState.READY and not self.is_safe:
             self.make_safe()
@@ -186,7 +181,7 @@ class ActuatorChannel(HeldDevice):
     def leaving(self, error: BeingReplacedError) -> None:
         """The device is about to go: only its safe command may leave, no write that waits."""
         self.error = error
-        self.since = self._time()
+        self.since = self.time()
         self._accepts = False
         self._look()
 
@@ -211,7 +206,7 @@ class ActuatorChannel(HeldDevice):
         """
         if not (registration.usable and self._accepts):
             return self._turned_away(registration, command)
-        time = self._time  # by itself: called in place it is sought as a method
+        time = self.time  # by itself: called in place it is sought as a method
         now = time()
         journal = self._journal
         if journal.heard:
@@ -307,7 +302,7 @@ class ActuatorChannel(HeldDevice):
         if end.error is None:
             self.writes += 1
             if self._writer is call.owner:
-                self._last_write = self._time()
+                self._last_write = self.time()
             if not self._told_safe:
                 self._told_error = ""
             self._took(call.args[0], end.value)
@@ -344,7 +339,7 @@ class ActuatorChannel(HeldDevice):
 
     def _too_late(self, registration: Registration, told: str) -> Refused:
         """Answer a write whose turn did not come in time, for which nobody is to blame."""
-        now = self._time()
+        now = self.time()
         return Refused(registration.behavior, registration.priority, told, now, now)
 
     def _applied(

@@ -10,20 +10,18 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from esair.connections._applied_channel import AppliedChannel
-from esair.connections._call import Call, End, given_up
-from esair.connections._calls import Calls
-from esair.connections._driver import Driver, Method, translate_call
+from esair.connections._call import Call, End
+from esair.connections._device import Device, Terms
+from esair.connections._driver import Method, translate_call
 from esair.connections._halt import LastCommand
-from esair.connections._registrations import Registrations
 from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
     EsairError,
-    ResourceRemovedError,
     describe,
 )
 from esair.journal import Kind
-from esair.loop import REACHED, Deadlines, clock_of, spawn, wake
+from esair.loop import REACHED, Deadlines, spawn, wake
 from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
@@ -46,7 +44,7 @@ class Watched(Protocol):
         """Hear that it has taken its safe command."""
 
 
-class ActuatorDevice:
+class ActuatorDevice(Device):
     """Makes one actuator safe, and knows whether it is.
 
     The safe command is the last thing on the wire: nothing begins while it is on its
@@ -57,17 +55,12 @@ class ActuatorDevice:
         "_again",
         "_base",
         "_busy",
-        "_journal",
         "_lane",
         "_last_moment",
-        "_left",
-        "_loop",
-        "_on_error",
         "_pulses",
         "_safe_number",
         "_safe_task",
         "_stays",
-        "_time",
         "_told",
         "_told_at",
         "_told_error",
@@ -75,38 +68,16 @@ class ActuatorDevice:
         "_write",
         "actuator",
         "applied",
-        "calls",
         "command_timeout",
-        "driver",
-        "error",
         "latched",
-        "name",
-        "registrations",
-        "state",
         "watch",
     )
 
     _write: Method
 
-    def __init__(
-        self,
-        actuator: Actuator[Any],
-        registrations: Registrations,
-        loop: asyncio.AbstractEventLoop,
-        on_error: Callable[[Exception], None],
-        left: set[Call] | None = None,
-    ) -> None:
-        self.name = actuator.name
-        self.state = ResourceState.CLOSED
-        self.error: EsairError | None = None
+    def __init__(self, actuator: Actuator[Any], terms: Terms) -> None:
         self.latched = False
         """Set when the robot stops: from then on only the safe command leaves."""
-        self.registrations = registrations
-        self._journal = registrations.journal
-        self._loop = loop
-        self._time = clock_of(loop)
-        self._on_error = on_error
-        self._left: set[Call] = set() if left is None else left
         self._last_moment = math.inf
         """Until when the stop of the robot waits for the safe command."""
         self._lane: Call | None = None
@@ -120,19 +91,11 @@ class ActuatorDevice:
         self.command_timeout = 0.0
         self.applied: AppliedChannel | None = None
         """Given each command that was applied, if somebody reads that."""
-        self.attach(actuator)
+        super().__init__(actuator, terms)
 
     def attach(self, actuator: Actuator[Any]) -> None:
-        """Write to this actuator from now on; it is not ready yet, and was told nothing."""
+        """Write to this actuator from now on; it was told nothing."""
         self.actuator = actuator
-        self.driver = Driver(actuator)
-        self.calls = Calls(
-            self.driver,
-            self._loop,
-            on_late=self._late,
-            on_stuck=self._stuck,
-            left=self._left,
-        )
         self._again = False
         self._safe_number = 0
         """The number of the newest call with the safe command."""
@@ -145,7 +108,7 @@ class ActuatorDevice:
         """When it was told something that nobody wrote: safe, or less by a guard."""
         self._told_safe = False
         self._told_error = "it was never told anything"
-        self.configured()
+        super().attach(actuator)
 
     def configured(self) -> None:
         """Take over changed limits and time-outs."""
@@ -179,10 +142,6 @@ class ActuatorDevice:
         """Nobody waits for the safe command any more; a thread that has it goes on."""
         if self._safe_task is not None:
             self._safe_task.cancel()
-
-    def removed(self) -> None:
-        """The user took the actuator away."""
-        self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
 
     def tell_applied(self, channel: AppliedChannel) -> None:
         """Give each command that is applied to its readers from now on."""
@@ -229,9 +188,6 @@ class ActuatorDevice:
         elif call.may_move:
             self._repeat_safe()
         self._pulse()
-
-    def _stuck(self, call: Call) -> None:
-        self._on_error(given_up(call))
 
     def _lane_free(self, call: Call) -> None:
         if call is self._lane:
@@ -282,11 +238,11 @@ class ActuatorDevice:
     async def safe_now(self, until: float = math.inf) -> None:
         """Wait until the safe command is the last thing on the wire; bounded."""
         turn = self._turn_within + self.actuator.deadline + 0.1
-        give_up = min(self._time() + turn, self._last_moment, until)
+        give_up = min(self.time() + turn, self._last_moment, until)
         while self._safe_task is not None or (
             self.state is ResourceState.READY and self._unsettled()
         ):
-            seconds = give_up - self._time()
+            seconds = give_up - self.time()
             if seconds <= REACHED:
                 return
             pulse: asyncio.Future[None] = self._loop.create_future()
@@ -314,8 +270,8 @@ class ActuatorDevice:
 
     async def _send_safe(self) -> bool:
         try:
-            until = self._time() + self._turn_within
-            while self._lane is not None and self._time() + REACHED < until:
+            until = self.time() + self._turn_within
+            while self._lane is not None and self.time() + REACHED < until:
                 await self.calls.next_end(until)
             while True:
                 self._again = False
@@ -364,7 +320,7 @@ class ActuatorDevice:
         if command is HOLD and self._told is not HOLD:
             self._base = self._told
         self._told = command
-        self._told_at = self._time()
+        self._told_at = self.time()
         self._told_safe = command is actuator.safe
         self._told_error = "it has not answered yet"
         self._safe_number = calls.number + 1

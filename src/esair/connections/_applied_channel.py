@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
+from esair.connections._device import Terms
 from esair.connections._registrations import Registrations
 from esair.connections._sensor_channel import SensorChannel
 from esair.messages import ResourceState
@@ -27,13 +27,9 @@ class Applied(Sensor[Any]):
 class AppliedChannel(SensorChannel):
     """Reads what an actuator has applied last; the actuator's own channel fills it."""
 
-    def __init__(
-        self,
-        actuator: Actuator[Any],
-        registrations: Registrations,
-        loop: asyncio.AbstractEventLoop,
-    ) -> None:
-        super().__init__(Applied(actuator), registrations, loop, lambda _error: None)
+    def __init__(self, actuator: Actuator[Any], registrations: Registrations) -> None:
+        terms = Terms(registrations, lambda _error: None, set())
+        super().__init__(Applied(actuator), terms)
 
     def took(self, command: Any) -> None:
         """Give a command that was applied; nobody knows where it is if that is HOLD."""

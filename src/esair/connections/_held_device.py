@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import Callable
 from typing import Any
 
 from esair.connections._call import Call
+from esair.connections._device import Terms
 from esair.connections._halt import HALT, HALT_PRIORITY, Halt
-from esair.connections._operations import Operating, Operations
+from esair.connections._operations import Operating
 from esair.connections._protected_device import ProtectedDevice
-from esair.connections._registrations import Registration, Registrations
+from esair.connections._registrations import Registration
 from esair.exceptions import (
     AccessDeniedError,
     DeviceLostError,
@@ -45,21 +45,13 @@ class HeldDevice(ProtectedDevice):
         "_dead_man",
         "_halts",
         "_last_write",
-        "operations",
         "refusals",
         "since",
         "timeouts",
         "until",
     )
 
-    def __init__(
-        self,
-        actuator: Actuator[Any],
-        registrations: Registrations,
-        loop: asyncio.AbstractEventLoop,
-        on_error: Callable[[Exception], None],
-        left: set[Call] | None = None,
-    ) -> None:
+    def __init__(self, actuator: Actuator[Any], terms: Terms) -> None:
         self.holder: Registration | None = None
         self.since = 0.0
         self.until = 0.0
@@ -68,16 +60,15 @@ class HeldDevice(ProtectedDevice):
         """How often the safe command was sent because nobody wrote."""
         self._writer: Registration | None = None
         self._last_write = 0.0
-        self._dead_man = DeadMan(loop, self)
+        self._dead_man = DeadMan(asyncio.get_running_loop(), self)
         self._halts = 0
         """Grows with each halt: a command from before is never sent after it."""
-        self.operations = Operations(self, loop, on_error)
-        super().__init__(actuator, registrations, loop, on_error, left)
+        super().__init__(actuator, terms)
 
     @property
     def present_holder(self) -> Registration | None:
         """Who holds it now; None when the hold is over."""
-        return self.holder if self._time() + _EARLY < self.until else None
+        return self.holder if self.time() + _EARLY < self.until else None
 
     def down(self, state: ResourceState, error: EsairError) -> None:
         """The device is gone: forget who held it and what it was told."""
@@ -153,7 +144,7 @@ class HeldDevice(ProtectedDevice):
         """Answer a write that may not even be looked at."""
         halt = self.registrations.halt
         if halt is None and halts is not None and halts != self._halts:
-            halt = Halt("it was asked for before the robot was halted", self._time())
+            halt = Halt("it was asked for before the robot was halted", self.time())
         error = self.error
         if self.latched or not registration.usable:
             raise self._refusal(registration) from None
@@ -198,7 +189,7 @@ class HeldDevice(ProtectedDevice):
         holder, until = self.holder, self.until
         self.timeouts += 1
         self.make_safe()
-        if holder is not None and self._time() + _EARLY < until:
+        if holder is not None and self.time() + _EARLY < until:
             self.holder = holder  # a longer hold keeps lower priorities away
 
     # Operations.
@@ -212,7 +203,7 @@ class HeldDevice(ProtectedDevice):
 
     def ready_for(self, operation: Operating) -> bool:
         """Tell whether an operation may begin now: what moves is made safe first."""
-        right, now = operation.registration, self._time()
+        right, now = operation.registration, self.time()
         if self.latched:
             raise StoppingError(self.name, "stopping")
         rule = ""
@@ -251,7 +242,7 @@ class HeldDevice(ProtectedDevice):
         self._told, self._told_safe = operation, False
         self._told_error = "it has not answered yet"
         self.holder = self._writer = operation.registration
-        self.since, self.until = self._time(), operation.until
+        self.since, self.until = self.time(), operation.until
 
     def operated(self, call: Call | None) -> None:
         """An operation has its outcome: nobody knows what moves, so it is made safe."""
@@ -283,7 +274,7 @@ class HeldDevice(ProtectedDevice):
 
     def why(self) -> Why:
         """Tell who holds the actuator, by which rule, and what would free it."""
-        holder, blind, now = self.holder, self._blind, self._time()
+        holder, blind, now = self.holder, self._blind, self.time()
         halt, error = self.registrations.halt, self.error
         if holder is not None and now >= self.until:
             holder = None

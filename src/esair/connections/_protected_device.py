@@ -91,7 +91,7 @@ class ProtectedDevice(ActuatorDevice):
         if (
             mover is not None
             and mover is self._writer
-            and self._time() + _EARLY < self.until
+            and self.time() + _EARLY < self.until
             and (
                 mover.priority > blind.priority or not blind.is_against(mover.behavior)
             )
@@ -148,7 +148,7 @@ class ProtectedDevice(ActuatorDevice):
         """Put what stands to the guards again; only less than that may leave now."""
         if not (self._guards and self._accepts and self.moves):
             return
-        stop, _by, passed = self._pass_guards(self._asked, self._time())
+        stop, _by, passed = self._pass_guards(self._asked, self.time())
         if stop is not None:
             self._stay()
             return
@@ -160,7 +160,7 @@ class ProtectedDevice(ActuatorDevice):
         if self._journal.heard:
             self._journal.publish(Kind.SENT, self.name, "", less)
         self._told = less
-        self._told_at = self._time()
+        self._told_at = self.time()
         try:
             sent = self.calls.begin(
                 "write",

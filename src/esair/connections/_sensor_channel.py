@@ -5,21 +5,20 @@ from __future__ import annotations
 import asyncio
 import collections
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from typing import Any, Protocol
 
-from esair.connections._call import Call
+from esair.connections._device import Terms
 from esair.connections._driver import translate_call
 from esair.connections._listening import Listening
 from esair.connections._reading_check import FrozenCheck, ReadingCheck, measured_at
-from esair.connections._registrations import Registration, Registrations
+from esair.connections._registrations import Registration
 from esair.connections._sensor_device import SensorDevice
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
     DeviceLostError,
     EsairError,
-    ResourceRemovedError,
     StaleReadingError,
 )
 from esair.journal import Kind
@@ -66,13 +65,11 @@ class Follower(Protocol):
 class SensorChannel(SensorDevice):
     """Reads one sensor for everybody who asks; one transaction serves them all."""
 
-    # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
         "_check_value",
         "_followers",
         "_frozen",
         "_history",
-        "_journal",
         "_listening",
         "_poll",
         "_polled_in",
@@ -86,14 +83,7 @@ class SensorChannel(SensorDevice):
         "sequence",
     )
 
-    def __init__(
-        self,
-        sensor: Sensor[Any],
-        registrations: Registrations,
-        loop: asyncio.AbstractEventLoop,
-        on_error: Callable[[Exception], None],
-        left: set[Call] | None = None,
-    ) -> None:
+    def __init__(self, sensor: Sensor[Any], terms: Terms) -> None:
         self.newest: Reading[Any] | None = None
         self.bad = 0
         """How many readings were of a wrong type, not finite, or outside the limits."""
@@ -102,12 +92,12 @@ class SensorChannel(SensorDevice):
         self.dropped = 0
         """How many readings a slow follower has not seen."""
         self.sequence = 0
-        self._journal = registrations.journal
         self._followers: tuple[Follower, ...] = ()
         self._poll: Job | None = None
+        loop = asyncio.get_running_loop()
         self._scheduler = Scheduler.of(loop)
         self._polled_in = 0
-        super().__init__(sensor, registrations, loop, on_error, left)
+        super().__init__(sensor, terms)
         self._listening = Listening(self, loop, self._heard)
 
     def attach(self, sensor: Sensor[Any]) -> None:
@@ -374,7 +364,3 @@ class SensorChannel(SensorDevice):
             if follower.registration is registration:
                 self.unfollow(follower)
                 follower.changed(error)
-
-    def removed(self) -> None:
-        """Tell everybody that the user took the sensor away."""
-        self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))

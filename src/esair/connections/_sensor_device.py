@@ -7,44 +7,30 @@ import contextvars
 from collections.abc import Callable
 from typing import Any
 
-from esair.connections._call import Call, End, given_up
-from esair.connections._calls import Calls
-from esair.connections._driver import Driver, Method
-from esair.connections._operations import Operating, Operations
-from esair.connections._registrations import Registrations
+from esair.connections._call import Call, End
+from esair.connections._device import Device, Terms
+from esair.connections._driver import Method
+from esair.connections._operations import Operating
 from esair.connections._waiting_readers import WaitingReaders
-from esair.exceptions import EsairError, StaleReadingError
-from esair.loop import clock_of
+from esair.exceptions import StaleReadingError
 from esair.messages import ResourceState
 from esair.resources import Sensor
 
 
-class SensorDevice:
+class SensorDevice(Device):
     """Asks one device, and hands on what it answers."""
 
-    # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
         "_asking",
         "_asks",
         "_awaiting",
         "_begun",
         "_deadline",
-        "_left",
-        "_loop",
-        "_on_error",
         "_read",
         "_waiting",
         "awaited_in",
-        "calls",
-        "driver",
-        "error",
         "latency",
-        "name",
-        "operations",
-        "registrations",
         "sensor",
-        "state",
-        "time",
         "transactions",
     )
 
@@ -53,55 +39,32 @@ class SensorDevice:
     _silent: Callable[[float], StaleReadingError]
     publish: Callable[[Any, float], None]
 
-    def __init__(
-        self,
-        sensor: Sensor[Any],
-        registrations: Registrations,
-        loop: asyncio.AbstractEventLoop,
-        on_error: Callable[[Exception], None],
-        left: set[Call] | None = None,
-    ) -> None:
-        self.name = sensor.name
-        self.state = ResourceState.CLOSED
-        self.error: EsairError | None = None
-        self.registrations = registrations
-        self.time = clock_of(loop)
+    def __init__(self, sensor: Sensor[Any], terms: Terms) -> None:
+        loop = asyncio.get_running_loop()
         self.transactions = 0
         """How many times the device was asked."""
         self.awaited_in = 0
         """The turn in which it was polled, while that poll is not answered; or 0."""
         self.latency = 0.0
         """How long the device took lately at most, in seconds; what is past fades."""
-        self._loop = loop
-        self._on_error = on_error
         self._begun = 0.0
         self._awaiting: list[Callable[[], None]] = []
-        self._left: set[Call] = set() if left is None else left
         self._asking: Call | bool = False
         """The question that waits for its answer: there is one at a time."""
         self._asks: asyncio.Handle | None = None
         """Asks the device in the next turn, for all who have asked in this one."""
-        self._waiting = WaitingReaders(self.name, loop, self._silent)
-        self.operations = Operations(self, loop, on_error)
-        self.attach(sensor)
+        self._waiting = WaitingReaders(sensor.name, loop, self._silent)
+        super().__init__(sensor, terms)
 
     def attach(self, sensor: Sensor[Any]) -> None:
         self.sensor = sensor
-        self.driver = Driver(sensor)
-        self.calls = Calls(
-            self.driver,
-            self._loop,
-            on_late=self._late,
-            on_stuck=self._stuck,
-            left=self._left,
-        )
-        if sensor.can_be_asked:
-            self._read = self.driver.method("read")
-        self.configured()
+        super().attach(sensor)
 
     def configured(self) -> None:
         """Take over a changed deadline."""
         self._deadline = self.sensor.deadline
+        if self.sensor.can_be_asked:
+            self._read = self.driver.method("read")
 
     def _ask(self) -> None:
         if (
@@ -205,6 +168,3 @@ class SensorDevice:
         if call is self._asking:
             self._asking = False
             self._free()
-
-    def _stuck(self, call: Call) -> None:
-        self._on_error(given_up(call))

@@ -114,8 +114,7 @@ class ControlPath:
         """Have the last command of an actuator as a reading, from now on."""
         channel = self._actuators.channels[actuator]
         if channel.applied is None:
-            loop = asyncio.get_running_loop()
-            applied = AppliedChannel(channel.actuator, self.registrations, loop)
+            applied = AppliedChannel(channel.actuator, self.registrations)
             self._sensors.channels[applied.name] = applied
             channel.tell_applied(applied)
 

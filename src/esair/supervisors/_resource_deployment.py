@@ -18,6 +18,7 @@ from esair.connections import (
     Registrations,
     SensorChannel,
     SensorConnection,
+    Terms,
 )
 from esair.exceptions import (
     DeviceLostError,
@@ -140,7 +141,6 @@ class ResourceDeployment:
         self, resource: Resource, channel: SensorChannel | ActuatorChannel | None = None
     ) -> ResourceLife:
         """Begin to open a device; with a channel: in the place of another one."""
-        loop = asyncio.get_running_loop()
         restart = getattr(resource, "restart", None)
 
         def on_error(error: Exception) -> None:
@@ -151,16 +151,15 @@ class ResourceDeployment:
         if resource.bus is not None and resource.bus not in self.buses:
             self.buses.append(resource.bus)
         if channel is None:
+            terms = Terms(self.registrations, on_error, self.left)
             if isinstance(resource, Actuator):
-                channel = ActuatorChannel(
-                    resource, self.registrations, loop, on_error, self.left
-                )
+                channel = ActuatorChannel(resource, terms)
                 self.actuators.channels[resource.name] = channel
                 self.actuators.protections.appear(resource.name)
             else:
                 assert isinstance(resource, Sensor)
                 kind = DerivedChannel if resource.is_computed else SensorChannel
-                channel = kind(resource, self.registrations, loop, on_error, self.left)
+                channel = kind(resource, terms)
                 self.sensors.channels[resource.name] = channel
         policy = restart if isinstance(restart, Restart) else Restart()
         life: ResourceLife
