@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable
-from typing import TYPE_CHECKING, Any, Protocol
-
-import attrs
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from esair.connections._registrations import Registration
 from esair.loop import Scheduler
@@ -38,8 +36,7 @@ class Wish(Protocol):
         """Learn that somebody else was first."""
 
 
-@attrs.frozen(eq=False)
-class Sight:
+class Sight(NamedTuple):
     """What somebody sees who decides about an actuator.
 
     Attributes:

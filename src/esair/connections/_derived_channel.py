@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
-
-import attrs
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from esair.connections._reading_check import measured_at
 from esair.connections._sensor_channel import SensorChannel
@@ -16,8 +14,7 @@ if TYPE_CHECKING:
     from esair.connections._registrations import Registration
 
 
-@attrs.frozen
-class Source:
+class Source(NamedTuple):
     """One sensor that another one is computed of.
 
     Attributes:
