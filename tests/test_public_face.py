@@ -171,20 +171,35 @@ def test_the_values_of_the_contract() -> None:
 
 @pytest.mark.real_clock
 def test_importing_esair_loads_no_bus_and_no_command_line() -> None:
-    """`import esair` is cheap: heavy packages come with what needs them."""
+    """Nor anything until a name is used, and then all that the others need, too."""
     script = """
     import sys
     import esair
+    import esair.minimal
+    print(*sorted(each for each in sys.modules if each.startswith("esair")))
+    esair.Reaction
     heavy = {"serial", "serial_asyncio", "can", "smbus2", "cyclopts", "rich", "pymunk",
              "matplotlib", "pytest", "cantools", "numpy", "hypothesis"}
     print(*sorted(heavy & set(sys.modules)))
+    loaded = set(sys.modules)
+    for name in esair.__all__:
+        getattr(esair, name)
+    print(*sorted(set(sys.modules) - loaded))
     """
     output = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(script)],
         capture_output=True, text=True, check=True, timeout=30,
     )  # fmt: skip
 
-    assert output.stdout.strip() == ""
+    assert output.stdout.splitlines() == ["esair esair.minimal", "", ""]
+
+
+def test_a_name_that_is_none_is_told_as_of_any_module() -> None:
+    """Those of the package's own modules are found, imported or not."""
+    with pytest.raises(AttributeError, match="module 'esair' has no attribute 'Robt'"):
+        assert esair.Robt  # type: ignore[attr-defined]
+    assert esair.discovery.__name__ == "esair.discovery"  # type: ignore[attr-defined]
+    assert set(esair.__all__) <= set(dir(esair))
 
 
 def test_the_package_says_that_it_is_typed() -> None:

@@ -13,6 +13,8 @@ from pathlib import Path
 from benchmarks.harness import Row, ms, repeated
 from esair import minimal
 
+PACKAGES = "import asyncio, anyio, attrs"
+
 FORBIDDEN = ("serial", "serial_asyncio", "can", "smbus2", "cyclopts", "rich", "pytest")
 
 ALONE = f"import sys; sys.path.insert(0, {str(Path(minimal.__file__).parent)!r}); "
@@ -25,7 +27,13 @@ async def rows() -> list[Row]:
 def _rows() -> list[Row]:
     found = []
     for case, mine, other, goal in (
-        ("P11 import esair", "import esair", "import asyncio, anyio, attrs", 1.2),
+        ("P11 import esair", "import esair", PACKAGES, 1.2),
+        (
+            "P11 the same, and use a name of it",
+            "import esair; esair.Robot",
+            PACKAGES,
+            1.2,
+        ),
         ("P11 minimal.py alone, to a bare start", f"{ALONE}import minimal", "", 1.3),
     ):
         ratios, mines, others = [], [], []
@@ -53,7 +61,8 @@ def _rows() -> list[Row]:
         [
             sys.executable,
             "-c",
-            f"import esair, sys; print(*[n for n in {FORBIDDEN!r} if n in sys.modules])",
+            "import esair, sys; esair.Robot; "
+            f"print(*[n for n in {FORBIDDEN!r} if n in sys.modules])",
         ],
         capture_output=True,
         text=True,

@@ -13,138 +13,35 @@ reactions (its *actions*). Subclass those, hand them to a `Robot`, and `run` it:
     esair.run(esair.Robot(resources=[Sonar(), Wheels()], behaviors=[Avoid()]))
 """
 
-from esair.abc import Action, Connection, Supervisor
-from esair.actions import (
-    Behavior,
-    Derived,
-    Reaction,
-    Request,
-    ThreadBehavior,
-    answers,
-    guards,
-    reads,
-    takes,
-    writes,
-)
-from esair.connections import ActuatorConnection, Registration, SensorConnection
-from esair.exceptions import (
-    AccessDeniedError,
-    BadValueError,
-    BehaviorFailedError,
-    BehaviorRemovedError,
-    BehaviorUnavailableError,
-    BusyError,
-    CircularRequestError,
-    ConfigError,
-    DeviceFaultError,
-    DeviceLostError,
-    DriverStuckError,
-    EsairError,
-    HaltedError,
-    NameTakenError,
-    NotRegisteredError,
-    RecordingBrokenError,
-    RecordingError,
-    RefusedError,
-    ResourceRemovedError,
-    StaleReadingError,
-    StoppingError,
-    UnknownNameError,
-)
-from esair.loop import ComponentRandom, every, now
-from esair.messages import (
-    Access,
-    BehaviorState,
-    BehaviorStatus,
-    Operator,
-    Page,
-    Policy,
-    Reading,
-    Recording,
-    Refused,
-    ResourceState,
-    ResourceStatus,
-    Restart,
-    Stamped,
-    SupervisorPhase,
-    Why,
-    Written,
-)
-from esair.resources import HOLD, Actuator, Resource, Sensor, operation, setting
-from esair.standard import Robot, run
-from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
-
-random = ComponentRandom()
-"""Random numbers from the stream of the component that asks; see `ComponentRandom`."""
+from __future__ import annotations
 
 __version__ = "0.2.0"
 
-__all__ = [
-    "HOLD",
-    "Access",
-    "AccessDeniedError",
-    "Action",
-    "Actuator",
-    "ActuatorConnection",
-    "BadValueError",
-    "Behavior",
-    "BehaviorFailedError",
-    "BehaviorRemovedError",
-    "BehaviorState",
-    "BehaviorStatus",
-    "BehaviorSupervisor",
-    "BehaviorUnavailableError",
-    "BusyError",
-    "CircularRequestError",
-    "ConfigError",
-    "Connection",
-    "Derived",
-    "DeviceFaultError",
-    "DeviceLostError",
-    "DriverStuckError",
-    "EsairError",
-    "HaltedError",
-    "NameTakenError",
-    "NotRegisteredError",
-    "Operator",
-    "Page",
-    "Policy",
-    "Reaction",
-    "Reading",
-    "Recording",
-    "RecordingBrokenError",
-    "RecordingError",
-    "Refused",
-    "RefusedError",
-    "Registration",
-    "Request",
-    "Resource",
-    "ResourceRemovedError",
-    "ResourceState",
-    "ResourceStatus",
-    "ResourceSupervisor",
-    "Restart",
-    "Robot",
-    "Sensor",
-    "SensorConnection",
-    "StaleReadingError",
-    "Stamped",
-    "StoppingError",
-    "Supervisor",
-    "SupervisorPhase",
-    "ThreadBehavior",
-    "UnknownNameError",
-    "Why",
-    "Written",
-    "answers",
-    "every",
-    "guards",
-    "now",
-    "operation",
-    "random",
-    "reads",
-    "run",
-    "setting",
-    "takes",
-    "writes",
-]
+TYPE_CHECKING = False  # as checkers read it: `typing` is not loaded for this
+if TYPE_CHECKING:
+    from esair._names import *  # noqa: F403
+    from esair._names import __all__ as __all__
+else:  # not for checkers: they would believe in any name
+
+    def __getattr__(name: str) -> object:
+        """Load all public names with the first one that is used.
+
+        So a module of the package that needs none of them, such as `esair.minimal`,
+        does not bring them, and who uses one (a base class, say) has all of them
+        before the loop begins.
+        """
+        if not name.startswith("_") or name == "__all__":
+            from importlib import import_module, util
+
+            if util.find_spec(f"esair.{name}") is not None:
+                return import_module(f"esair.{name}")
+            from esair import _names
+
+            names = ("__all__", *_names.__all__)
+            globals().update({each: getattr(_names, each) for each in names})
+            if name in globals():
+                return globals()[name]
+        raise AttributeError(f"module 'esair' has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__getattr__("__all__")})
