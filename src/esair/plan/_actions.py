@@ -30,7 +30,7 @@ _FASTEST = 100_000.0  # The highest rate of a reaction, in Hz
 def mistakes_in_action(action: Behavior | Reaction) -> Iterator[Finding]:
     """Find what is wrong with the class of an action, or with its values."""
     for field, told in _in_action(action):
-        yield mistake("declaration", action, action.name, field, told)
+        yield mistake("declaration", action, field, told)
     for error in mistakes_in_requests(action):
         yield because("declaration", action, error)
 
@@ -38,7 +38,7 @@ def mistakes_in_action(action: Behavior | Reaction) -> Iterator[Finding]:
 def mistyped(reaction: Reaction) -> Iterator[Finding]:
     """Find parameters of ``react`` whose annotations do not fit the ports."""
     for told in wrong_types(reaction):
-        yield mistake("declaration", reaction, reaction.name, "react", told)
+        yield mistake("declaration", reaction, "react", told)
 
 
 def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:

@@ -26,7 +26,7 @@ def claimed_twice(
         first = owners.setdefault(_claim(resource), resource.name)
         if resource.claim is not None and first != resource.name:
             told = f"{resource.claim} belongs to {first!r}: they cannot share it"
-            yield mistake("claim", resource, resource.name, "", told)
+            yield mistake("claim", resource, "", told)
 
 
 def _claim(resource: Resource) -> tuple[int, str | None]:
@@ -38,17 +38,12 @@ def odd_buses(plan: Plan) -> Iterator[Finding]:
     used = {id(each.bus) for each in plan.resource_of.values()}
     for name, bus in _buses(plan):
         if id(bus) not in used and not plan.missing:
-            yield warning("unused", bus, name, "", "no device is on it")
+            yield warning("unused", bus, "", "no device is on it", of=name)
         port = getattr(bus, "port", None)
         if isinstance(port, str) and _RENUMBERED.match(port):
-            yield warning(
-                "port",
-                bus,
-                name,
-                "port",
-                f"{port} may be another device after the next plugging",
-                "expected the path of the same device in /dev/serial/by-id",
-            )
+            told = f"{port} may be another device after the next plugging"
+            advice = "expected the path of the same device in /dev/serial/by-id"
+            yield warning("port", bus, "port", told, advice, of=name)
 
 
 def _buses(plan: Plan) -> list[tuple[str, Bus]]:

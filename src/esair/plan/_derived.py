@@ -51,7 +51,7 @@ def underivable(plan: Plan, derived: Derived[Any]) -> Iterator[Finding]:
         yield from refused(plan, derived.name, need)
     if path := _circle(plan, derived):
         told = f"it is computed of itself: {' of '.join(path)}"
-        yield mistake("need", derived, derived.name, "", told)
+        yield mistake("need", derived, "", told)
 
 
 def _circle(plan: Plan, derived: Derived[Any]) -> list[str]:

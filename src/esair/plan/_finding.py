@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import enum
+import functools
 from collections.abc import Iterable
 
 import attrs
 
 from esair.exceptions import ConfigError, EsairError
+from esair.messages import BehaviorsPolicy, Policy
+from esair.plan._plan import name_of
 
 
 class Severity(enum.Enum):
@@ -67,29 +70,29 @@ class Finding:
 def mistake(
     rule: str,
     subject: object,
-    component: str,
     field: str,
     wrong: str,
     advice: str = "",
     *,
+    of: str = "",
     cause: EsairError | None = None,
+    severity: Severity = Severity.ERROR,
 ) -> Finding:
-    """Make a finding that stops the start."""
-    return Finding(
-        Severity.ERROR, rule, component, field, wrong, advice, subject, cause
-    )
+    """Make a finding that stops the start, of a subject or of what is said to be."""
+    of = of or _called(subject)
+    return Finding(severity, rule, of, field, wrong, advice, subject, cause)
 
 
-def warning(
-    rule: str,
-    subject: object,
-    component: str,
-    field: str,
-    wrong: str,
-    advice: str = "",
-) -> Finding:
-    """Make a finding that stops nothing."""
-    return Finding(Severity.WARNING, rule, component, field, wrong, advice, subject)
+warning = functools.partial(mistake, severity=Severity.WARNING)
+"""Makes a finding that stops nothing."""
+
+
+def _called(subject: object) -> str:
+    if isinstance(subject, BehaviorsPolicy):
+        return "policy of behaviors"
+    if isinstance(subject, Policy):
+        return f"policy of {subject.resource!r}"
+    return name_of(subject) or ""
 
 
 def because(rule: str, subject: object, error: EsairError) -> Finding:
@@ -98,7 +101,7 @@ def because(rule: str, subject: object, error: EsairError) -> Finding:
     field = str(getattr(error, "field", ""))
     text = str(error).removeprefix(f"{component}: ").removeprefix(f"{field}: ")
     cause = None if type(error) is ConfigError else error
-    return mistake(rule, subject, component, field, text, cause=cause)
+    return mistake(rule, subject, field, text, of=component, cause=cause)
 
 
 def errors_in(findings: Iterable[Finding]) -> list[EsairError]:

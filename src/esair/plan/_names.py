@@ -19,7 +19,7 @@ def wrong_kind(component: object, *, resource: bool) -> Finding | None:
     if not isinstance(component, wanted):
         names = " or ".join(f"esair.{each.__name__}" for each in wanted)
         return mistake(
-            "declaration", component, repr(component), "", f"expected an {names}"
+            "declaration", component, "", f"expected an {names}", of=repr(component)
         )
     assert isinstance(component, Component)
     try:

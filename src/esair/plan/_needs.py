@@ -33,7 +33,7 @@ def unmet(
         user = f"{name}: {attribute}"
         cause = UnknownNameError("resource", wanted, plan.resource_names, user=user)
         told = str(cause).removeprefix(f"{user}: ")
-        return mistake("need", action, name, attribute, told, cause=cause)
+        return mistake("need", action, attribute, told, cause=cause)
     writes = not isinstance(need, Reads)
     doing = _DOING[type(need)]
     if writes is not isinstance(resource, Actuator):
@@ -41,14 +41,14 @@ def unmet(
         told = f"it {doing} {wanted!r}, which is {is_a}"
         applied = f"its last command is read as name={wanted + APPLIED!r}"
         advice = "" if writes else applied
-        return mistake("need", action, name, attribute, told, advice)
+        return mistake("need", action, attribute, told, advice)
     has = resource.value_type
     if not (same_type(need.type, has) if writes else same_type(has, need.type)):
         told = (
             f"it {doing} {type_name(need.type)}, but {wanted!r} "
             f"{'takes' if writes else 'gives'} {type_name(has)}"
         )
-        return mistake("need", action, name, attribute, told)
+        return mistake("need", action, attribute, told)
     return None
 
 
@@ -68,14 +68,12 @@ def untimely(
             return
         longest = timeout if need.hold is None else min(need.hold, timeout)
         if 1 / action.rate >= longest:
-            yield warning(
-                "time",
-                action,
-                action.name,
-                attribute,
+            told = (
                 f"it writes {need.resource!r} every {1 / action.rate:.3g} s, but a "
-                f"command is good for {longest:.3g} s only",
-                "raise its rate or the command_timeout",
+                f"command is good for {longest:.3g} s only"
+            )
+            yield warning(
+                "time", action, attribute, told, "raise its rate or the command_timeout"
             )
 
 
@@ -86,14 +84,12 @@ def _too_young(
         return
     period = 1 / sensor.rate
     if need.max_age <= period * (1 + 1e-9):  # 1 / 0.1 is not quite 10
-        yield mistake(
-            "time",
-            action,
-            action.name,
-            f"{attribute}.max_age",
+        told = (
             f"its readings of {need.resource!r} may be {need.max_age:.3g} s old at "
-            f"most, but come every {period:.3g} s only",
-            "raise the rate or max_age",
+            f"most, but come every {period:.3g} s only"
+        )
+        yield mistake(
+            "time", action, f"{attribute}.max_age", told, "raise the rate or max_age"
         )
 
 
@@ -105,12 +101,9 @@ def _silent(
         return
     if hasattr(sensor, "initial") or sensor.period is not None:
         return  # it says its value at once, or how soon it speaks
-    yield warning(
-        "silent",
-        action,
-        action.name,
-        attribute,
-        f"it is blind until {need.resource!r} first speaks",
+    told = f"it is blind until {need.resource!r} first speaks"
+    advice = (
         f"give {type(sensor).__name__} a read, an initial value, or a period (its "
-        "greatest silence)",
+        "greatest silence)"
     )
+    yield warning("silent", action, attribute, told, advice)

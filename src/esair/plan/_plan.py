@@ -125,8 +125,3 @@ def name_of(component: object) -> str | None:
     except (EsairError, AttributeError):
         return None
     return name if isinstance(name, str) else None
-
-
-def shown(component: object) -> str:
-    """Name a component in an error, even one that has no good name."""
-    return name_of(component) or repr(component)[:80]

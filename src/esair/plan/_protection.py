@@ -195,13 +195,15 @@ def unprotected(plan: Plan) -> Iterator[Finding]:
         if not isinstance(action, Reaction):
             continue
         if isinstance(need, Guards) and need.latch is True:
+            told = (
+                f"once it has refused a command for {need.resource!r}, nothing passes "
+                f"until robot.behaviors.reset({name!r})"
+            )
             yield warning(
                 "protect",
                 action,
-                name,
                 f"{attribute}.latch",
-                f"once it has refused a command for {need.resource!r}, nothing passes "
-                f"until robot.behaviors.reset({name!r})",
+                told,
                 "see that somebody is there to call it",
             )
     yield from _mutable(plan)
@@ -221,15 +223,12 @@ def _bare(plan: Plan, name: str, row: Protection) -> Iterator[Finding]:
         if each.kind == "reaction" and each.priority > max(behaviors)
     ]
     if not above:
-        yield warning(
-            "protect",
-            actuator,
-            name,
-            "",
+        told = (
             "it moves, and nothing protects it: it has no guard, and no reaction above "
-            "its behaviors",
-            f"write a reaction with esair.guards(..., name={name!r})",
+            "its behaviors"
         )
+        advice = f"write a reaction with esair.guards(..., name={name!r})"
+        yield warning("protect", actuator, "", told, advice)
 
 
 def _moves(actuator: object) -> bool:
@@ -254,36 +253,26 @@ def _level(plan: Plan, name: str, row: Protection) -> Iterator[Finding]:
             if each.behavior != holder and each.priority == need.priority
         ]
         if equal:
-            yield warning(
-                "protect",
-                action,
-                holder,
-                need.attribute,
+            told = (
                 f"while it is blind it keeps {name!r} safe against {_and(equal)}, but "
-                f"while it sees they have the same priority ({need.priority})",
-                "raise its priority",
+                f"while it sees they have the same priority ({need.priority})"
             )
+            yield warning("protect", action, need.attribute, told, "raise its priority")
 
 
 def _mutable(plan: Plan) -> Iterator[Finding]:
-    for name, action in plan.action_of.items():
+    for action in plan.action_of.values():
         if not isinstance(action, Reaction) or action.mute_limit == _MUTE_LIMIT:
             continue
         protects = any(action.holds_when_blind(need) for need in action.needs.values())
         if protects and is_positive(action.mute_limit):
-            yield warning(
-                "protect",
-                action,
-                name,
-                "mute_limit",
-                f"the user may mute what it protects for {action.mute_limit:g} s",
-                "0 if never",
-            )
+            told = f"the user may mute what it protects for {action.mute_limit:g} s"
+            yield warning("protect", action, "mute_limit", told, "0 if never")
 
 
 def _half_guarded(plan: Plan, rows: dict[str, Protection]) -> Iterator[Finding]:
     """Find commands of several parts of which only some are guarded."""
-    for name, action in plan.action_of.items():
+    for action in plan.action_of.values():
         parts = [
             need.resource
             for need in action.needs.values()
@@ -294,15 +283,11 @@ def _half_guarded(plan: Plan, rows: dict[str, Protection]) -> Iterator[Finding]:
         guarded = [each for each in parts if rows[each].guards]
         bare = [each for each in parts if not rows[each].guards]
         if guarded and bare:
-            yield warning(
-                "protect",
-                action,
-                name,
-                "",
+            told = (
                 f"it commands {_and(parts)} together, but only {_and(guarded)} "
-                f"{'is' if len(guarded) == 1 else 'are'} guarded",
-                f"guard {_and(bare)} too",
+                f"{'is' if len(guarded) == 1 else 'are'} guarded"
             )
+            yield warning("protect", action, "", told, f"guard {_and(bare)} too")
 
 
 def _and(names: list[str]) -> str:

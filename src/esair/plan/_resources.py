@@ -26,7 +26,7 @@ def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Find
     """Find what is wrong with the class of a resource, or with its values."""
 
     def wrong(field: str, told: str) -> Finding:
-        return mistake("declaration", resource, resource.name, field, told)
+        return mistake("declaration", resource, field, told)
 
     if not is_positive(resource.deadline):
         yield wrong("deadline", f"expected seconds > 0, not {resource.deadline!r:.80}")
@@ -57,15 +57,14 @@ def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Find
         for name, each in resource.operations.items():
             limit = resource.deadline if each.deadline is None else each.deadline
             if blocks_safe(resource, name, limit):
-                yield warning(
-                    "time",
-                    resource,
-                    resource.name,
-                    name,
+                told = (
                     f"it blocks its thread for up to {limit:g} s, and the safe "
-                    "command waits behind it",
-                    "write it as async def, or let it only begin what the device does",
+                    "command waits behind it"
                 )
+                advice = (
+                    "write it as async def, or let it only begin what the device does"
+                )
+                yield warning("time", resource, name, told, advice)
 
 
 def blocks_safe(actuator: Actuator[Any], operation: str, limit: object) -> bool:

@@ -8,12 +8,11 @@ from typing import Any
 from esair.actions import Behavior, Need, Reaction, Reads, Writes
 from esair.exceptions import (
     AccessDeniedError,
-    ConfigError,
     UnknownNameError,
     did_you_mean,
 )
 from esair.messages import Access, BehaviorsPolicy, Policy
-from esair.plan._finding import Finding, because, mistake, warning
+from esair.plan._finding import Finding, mistake, warning
 from esair.plan._plan import Plan
 from esair.resources import Actuator
 
@@ -98,8 +97,7 @@ def _writers(
 
 
 def _against(policy: Policy, field: str, error: AccessDeniedError) -> Finding:
-    component = f"policy of {policy.resource!r}"
-    return mistake("denied", policy, component, field, str(error), cause=error)
+    return mistake("denied", policy, field, str(error), cause=error)
 
 
 def mistakes_in_policies(plan: Plan) -> Iterator[Finding]:
@@ -107,48 +105,36 @@ def mistakes_in_policies(plan: Plan) -> Iterator[Finding]:
     seen: set[str] = set()
     for policy in plan.policies:
         if isinstance(policy, BehaviorsPolicy):
-            yield from _unknown(
-                plan,
-                policy,
-                "policy of behaviors",
-                dict.fromkeys(policy.allow, "allow"),
-            )
+            yield from _unknown(plan, policy, dict.fromkeys(policy.allow, "allow"))
             continue
         if not isinstance(policy, Policy):
             told = f"expected an esair.Policy, not {policy!r:.80}"
-            yield mistake("rights", policy, "policies", "", told)
+            yield mistake("rights", policy, "", told, of="policies")
             continue
         if policy.resource in seen:
             told = "it has more than one policy: join them"
-            yield mistake("rights", policy, _title(policy), "resource", told)
+            yield mistake("rights", policy, "resource", told)
         seen.add(policy.resource)
     for policy in plan.policy_of.values():
         yield from _in_policy(plan, policy)
 
 
-def _title(policy: Policy) -> str:
-    return f"policy of {policy.resource!r}"
-
-
 def _in_policy(plan: Plan, policy: Policy) -> Iterator[Finding]:
-    title = _title(policy)
     if policy.resource not in plan.resource_names:
         error = UnknownNameError("resource", policy.resource, plan.resource_names)
-        yield because("rights", policy, ConfigError(title, "resource", str(error)))
+        yield mistake("rights", policy, "resource", str(error))
         return
     for who, level in policy.max_priority.items():
         if type(level) is not int:
             told = f"expected a whole number, not {level!r:.80}"
-            yield mistake("rights", policy, title, f"max_priority.{who}", told)
+            yield mistake("rights", policy, f"max_priority.{who}", told)
     named = dict.fromkeys(policy.max_priority, "max_priority")
     named |= dict.fromkeys(policy.allow, "allow")
-    yield from _unknown(plan, policy, title, named)
+    yield from _unknown(plan, policy, named)
     yield from _useless(plan, policy)
 
 
-def _unknown(
-    plan: Plan, policy: object, title: str, named: Mapping[str, str]
-) -> Iterator[Finding]:
+def _unknown(plan: Plan, policy: object, named: Mapping[str, str]) -> Iterator[Finding]:
     """Find names of nobody, by the field that names them.
 
     One that is like no other may be that of a behavior added later; so may one that is
@@ -162,10 +148,10 @@ def _unknown(
             continue  # it reads what it is computed of in its own name
         if nearest := did_you_mean(who, left):
             told = f"no behavior is named {who!r}{nearest}"
-            yield mistake("rights", policy, title, f"{field}.{who}", told)
+            yield mistake("rights", policy, f"{field}.{who}", told)
         else:
             told = f"nobody here has this right: no behavior is named {who!r}"
-            yield warning("rights", policy, title, f"{field}.{who}", told)
+            yield warning("rights", policy, f"{field}.{who}", told)
 
 
 def _useless(plan: Plan, policy: Policy) -> Iterator[Finding]:
@@ -179,4 +165,4 @@ def _useless(plan: Plan, policy: Policy) -> Iterator[Finding]:
     if not any(asked in policy.allow.get(name, everybody) for name in users):
         doing = "write" if is_actuator else "read"
         told = f"nobody here may {doing} it: no behavior of the robot is allowed to"
-        yield warning("rights", policy, _title(policy), "", told)
+        yield warning("rights", policy, "", told)

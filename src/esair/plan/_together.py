@@ -25,26 +25,21 @@ def starving(plan: Plan) -> Iterator[Finding]:
             ):
                 continue  # that is told of the one that keeps the other out
             if low.priority == high.priority:
-                yield warning(
-                    "starve",
-                    action,
-                    other,
-                    high.attribute,
+                told = (
                     f"{one!r} and {other!r} write {resource!r} with the same priority "
-                    f"({low.priority}): whoever holds it keeps the other out",
-                    "raise one of them",
+                    f"({low.priority}): whoever holds it keeps the other out"
+                )
+                yield warning(
+                    "starve", action, high.attribute, told, "raise one of them"
                 )
             elif isinstance(action, Behavior):
-                yield warning(
-                    "starve",
-                    action,
-                    other,
-                    high.attribute,
+                told = (
                     f"{other!r} is no reaction, so it may write {resource!r} without "
                     f"pause, and its priority {high.priority} is above that of {one!r} "
-                    f"({low.priority})",
-                    f"see that it releases {resource!r}, or lower its priority",
+                    f"({low.priority})"
                 )
+                advice = f"see that it releases {resource!r}, or lower its priority"
+                yield warning("starve", action, high.attribute, told, advice)
 
 
 def unused(plan: Plan) -> Iterator[Finding]:
@@ -58,5 +53,5 @@ def unused(plan: Plan) -> Iterator[Finding]:
         if name not in used:
             doing = "writes" if isinstance(resource, Actuator) else "reads"
             yield warning(
-                "unused", resource, name, "", f"no behavior declares that it {doing} it"
+                "unused", resource, "", f"no behavior declares that it {doing} it"
             )
