@@ -40,12 +40,7 @@ END: Final = frozenset({b"q", b"\x03", b"\x04"})
 
 
 def drive(
-    actuator: str,
-    /,
-    *,
-    speed: float = 0.3,
-    lease: float = 0.5,
-    robot: Which = None,
+    actuator: str, /, *, speed: float = 0.3, lease: float = 0.5, robot: Which = None
 ) -> int:
     """Drive an actuator with the arrow keys, or w a s d.
 

@@ -24,10 +24,7 @@ _RESERVED = {"esair", "test", "tests", "robot", "conftest"}
 
 
 def new(
-    name: str,
-    /,
-    *,
-    folder: Annotated[Path, Parameter(name="--in")] = Path(),
+    name: str, /, *, folder: Annotated[Path, Parameter(name="--in")] = Path()
 ) -> int:
     """Make a robot project that runs in simulation at once.
 

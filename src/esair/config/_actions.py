@@ -5,12 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from esair.actions import (
-    Behavior,
-    ProfiledAction,
-    Reaction,
-    adapt_action,
-)
+from esair.actions import Behavior, ProfiledAction, Reaction, adapt_action
 from esair.config._construct import construct
 from esair.config._draft import Draft
 from esair.config._mistakes import below

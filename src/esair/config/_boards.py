@@ -55,11 +55,7 @@ def _is_sound(source: Source, name: str, table: dict[str, Any]) -> bool:
     return sound
 
 
-_WORDS: Final = {
-    str: "a string",
-    int: "a whole number",
-    bool: "true or false",
-}
+_WORDS: Final = {str: "a string", int: "a whole number", bool: "true or false"}
 
 
 def _add_board(

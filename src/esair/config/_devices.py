@@ -73,11 +73,7 @@ def make_device(
 
 
 def _find_bus(
-    draft: Draft,
-    key: str,
-    variant: Variant,
-    cls: type | None,
-    given: dict[str, Any],
+    draft: Draft, key: str, variant: Variant, cls: type | None, given: dict[str, Any]
 ) -> str | None:
     """Put the bus of a device into what is given to it; return the bus's name."""
     mistakes = draft.source.mistakes

@@ -11,12 +11,7 @@ A new rule goes into the file of its subject, and is asked in ``_examine.py``.
 """
 
 from esair.plan._derived import depths
-from esair.plan._examine import (
-    examine,
-    examine_action,
-    examine_resource,
-    examine_step,
-)
+from esair.plan._examine import examine, examine_action, examine_resource, examine_step
 from esair.plan._finding import Finding, Severity, errors_in, refuse
 from esair.plan._looking import only_looking, refuse_while_looking
 from esair.plan._names import in_use

@@ -4,24 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from esair.actions import (
-    Behavior,
-    Guards,
-    Need,
-    Reaction,
-    Reads,
-    Writes,
-)
+from esair.actions import Behavior, Guards, Need, Reaction, Reads, Writes
 from esair.exceptions import ConfigError
 from esair.messages import Restart
 from esair.plan._finding import Finding, because, mistake
 from esair.plan._requests import mistakes_in_requests
-from esair.plan._signatures import (
-    wrong_blind,
-    wrong_methods,
-    wrong_react,
-    wrong_types,
-)
+from esair.plan._signatures import wrong_blind, wrong_methods, wrong_react, wrong_types
 from esair.values import check_name, is_positive
 
 _FASTEST = 100_000.0  # The highest rate of a reaction, in Hz

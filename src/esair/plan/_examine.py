@@ -61,10 +61,7 @@ def examine_resource(
 
 
 def examine_action(
-    plan: Plan,
-    action: Any,
-    *,
-    instead_of: Behavior | Reaction | None = None,
+    plan: Plan, action: Any, *, instead_of: Behavior | Reaction | None = None
 ) -> list[Finding]:
     """Find what is wrong with a behavior or reaction that comes into a running robot.
 

@@ -16,10 +16,7 @@ _DOING: Final = {Reads: "reads", Writes: "writes", Guards: "guards"}
 
 
 def unmet(
-    plan: Plan,
-    action: Behavior | Reaction | Derived[Any],
-    attribute: str,
-    need: Need,
+    plan: Plan, action: Behavior | Reaction | Derived[Any], attribute: str, need: Need
 ) -> Finding | None:
     """Find out if nobody provides what a port of an action, or a derived sensor, asks for."""
     name, wanted = action.name, need.resource

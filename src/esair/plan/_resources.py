@@ -12,13 +12,7 @@ from esair.exceptions import BadValueError
 from esair.plan._derived import wrong_derived
 from esair.plan._finding import Finding, mistake, warning
 from esair.plan._signatures import wrong_signatures
-from esair.resources import (
-    HOLD,
-    Actuator,
-    Sensor,
-    bus_kind,
-    wrong_operations,
-)
+from esair.resources import HOLD, Actuator, Sensor, bus_kind, wrong_operations
 from esair.values import is_positive
 
 

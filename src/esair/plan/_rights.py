@@ -6,11 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from esair.actions import Behavior, Need, Reaction, Reads, Writes
-from esair.exceptions import (
-    AccessDeniedError,
-    UnknownNameError,
-    did_you_mean,
-)
+from esair.exceptions import AccessDeniedError, UnknownNameError, did_you_mean
 from esair.messages import Access, BehaviorsPolicy, Policy
 from esair.plan._finding import Finding, mistake, warning
 from esair.plan._plan import Plan

@@ -12,13 +12,7 @@ from esair.recording import Recorded, plain
 
 NOT_COMPARED = {Kind.LOG}  # What a robot says is no decision
 
-_OF_ACTUATORS = {
-    Kind.COMMAND,
-    Kind.REFUSED,
-    Kind.SENT,
-    Kind.APPLIED,
-    Kind.OPERATED,
-}
+_OF_ACTUATORS = {Kind.COMMAND, Kind.REFUSED, Kind.SENT, Kind.APPLIED, Kind.OPERATED}
 
 
 @attrs.frozen

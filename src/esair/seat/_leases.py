@@ -118,11 +118,7 @@ class Leases:
             self._resources, self._name, actuator, Access.WRITE, priority=self._priority
         )
         lease = Lease(
-            next(self._numbers),
-            registration,
-            seconds,
-            owner,
-            self._time() + seconds,
+            next(self._numbers), registration, seconds, owner, self._time() + seconds
         )
         self._live[lease.number] = lease
         self._watch(lease)

@@ -25,15 +25,7 @@ from esair.exceptions import (
     did_you_mean,
 )
 from esair.journal import Kind
-from esair.loop import (
-    Door,
-    News,
-    TapeWriter,
-    clock_of,
-    current_owner,
-    outside,
-    spawn,
-)
+from esair.loop import Door, News, TapeWriter, clock_of, current_owner, outside, spawn
 from esair.messages import OPERATOR, Access
 from esair.resources import HIDDEN, Resource, settings_of
 from esair.seat._acts import ACTS, Act

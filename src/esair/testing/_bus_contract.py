@@ -34,10 +34,7 @@ PATIENCE = 5.0  # How long a suite waits for what has to happen, in seconds
 class BusContract(abc.ABC):
     """What all buses have in common, whatever their medium."""
 
-    pytestmark: ClassVar[list[Any]] = [
-        pytest.mark.asyncio,
-        pytest.mark.virtual_clock,
-    ]
+    pytestmark: ClassVar[list[Any]] = [pytest.mark.asyncio, pytest.mark.virtual_clock]
 
     longest_stall: ClassVar[float] = 0.5
     """How long the event loop may be kept, in seconds; far more than a bus needs."""

@@ -47,10 +47,7 @@ _ABSENT = DeviceLostError, DeviceFaultError, DriverStuckError, StaleReadingError
 class ResourceContract(abc.ABC):
     """What sensors and actuators have in common."""
 
-    pytestmark: ClassVar[list[Any]] = [
-        pytest.mark.asyncio,
-        pytest.mark.virtual_clock,
-    ]
+    pytestmark: ClassVar[list[Any]] = [pytest.mark.asyncio, pytest.mark.virtual_clock]
 
     silent_for: ClassVar[float] = 12.0
     """How long its power is away at first, in seconds; less on the real clock."""
