@@ -141,6 +141,15 @@ def test_a_mistake_names_its_key_and_what_was_expected(
     assert told in project.mistakes()[key]
 
 
+@pytest.mark.parametrize("value", ["nan", "{{ linear = nan, angular = 0.0 }}"])
+def test_a_value_that_is_no_good_is_not_called_missing(project, value) -> None:
+    """It is there: one mistake, one message."""
+    project.changed("safe = {{ linear = 0.0, angular = 0.0 }}", f"safe = {value}")
+
+    (told,) = project.mistakes().values()
+    assert "expected a finite number, not nan" in told
+
+
 @pytest.mark.parametrize(
     "name", ["robot", "bus", "sensor", "actuator", "behavior", "access"]
 )

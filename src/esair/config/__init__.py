@@ -7,8 +7,7 @@ tables and their keys.
 from esair.config._check import FoundInFile, Report, check
 from esair.config._classes import searched_first
 from esair.config._construct import keywords_of
-from esair.config._description import Description
-from esair.config._load import build, load, load_robot
+from esair.config._load import Description, build, load, load_robot
 from esair.config._mistakes import ConfigFileError
 from esair.config._module import find_robot, is_of_module, robot_of
 from esair.config._records import fields_of

@@ -122,3 +122,4 @@ def _add(
         )
         return
     tables[name] = {**table, **given}
+    source.implied.add(name)

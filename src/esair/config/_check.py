@@ -10,6 +10,7 @@ from esair.config._draft import Draft
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
 from esair.plan import Protection, examine, protection
+from esair.standard import Robot
 
 
 @attrs.frozen
@@ -63,7 +64,7 @@ class Report:
         return len(self.findings) - self.errors
 
 
-def check(path: str | os.PathLike[str], *, robot_class: type | None = None) -> Report:
+def check(path: str | os.PathLike[str], *, robot_class: type = Robot) -> Report:
     """Find every mistake of a configuration at once, without opening a device.
 
     The file is checked as it is, and, if it has any ``sim`` table, as a simulation.
@@ -71,10 +72,6 @@ def check(path: str | os.PathLike[str], *, robot_class: type | None = None) -> R
     Raises:
         ConfigFileError: The file cannot be read, or is no TOML.
     """
-    if robot_class is None:
-        from esair.standard import Robot
-
-        robot_class = Robot
     source = read_source(path)
     real = make_draft(source, simulated=False, robot_class=robot_class)
     found = _found(real, robot_class)

@@ -10,24 +10,43 @@ from __future__ import annotations
 import enum
 import inspect
 import typing
-from collections.abc import Container, Mapping
-from pathlib import Path
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Any, Final, Literal
 
 import attrs
 
 from esair import abc
 from esair.config._classes import searched_first
+from esair.config._draft import Variant
 from esair.config._mistakes import Mistakes, below
-from esair.config._options import options_of
 from esair.config._records import Field, fields_of, hints_of
-from esair.config._values import INVALID, convert
+from esair.config._source import Source
+from esair.config._values import INVALID
 from esair.config._words import unknown, wanted
 from esair.exceptions import BadValueError
 from esair.resources import Resource, Setting, settings_of
 from esair.values import once_for_class
 
 _PLAIN: Final = (bool, int, float, str, tuple, frozenset, enum.Enum)
+_NONE: Final[Mapping[str, Any]] = {}
+
+# Keys of buses that their classes hand on to the packages behind them: only these are
+# known by name, so that a misspelling is found; the rest goes into ``options = { ... }``.
+_SERIAL: Final[Mapping[str, Any]] = {
+    "bytesize": Literal[5, 6, 7, 8],
+    "parity": Literal["N", "E", "O", "M", "S"],
+    "stopbits": Literal[1, 2] | float,
+    "xonxoff": bool,
+    "rtscts": bool,
+    "dsrdtr": bool,
+}
+_CAN: Final[Mapping[str, Any]] = {
+    "bitrate": int,
+    "data_bitrate": int,
+    "fd": bool,
+    "receive_own_messages": bool,
+    "local_loopback": bool,
+}
 
 
 OPTIONS: Final = "options"
@@ -79,7 +98,7 @@ def accepted_by(cls: type) -> Mapping[str, Accepted]:
             field = attrs.evolve(field, kind=known.field.kind)
         found[name] = Accepted(Place.KEYWORD, field, known.setting if known else None)
     if keywords.takes_options:
-        for name, kind in options_of(cls).items():
+        for name, kind in _options_of(cls).items():
             found.setdefault(name, Accepted(Place.KEYWORD, Field(kind, required=False)))
         found[OPTIONS] = Accepted(Place.OPTIONS, Field(dict[str, Any], required=False))
     return found
@@ -148,6 +167,16 @@ def _attributes_of(cls: type) -> dict[str, Any]:
     return found
 
 
+def _options_of(cls: type) -> Mapping[str, Any]:
+    """Return the types of the further keys that a class of buses takes, by name."""
+    names = {
+        each.__name__ for each in cls.__mro__ if each.__module__.startswith("esair.")
+    }
+    if "SerialBus" in names:
+        return _SERIAL
+    return _CAN if "CanBus" in names else {}
+
+
 def _kind_of(default: object) -> Any:
     """Return the type of values that may stand for a default without a type."""
     if type(default) is int:
@@ -158,46 +187,42 @@ def _kind_of(default: object) -> Any:
 
 
 def construct(
+    source: Source,
     cls: type,
     name: str,
-    table: Mapping[str, Any],
-    keys: Mapping[str, str],
     key: str,
-    mistakes: Mistakes,
-    folder: Path,
+    variant: Variant,
     *,
-    given: Mapping[str, Any] | None = None,
-    kinds: Mapping[str, Any] | None = None,
-    inherited: Container[str] = (),
-    later: frozenset[str] = frozenset(),
+    given: Mapping[str, Any] = _NONE,
+    kinds: Mapping[str, Any] = _NONE,  # those that the class itself cannot say
+    later: frozenset[str] = frozenset(),  # keys that somebody else takes care of
     make: bool = True,
 ) -> Any:
-    """Make a component from its table, or note every mistake."""
-    given = dict(given or {})
+    """Make a component from its table, or note every mistake; None if there is one."""
+    mistakes, table, keys = source.mistakes, variant.table, variant.keys
     accepted = accepted_by(cls)
     known = {each for each in accepted if each not in {"name", *given}}
+    make = make and not any(each.startswith(f"{key}.") for each in mistakes.spoiled)
     before = len(mistakes.errors)
     values: dict[str, Any] = {}
     for field, value in table.items():
         if field in later:
             continue
         if field not in known:
-            if field in inherited:
-                continue
-            mistakes.add(keys[field], unknown("key", field, known.difference(later)))
+            if field not in variant.inherited:
+                wrong = unknown("key", field, known.difference(later))
+                mistakes.add(keys[field], wrong)
             continue
         setting = accepted[field].setting
         if setting is not None:
             values[field] = _check_setting(setting, value, keys[field], mistakes)
         else:
-            kind = (kinds or {}).get(field, accepted[field].field.kind)
-            values[field] = convert(value, kind, keys[field], mistakes.add, folder)
+            kind = kinds.get(field, accepted[field].field.kind)
+            values[field] = source.convert(value, kind, keys[field])
     for field, accept in accepted.items():
         if accept.field.required and field not in {"name", *given, *table}:
-            mistakes.add(
-                key,
-                f"the key {field!r} is missing: expected {wanted(accept.field.kind)}",
-            )
+            kind = wanted(accept.field.kind)
+            mistakes.add(key, f"the key {field!r} is missing: expected {kind}")
     options: dict[str, Any] = {}
     if accepted_as(accepted, OPTIONS, Place.OPTIONS) and OPTIONS in values:
         options = values.pop(OPTIONS)
@@ -208,7 +233,7 @@ def construct(
     if len(mistakes.errors) > before or not make:
         return None
     values.update(options)
-    with searched_first(folder):  # a key may name a class, as ``library`` does
+    with searched_first(source.folder):  # a key may name a class, as ``library`` does
         return _make(cls, name, values, accepted, given, key, mistakes)
 
 

@@ -31,6 +31,17 @@ class Part:
         return f"{self.kind}.{self.name}"
 
 
+@attrs.frozen
+class Variant:
+    """One table, real or simulated."""
+
+    table: dict[str, Any]
+    keys: dict[str, str]  # The key in the file of each
+    # What a simulated device has from the real one's table
+    inherited: frozenset[str] = frozenset()
+    is_simulated: bool = False  # Whether there was a table ``sim``
+
+
 @attrs.define
 class Draft:
     """What could be made of a file. Parts with mistakes are there, but not made."""
@@ -64,6 +75,7 @@ class Draft:
             behaviors=[each for each in made if isinstance(each, ProfiledAction)],
             policies=list(self.policies.values()),
             buses=self.made(Bus),
+            implied=self.source.implied,
             watchdog=self.robot.get("watchdog") is True,
             missing={
                 each.name: each.kind

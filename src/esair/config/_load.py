@@ -3,29 +3,68 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar, overload
 
-from esair.actions import ProfiledAction
+import attrs
+
+from esair.actions import Behavior, ProfiledAction, Reaction
 from esair.buses import Bus
-from esair.config._description import Description
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
 from esair.exceptions import ConfigError
+from esair.messages import BehaviorsPolicy, Policy
 from esair.plan import examine
 from esair.resources import Resource
-
-if TYPE_CHECKING:
-    from esair.standard import Robot
+from esair.standard import Robot
 
 R = TypeVar("R")
+
+
+@attrs.define(eq=False)
+class Description:
+    """What one configuration file says, checked as a whole.
+
+    The components are made, so that their own checks have passed; no device or
+    bus is opened. They serve one robot: load the file again for another one.
+
+    Attributes:
+        path: The file.
+        digest: SHA-256 of the file as it was read, in hexadecimal.
+        text: What it says.
+        simulated: Whether the ``sim`` tables of the devices were used.
+        robot: The keywords of the robot, its name among them.
+        buses: The buses, by name.
+        resources: The sensors and actuators, by name.
+        behaviors: The behaviors and reactions, by name.
+        policies: Who may do what with a resource, by the name of the resource; under
+            ``behaviors`` who may manage others.
+    """
+
+    path: Path
+    digest: str
+    text: str
+    simulated: bool
+    robot: Mapping[str, Any]
+    buses: Mapping[str, Bus]
+    resources: Mapping[str, Resource]
+    behaviors: Mapping[str, Behavior | Reaction]
+    policies: Mapping[str, Policy | BehaviorsPolicy]
+    is_built: bool = attrs.field(default=False, init=False)
+    """Whether a robot was made of it."""
+
+    @property
+    def name(self) -> str:
+        """The name of the robot."""
+        return str(self.robot["name"])
 
 
 def load(
     path: str | os.PathLike[str],
     *,
     simulated: bool = False,
-    robot_class: type | None = None,
+    robot_class: type = Robot,
     text: str | None = None,
 ) -> Description:
     """Read and check a configuration; nothing is opened, nothing moves.
@@ -44,10 +83,6 @@ def load(
         ExceptionGroup: Every mistake in it at once, each a `ConfigError` that
             names file, line, key, and what was expected.
     """
-    if robot_class is None:
-        from esair.standard import Robot
-
-        robot_class = Robot
     source = read_source(path, text)
     draft = make_draft(source, simulated=simulated, robot_class=robot_class)
     for finding in examine(draft.plan()):
@@ -73,9 +108,7 @@ def load(
 def build(description: Description) -> Robot: ...
 @overload
 def build(description: Description, robot_class: Callable[..., R]) -> R: ...
-def build(
-    description: Description, robot_class: Callable[..., Any] | None = None
-) -> Any:
+def build(description: Description, robot_class: Callable[..., Any] = Robot) -> Any:
     """Make the robot that was described. It is not started.
 
     Args:
@@ -86,10 +119,6 @@ def build(
         ConfigError: A robot was made of this description already.
         ExceptionGroup: The robot refuses what is described.
     """
-    if robot_class is None:
-        from esair.standard import Robot
-
-        robot_class = Robot
     if description.is_built:
         raise ConfigError(
             str(description.path),

@@ -112,10 +112,13 @@ class Mistakes:
         self.file = file
         self.lines = lines
         self.errors: list[ConfigFileError] = []
+        self.spoiled: set[str] = set()  # Keys whose values are no good for anything
         self._told: set[str] = set()
 
     def add(self, key: str, reason: str) -> None:
-        """Note a mistake; the same one is noted once."""
+        """Note a mistake; the same one is noted once, of what is spoiled only that."""
+        if key in self.spoiled:
+            return
         error = ConfigFileError(self.file, self.lines.of(key), key, reason)
         if str(error) not in self._told:
             self._told.add(str(error))

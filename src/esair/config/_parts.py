@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from esair.config._actions import make_behavior
 from esair.config._boards import add_boards
+from esair.config._components import make_behavior, make_bus, make_device
 from esair.config._construct import keywords_of
-from esair.config._devices import make_bus, make_device
 from esair.config._draft import Draft, Part
 from esair.config._mistakes import below, dotted, show
 from esair.config._policies import read_policies
 from esair.config._source import Source
 from esair.config._tables import named_tables
-from esair.config._values import INVALID, convert
+from esair.config._values import INVALID
 from esair.config._words import unknown
 from esair.exceptions import ConfigError, EsairError
 from esair.resources import Actuator, Sensor
@@ -66,20 +65,12 @@ def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:
         if name not in known:
             source.mistakes.add(key, unknown("key", name, known))
             continue
-        result = convert(
-            value, known[name].kind, key, source.mistakes.add, source.folder
-        )
+        result = source.convert(value, known[name].kind, key)
         if result is not INVALID:
             settings[name] = result
     for name in OF_ROBOT:
         if name in source.data and name in keywords:
-            result = convert(
-                source.data[name],
-                keywords[name].kind,
-                name,
-                source.mistakes.add,
-                source.folder,
-            )
+            result = source.convert(source.data[name], keywords[name].kind, name)
             if result is not INVALID:
                 settings[name] = result
     try:

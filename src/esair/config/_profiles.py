@@ -10,7 +10,7 @@ import attrs
 from esair.actions import Derived, Guards, Need, ProfiledAction, Reads, Writes
 from esair.config._mistakes import below, show
 from esair.config._source import Source
-from esair.config._values import INVALID, convert
+from esair.config._values import INVALID
 from esair.config._words import unknown, wanted
 from esair.exceptions import ConfigError
 from esair.resources import APPLIED
@@ -107,9 +107,7 @@ def _changed(
         if field not in fields:
             source.mistakes.add(where, unknown("key", field, fields))
             continue
-        result = convert(
-            value, fields[field], where, source.mistakes.add, source.folder
-        )
+        result = source.convert(value, fields[field], where)
         if result is INVALID:
             continue
         if field in {"max_age", "hold"} and not result > 0:

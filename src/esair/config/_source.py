@@ -15,6 +15,7 @@ from typing import Any, Final
 import attrs
 
 from esair.config._mistakes import ConfigFileError, Lines, Mistakes, below, dotted, show
+from esair.config._values import INVALID, convert
 
 LIMIT: Final = 1_048_576  # How large a configuration file may be, in bytes
 TABLES: Final = 512  # How many tables a configuration file may have
@@ -33,6 +34,11 @@ class Source:
     text: str
     data: dict[str, Any]
     mistakes: Mistakes
+    implied: set[str] = attrs.field(factory=set)  # Parts that a board brings along
+
+    def convert(self, value: object, kind: Any, key: str) -> Any:
+        """Return a value as a type, or `INVALID`; what is wrong is a mistake."""
+        return convert(value, kind, key, self.mistakes.add, self.folder)
 
     def value(self, key: str) -> object:
         """Return what stands at a key; None if nothing does."""
@@ -102,7 +108,7 @@ def _bytes_of(path: str | os.PathLike[str], shown: str) -> bytes:
 
 
 def _look_over(data: dict[str, Any], mistakes: Mistakes) -> None:
-    """Note, and take out, what no key of any component can want."""
+    """Note, and take out, what no key of any component can want: it is `INVALID`."""
     waiting: list[tuple[str, Any, int]] = [("", data, 0)]
     while waiting:
         key, holder, depth = waiting.pop()
@@ -112,10 +118,8 @@ def _look_over(data: dict[str, Any], mistakes: Mistakes) -> None:
             problem = _problem(value, where, depth)
             if problem:
                 mistakes.add(where, problem)
-                if isinstance(holder, dict):
-                    del holder[name]
-                else:
-                    holder[name] = 0
+                mistakes.spoiled.add(where)
+                holder[name] = INVALID
             elif isinstance(value, dict | list):
                 waiting.append((where, value, depth + 1))
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-import attrs
-
 from esair import minimal
 from esair.actions import ProfiledAction
 from esair.buses import Bus
 from esair.config._classes import BUSES, find_class
-from esair.config._draft import Draft
+from esair.config._draft import Draft, Variant
 from esair.config._mistakes import below, dotted, show
 from esair.config._source import Source
 from esair.config._words import wanted
@@ -41,17 +39,6 @@ def named_tables(source: Source, kind: str) -> list[tuple[str, dict[str, Any]]]:
             )
             del holder[name]
     return found
-
-
-@attrs.frozen
-class Variant:
-    """One table, real or simulated."""
-
-    table: dict[str, Any]
-    keys: dict[str, str]  # The key in the file of each
-    # What a simulated device has from the real one's table
-    inherited: frozenset[str] = frozenset()
-    is_simulated: bool = False  # Whether there was a table ``sim``
 
 
 def variant_of(

@@ -45,7 +45,8 @@ def convert(value: object, kind: Any, key: str, report: Report, folder: Path) ->
     Returns:
         The value, or `INVALID` if something was reported.
     """
-    if kind is Any or kind is object or isinstance(kind, typing.TypeVar):
+    loose = kind is Any or kind is object or isinstance(kind, typing.TypeVar)
+    if loose or value is INVALID:
         return value
     origin = typing.get_origin(kind)
     if origin in {typing.Union, types.UnionType}:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -33,6 +33,7 @@ class Plan:
         missing: Parts that were named and could not be made, for reasons that were
             told already: their names, and the kind of each (``sensor``, ``actuator``,
             ``behavior``).
+        implied: Names of resources that come with another part: nobody has to use them.
         watchdog: Whether a second process makes safe what this one cannot.
         writers: In a robot that runs, who is registered to write each actuator; None
             if whoever declares it will be.
@@ -44,6 +45,7 @@ class Plan:
     policies: Sequence[Any] = ()
     buses: Mapping[str, Bus] = attrs.field(factory=dict)
     missing: Mapping[str, str] = attrs.field(factory=dict)
+    implied: Collection[str] = ()
     watchdog: bool = False
     writers: Mapping[str, Sequence[str]] | None = None
 

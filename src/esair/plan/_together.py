@@ -50,7 +50,7 @@ def unused(plan: Plan) -> Iterator[Finding]:
     for derived in plan.derived_of.values():
         used |= {need.provider for need in derived.inputs.values()}
     for name, resource in plan.resource_of.items():
-        if name not in used:
+        if name not in used and name not in plan.implied:
             doing = "writes" if isinstance(resource, Actuator) else "reads"
             yield warning(
                 "unused", resource, "", f"no behavior declares that it {doing} it"

@@ -1,18 +1,18 @@
-"""From the tables of buses, sensors and actuators to their objects."""
+"""From the tables of buses, devices and behaviors to their objects."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from esair.actions import Derived
+from esair.actions import Behavior, Derived, ProfiledAction, Reaction, adapt_action
 from esair.buses import Bus
 from esair.config._construct import construct
-from esair.config._draft import Draft, Part
-from esair.config._mistakes import show
-from esair.config._profiles import set_profile
+from esair.config._draft import Draft, Part, Variant
+from esair.config._mistakes import below, show
+from esair.config._profiles import FLOWS, set_profile
 from esair.config._records import hints_of
-from esair.config._tables import Variant, class_of, variant_of
+from esair.config._tables import class_of, variant_of
 from esair.config._words import unknown, wanted
 from esair.plan import wrong_bus
 from esair.resources import Actuator, Resource, adapt_resource
@@ -25,18 +25,27 @@ def make_bus(draft: Draft, name: str, table: Mapping[str, Any]) -> Bus | None:
     cls = class_of(draft, key, variant, "type", Bus, "esair.buses")
     if cls is None:
         return None
-    made: Bus | None = construct(
-        cls,
-        name,
-        variant.table,
-        variant.keys,
-        key,
-        draft.source.mistakes,
-        draft.source.folder,
-        inherited=variant.inherited,
-        later=frozenset({"type"}),
-    )
+    later = frozenset({"type"})
+    made: Bus | None = construct(draft.source, cls, name, key, variant, later=later)
     return made
+
+
+def make_behavior(
+    draft: Draft, name: str, table: Mapping[str, Any]
+) -> Behavior | Reaction | None:
+    key = f"behavior.{name}"
+    variant = Variant(dict(table), {field: below(key, field) for field in table})
+    cls = class_of(draft, key, variant, "driver", ProfiledAction, "esair.drivers")
+    if cls is None:
+        return None
+    later = frozenset({"driver", *FLOWS})
+    made = construct(draft.source, cls, name, key, variant, later=later)
+    if made is None:
+        return None
+    action: Behavior | Reaction = adapt_action(made)
+    if not table.keys().isdisjoint(FLOWS):
+        set_profile(action, table, variant.keys, draft.source)
+    return action
 
 
 def make_device(
@@ -54,16 +63,13 @@ def make_device(
     if cls is None:
         return Part(base.__name__.lower(), name, None, bus)
     made: Resource | None = construct(
+        draft.source,
         cls,
         name,
-        variant.table,
-        variant.keys,
         key,
-        draft.source.mistakes,
-        draft.source.folder,
+        variant,
         given=given,
         kinds={"safe": _command_type(cls)} if base is Actuator else {},
-        inherited=variant.inherited,
         later=frozenset({"driver", "bus", "reads"} if derived else {"driver", "bus"}),
         make=has_bus,
     )
