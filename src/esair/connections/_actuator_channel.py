@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import copy
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from typing import Any
 
 import attrs
@@ -82,7 +82,7 @@ class ActuatorChannel(HeldDevice):
         "_accepts",
         "_blocks",
         "_check",
-        "_copied",
+        "_copies",
         "_deadline",
         "_slews",
         "_waiting",
@@ -113,10 +113,9 @@ class ActuatorChannel(HeldDevice):
         self.checked = self._check.checked
         self._slews = self._check.slews
         self._write = write = self.driver.method("write")
-        self._copied: Callable[[Any], Any] = _as_it_is
-        if self._check.copies:
+        self._copies = self._check.copies
+        if self._copies:
             # The driver's and the guards' code may change what is in theirs.
-            self._copied = copy.deepcopy
             self._write = attrs.evolve(
                 write, function=lambda command: write.function(copy.deepcopy(command))
             )
@@ -250,7 +249,7 @@ class ActuatorChannel(HeldDevice):
                 self._stay()
                 return self._refuse(registration, stop.refusal())
         # A copy of its own: who has the answer may change what is in it.
-        self._told = self._copied(command)
+        self._told = copy.deepcopy(command) if self._copies else command
         self._told_safe = False
         if blind is not None:
             self._keep_still()  # when this one holds it no longer
@@ -267,7 +266,7 @@ class ActuatorChannel(HeldDevice):
         except Exception as error:
             self._busy = self._lane is not None or self._safe_task is not None
             raise self._interrupted(error, command) from error
-        if type(sent) is Call:
+        if sent is not None and type(sent) is Call:
             sent.apply = self._ended
             sent.owner = registration
             self._lane = sent
@@ -282,6 +281,10 @@ class ActuatorChannel(HeldDevice):
             return Written(command, asked, by) if told else _SENT
         self._took(command, sent)
         return self._applied(registration, command, sent, asked, by)
+
+    def _copied(self, command: Any) -> Any:
+        """Return a command that nobody but its holder can change."""
+        return copy.deepcopy(command) if self._copies else command
 
     def _slewed(self, command: Any, seconds: float) -> Any:
         before = self._base if self._told is HOLD else self._told
@@ -445,8 +448,3 @@ class ActuatorChannel(HeldDevice):
         """
         self._withdraw(registration)
         super().drop(registration)
-
-
-def _as_it_is(command: Any) -> Any:
-    """Return a command that nobody can change."""
-    return command

@@ -22,12 +22,16 @@ from esair.loop import (
     Player,
     TapeWriter,
     clock_of,
+    current_task_of,
     current_tasks,
     wake,
 )
 
 UNWIND = 0.1
 """How long a call that was given up may take to end, before its device is closed, in s."""
+
+_REST = Method(awaited, None)
+"""What goes on with what a plain method has returned, if that has to be awaited."""
 
 ABANDONED_LIMIT = 8
 """How many abandoned calls of one device may be alive; with more, none is begun."""
@@ -92,6 +96,14 @@ class Calls:
         tape = self._door.tape
         if tape is not None:
             return self._begin_taped(tape, kind, method, args, limit, guard)
+        if method.is_plain:
+            try:
+                value = self.context.run(method.function, *args)
+            except BaseException as error:
+                raise self._contained(error) from error.__cause__
+            if value is None or not hasattr(value, "__await__"):
+                return value
+            method, args = _REST, (value,)
         steps = self._steps
         light = steps.spare
         if light is None or not method.is_usual:
@@ -100,7 +112,7 @@ class Calls:
         steps.spare = None
         light.caller = self
         loop = self._loop
-        caller = current_tasks.get(loop)
+        caller = current_task_of(loop)
         current_tasks[loop] = light
         waits_for: Any = None
         try:

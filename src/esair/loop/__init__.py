@@ -15,7 +15,14 @@ from esair.loop._every import Every, every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._futures import fail, has_come, look_at, wake, wake_one
 from esair.loop._garbage import Gaps, collector
-from esair.loop._light_task import ENDED, WAITS, FirstSteps, LightTask, current_tasks
+from esair.loop._light_task import (
+    ENDED,
+    WAITS,
+    FirstSteps,
+    LightTask,
+    current_task_of,
+    current_tasks,
+)
 from esair.loop._now import now, sleep_in_thread, works_for
 from esair.loop._outside import News, ask_outside, outside
 from esair.loop._ownership import (
@@ -87,6 +94,7 @@ __all__ = [
     "clock_of",
     "collector",
     "current_owner",
+    "current_task_of",
     "current_tasks",
     "every",
     "fail",
