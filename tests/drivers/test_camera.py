@@ -351,7 +351,7 @@ async def test_a_camera_that_is_not_there_is_lost(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("keywords", "told"),
     [
-        ({"width": 0}, "width: expected pixels"),
+        ({"width": 0}, "width: expected 1 or more"),
         ({"width": 640}, "height: expected both"),
         ({"fps": 0}, "fps: expected 1 to 1000"),
         ({"colors": "rbg"}, "colors: expected 'bgr', 'rgb' or 'gray'"),

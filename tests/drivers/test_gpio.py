@@ -231,7 +231,7 @@ def test_a_chip_that_does_not_exist_is_lost() -> None:
 @pytest.mark.parametrize(
     ("keywords", "told"),
     [
-        ({"bias": "up"}, "bias: expected one of 'as_is'"),
+        ({"bias": "up"}, "bias: expected 'as_is'"),
         ({"line": -1}, "line: expected 0 or more"),
         ({"chip": ""}, "chip: expected a path"),
         ({"debounce": -1.0}, "debounce: expected at least 0"),
@@ -244,7 +244,7 @@ def test_mistakes_are_told_when_the_device_is_made(
     with pytest.raises(ValueError, match="digital_input") as caught:
         DigitalInput(**{"chip": "fake", "line": 3, **keywords})
     assert told in str(caught.value)
-    with pytest.raises(ConfigError, match="drive: expected one of"):
+    with pytest.raises(ConfigError, match="drive: expected 'push_pull'"):
         DigitalOutput(chip="fake", line=3, drive="push")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="safe: expected a bool"):
         DigitalOutput(chip="fake", line=3, safe=0)  # type: ignore[arg-type]

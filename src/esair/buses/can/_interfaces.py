@@ -63,7 +63,6 @@ def toml(device: Device, name: str) -> list[str]:
 
 def _interface(place: Path, root: Path) -> Device:
     usb = usb_device(place / "device", root)
-    identity = None if usb is None else identity_of(usb)
     if usb is not None:
         words = words_of(usb) or "USB CAN adapter"
     elif (place / "device").exists():
@@ -80,7 +79,7 @@ def _interface(place: Path, root: Path) -> Device:
         path=place.name,
         address=place.name,
         description=words,
-        identity=None if identity is None else str(identity),
+        identity=identity_of(usb),
         state=_state(place, found),
         bitrate=None if found is None else found.bitrate,
     )

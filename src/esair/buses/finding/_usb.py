@@ -72,8 +72,10 @@ def usb_device(place: Path, root: Path) -> Path | None:
     return None
 
 
-def identity_of(device: Path) -> UsbIdentity | None:
-    """Return who a USB device is, from its directory in ``/sys``."""
+def identity_of(device: Path | None) -> str | None:
+    """Return ``usb:VID:PID[:SERIAL]`` of a USB device, by its directory in ``/sys``."""
+    if device is None:
+        return None
     try:
         vendor = int(read(device / "idVendor"), 16)
         product = int(read(device / "idProduct"), 16)
@@ -81,7 +83,7 @@ def identity_of(device: Path) -> UsbIdentity | None:
         return None
     serial = read(device / "serial")
     # A blank memory gives characters that are none, and no two devices differ.
-    return UsbIdentity(vendor, product, serial if "?" not in serial else "")
+    return str(UsbIdentity(vendor, product, serial if "?" not in serial else ""))
 
 
 def words_of(device: Path) -> str:

@@ -21,15 +21,12 @@ _WHERE = " at bus "
 
 def devices(root: Path = ROOT) -> list[Device]:
     """Return the I²C buses that are there, by their numbers."""
-    places = sorted(
-        (
-            place
-            for place in entries(root / "sys/class/i2c-dev")
-            if place.name.removeprefix("i2c-").isdecimal()
-            and (root / "dev" / place.name).exists()
-        ),
-        key=lambda place: int(place.name.removeprefix("i2c-")),
-    )
+    places = [
+        place
+        for place in entries(root / "sys/class/i2c-dev")
+        if place.name.removeprefix("i2c-").isdecimal()
+        and (root / "dev" / place.name).exists()
+    ]
     names = {place.name: read(place / "name") for place in places}
     return [_bus(place, root, names) for place in places]
 
@@ -47,7 +44,6 @@ def toml(device: Device, name: str) -> list[str]:
 def _bus(place: Path, root: Path, names: dict[str, str]) -> Device:
     name = names[place.name]
     usb = usb_device(place / "device", root)
-    identity = None if usb is None else identity_of(usb)
     address = place.name.removeprefix("i2c-")
     if usb is not None:  # its number is whatever was free
         lasting = name.partition(_WHERE)[0]
@@ -58,6 +54,6 @@ def _bus(place: Path, root: Path, names: dict[str, str]) -> Device:
         path=f"/dev/{place.name}",
         address=address,
         description=name,
-        identity=None if identity is None else str(identity),
+        identity=identity_of(usb),
         state=permission(root / "dev" / place.name),
     )

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, cast
 
+from esair.buses.finding import entries, read
 from esair.buses.i2c._link import RegisterLink
 from esair.exceptions import ConfigError
 
@@ -17,11 +18,7 @@ _DEVICES = Path("/sys/bus/i2c/devices")
 
 
 def check_place(component: str, place: object) -> int | str:
-    """Return where a bus is: a number, a path, or an adapter's name.
-
-    Raises:
-        ConfigError: It is nothing of these.
-    """
+    """Return where a bus is: a number, a path, or an adapter's name."""
     if type(place) is int and place >= 0:
         return place
     if isinstance(place, str) and (
@@ -38,27 +35,16 @@ def check_place(component: str, place: object) -> int | str:
 
 def adapters(directory: Path = _CLASS) -> dict[int, str]:
     """Return the names of the adapters that are there, by their numbers."""
-    found = {}
-    try:
-        places = list(directory.iterdir())
-    except OSError:
-        return {}  # no I²C at all
-    for place in places:
-        try:
-            found[int(place.name.removeprefix("i2c-"))] = (
-                (place / "name").read_text().strip()
-            )
-        except (OSError, ValueError):
-            continue  # it is just being unplugged
-    return dict(sorted(found.items()))
+    return {
+        int(number): name
+        for place in entries(directory)
+        if (number := place.name.removeprefix("i2c-")).isdecimal()
+        and (name := read(place / "name"))  # or it is just being unplugged
+    }
 
 
 def find(place: int | str, directory: Path = _CLASS) -> str:
-    """Return the path of a bus.
-
-    Raises:
-        OSError: No adapter has the name, or several have.
-    """
+    """Return the path of a bus; an `OSError` if not one adapter has the name."""
     if isinstance(place, int):
         return f"/dev/i2c-{place}"
     if not place.startswith(NAMED):
@@ -69,13 +55,10 @@ def find(place: int | str, directory: Path = _CLASS) -> str:
     if len(fitting) == 1:
         return f"/dev/i2c-{fitting[0]}"
     known = ", ".join(f"{name!r} (i2c-{number})" for number, name in there.items())
-    if not fitting:
-        raise FileNotFoundError(
-            f"no adapter's name begins with {wanted!r}; there is {known or 'none'}"
-        )
-    raise FileNotFoundError(
-        f"several adapters' names begin with {wanted!r}, say more of it: {known}"
-    )
+    told = f"no adapter's name begins with {wanted!r}; there is {known or 'none'}"
+    if fitting:
+        told = f"several adapters' names begin with {wanted!r}, say more of it: {known}"
+    raise FileNotFoundError(told)
 
 
 def presence(place: int | str) -> tuple[int, int, int] | None:

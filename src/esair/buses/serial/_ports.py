@@ -80,9 +80,7 @@ def serial_identity(path: str, root: Path = ROOT) -> str | None:
             return None
         number = f"{os.major(found.st_rdev)}:{os.minor(found.st_rdev)}"
         place = root / "sys/dev/char" / number
-    device = usb_device(place / "device", root)
-    identity = None if device is None else identity_of(device)
-    return None if identity is None else str(identity)
+    return identity_of(usb_device(place / "device", root))
 
 
 def devices(root: Path = ROOT) -> list[Device]:
@@ -117,14 +115,13 @@ def _ports_of_sysfs(root: Path) -> list[Device]:
         usb = usb_device(place / "device", root)
         if usb is None and read(place / "type") == _UNUSED:
             continue
-        identity = None if usb is None else identity_of(usb)
         found.append(
             Device(
                 kind="serial",
                 path=path,
                 address=path,
                 description=_words(place, usb),
-                identity=None if identity is None else str(identity),
+                identity=identity_of(usb),
                 by_id=links.get(path),
                 state=permission(root / path[1:]),
             )

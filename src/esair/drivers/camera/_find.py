@@ -56,15 +56,14 @@ def find_camera(wanted: str, root: Path = ROOT) -> str:
 
 
 def _camera(place: Path, root: Path) -> Device:
-    usb = usb_device(place / "device", root)
-    identity = None if usb is None else identity_of(usb)
+    identity = identity_of(usb_device(place / "device", root))
     path = f"/dev/{place.name}"
     name = read(place / "name")
     return Device(
         kind="camera",
         path=path,
-        address=str(identity) if identity else name or path,
+        address=identity or name or path,
         description=name,
-        identity=None if identity is None else str(identity),
+        identity=identity,
         state=permission(root / path.removeprefix("/")),
     )

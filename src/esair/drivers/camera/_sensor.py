@@ -21,7 +21,7 @@ from esair.exceptions import (
 )
 from esair.loop import Executor
 from esair.resources import Sensor
-from esair.values import check_seconds
+from esair.values import check_choice, check_seconds, check_whole
 
 if TYPE_CHECKING:  # who lists what is plugged in does not need it
     import numpy as np
@@ -108,20 +108,14 @@ class Camera(Sensor[Any]):
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        for field, value in (("width", width), ("height", height)):
-            if value is not None and (type(value) is not int or value < 1):
-                raise ConfigError(
-                    self.name, field, f"expected pixels, not {value!r:.80}"
-                )
+        for field, pixels in (("width", width), ("height", height)):
+            if pixels is not None:
+                check_whole(self.name, field, pixels, 1)
         if fps is not None and not 0 < fps <= 1000:
             raise ConfigError(self.name, "fps", f"expected 1 to 1000, not {fps!r:.80}")
-        if colors not in {"bgr", "rgb", "gray"}:
-            raise ConfigError(
-                self.name, "colors", f"expected 'bgr', 'rgb' or 'gray', not {colors!r}"
-            )
         if (width is None) is not (height is None):
             raise ConfigError(self.name, "height", "expected both, width and height")
-        self.colors = colors
+        self.colors = check_choice(self.name, "colors", colors, ("bgr", "rgb", "gray"))
         self.silent_after = check_seconds(self.name, "silent_after", silent_after)
         self.dropped = 0
         self._request = CameraRequest(device, width, height, fps)
@@ -149,7 +143,9 @@ class Camera(Sensor[Any]):
         self._executor = executor = Executor(f"{self.name}_camera")
         make = functools.partial(self._opener, self._request)
         try:
-            self._link = await open_on(executor, make, _close, timeout=OPEN_TIMEOUT)
+            self._link = await open_on(
+                executor, make, lambda link: link.close(), timeout=OPEN_TIMEOUT
+            )
         except DriverStuckError:
             raise
         except OSError as error:
@@ -196,10 +192,6 @@ class Camera(Sensor[Any]):
                 self.name, f"its pictures are {width} x {height}: it has no other size?"
             )
         return picture
-
-
-def _close(link: CameraLink) -> None:
-    link.close()
 
 
 def _take(link: CameraLink, colors: str) -> tuple[np.ndarray[Any, Any] | None, int]:

@@ -25,6 +25,7 @@ class FakeCamera:
         pictures: What it plays now; change it.
         taken: How many pictures it has taken.
         silent: Whether it takes none, as one that hangs.
+        plugged: Whether it is there.
         powered: How often it got its power.
     """
 
@@ -38,7 +39,7 @@ class FakeCamera:
         self.taken = 0
         self.silent = False
         self.powered = 1
-        self._plugged = True
+        self.plugged = True
 
     def open(self, request: CameraRequest) -> _FakeLink:
         """Open it.
@@ -46,22 +47,17 @@ class FakeCamera:
         Raises:
             OSError: It is unplugged.
         """
-        if not self._plugged:
+        if not self.plugged:
             raise FileNotFoundError(f"no camera is {request.device!r}")
         return _FakeLink(self)
 
-    @property
-    def plugged(self) -> bool:
-        """Whether it is there."""
-        return self._plugged
-
     def unplug(self) -> None:
         """Be gone, from this moment on."""
-        self._plugged = False
+        self.plugged = False
 
     def plug(self) -> None:
         """Be there again."""
-        self._plugged = True
+        self.plugged = True
 
     def power_cycle(self) -> None:
         """Lose the power for a moment: it is there again, and nobody has it open."""
@@ -80,9 +76,8 @@ class _FakeLink:
         is_there = camera.plugged and camera.powered == self._powered
         if not is_there or camera.silent:
             return False
-        pictures = self._camera.pictures
-        self._picture = pictures[self._camera.taken % len(pictures)]
-        self._camera.taken += 1
+        self._picture = camera.pictures[camera.taken % len(camera.pictures)]
+        camera.taken += 1
         return True
 
     def retrieve(self) -> Picture | None:

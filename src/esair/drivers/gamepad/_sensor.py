@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import os
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
-from esair.buses import Inbox
+from esair.drivers._on_descriptor import arrivals
 from esair.drivers.gamepad._find import find_pad
 from esair.drivers.gamepad._pad import (
     AXES,
@@ -85,12 +84,10 @@ class Gamepad(Sensor[Pad]):
         super().__init__(**settings)
         if dead_man is not None and dead_man not in BUTTONS.values():
             hint = did_you_mean(dead_man, BUTTONS.values())
-            known = ", ".join(BUTTONS.values())
-            raise ConfigError(
-                self.name,
-                "dead_man",
-                f"no button {dead_man!r}{hint}; there are {known}",
+            told = (
+                f"no button {dead_man!r}{hint}; there are {', '.join(BUTTONS.values())}"
             )
+            raise ConfigError(self.name, "dead_man", told)
         if not 0 <= dead_zone <= 0.9:
             raise ConfigError(
                 self.name, "dead_zone", f"expected 0 to 0.9, not {dead_zone!r:.80}"
@@ -141,32 +138,24 @@ class Gamepad(Sensor[Pad]):
             dead_zone=self.dead_zone,
         )
         state.be_still()  # what was held before counts from now on, pressed anew
-        # A descriptor of its own: the pad is closed on another thread.
-        descriptor = os.dup(link.fileno())
-        changes: Inbox[Pad] = Inbox(64)
         dropped = False
 
-        def readable() -> None:
+        def changed() -> Iterator[Pad]:
             nonlocal dropped
-            try:
-                for kind, code, value in link.events():
-                    if kind != SYN:
-                        state.take(kind, code, value)
-                    elif code == SYN_DROPPED:
-                        dropped = True
-                    elif code == SYN_REPORT:
-                        if dropped:  # what came since was only a part of it
-                            dropped = False
-                            state.renew(link.axes(), link.pressed())
-                        changes.offer(state.pad())
-            except Exception as error:
-                loop.remove_reader(descriptor)
-                changes.fail(error)
+            for kind, code, value in link.events():
+                if kind != SYN:
+                    state.take(kind, code, value)
+                elif code == SYN_DROPPED:
+                    dropped = True
+                elif code == SYN_REPORT:
+                    if dropped:  # what came since was only a part of it
+                        dropped = False
+                        state.renew(link.axes(), link.pressed())
+                    yield state.pad()
 
-        loop.add_reader(descriptor, readable)
         pad = state.pad()
         moved = loop.time()
-        try:
+        with arrivals(link.fileno(), changed) as (_, changes):
             while True:
                 yield pad
                 try:
@@ -177,10 +166,6 @@ class Gamepad(Sensor[Pad]):
                     if self.still_after is not None and still >= self.still_after:
                         state.be_still()
                         pad = state.pad()
-        finally:
-            loop.remove_reader(descriptor)
-            os.close(descriptor)
-            changes.close()
 
 
 class _Pad:

@@ -21,10 +21,8 @@ Source: the kernel's GPIO character device, version 2 (linux/gpio.h), by libgpio
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import errno
-import os
 import select
 import struct
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -33,7 +31,7 @@ from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import attrs
 
-from esair.buses import Inbox
+from esair.drivers._on_descriptor import arrivals
 from esair.drivers.gpio._find import devices, toml
 from esair.exceptions import (
     ConfigError,
@@ -41,7 +39,8 @@ from esair.exceptions import (
     DeviceLostError,
     did_you_mean,
 )
-from esair.resources import Actuator, Sensor, setting
+from esair.resources import Actuator, Resource, Sensor, setting
+from esair.values import check_choice, check_whole
 from esair.watchdog import Outlet, SafeFrames
 
 __all__ = ["DigitalInput", "DigitalOutput", "devices", "toml"]
@@ -116,41 +115,39 @@ LineOpener = Callable[[LineRequest], Line]
 """Requests a line; may block. Raises what the drivers raise."""
 
 
-class _OnLine:
+class _OnLine(Resource):
     """What inputs and outputs have in common: a line that is open, or not."""
 
-    name: str
     claim: str | None
 
-    def _describe(self, request: LineRequest, opener: LineOpener | None) -> None:
-        for field, kind in (("bias", Bias), ("drive", Drive)):
-            value = getattr(request, field)
-            if value not in get_args(kind):
-                known = ", ".join(repr(each) for each in get_args(kind))
-                raise ConfigError(
-                    self.name, field, f"expected one of {known}, not {value!r:.80}"
-                )
-        if not request.chip:
+    def __init__(
+        self,
+        *,
+        chip: str,
+        line: int | str,
+        active_low: bool = False,
+        opener: LineOpener | None = None,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        if not chip:
             raise ConfigError(
                 self.name, "chip", "expected a path, a name or a label of a GPIO chip"
             )
-        if isinstance(request.line, bool) or (
-            isinstance(request.line, int) and request.line < 0
-        ):
-            raise ConfigError(
-                self.name, "line", f"expected 0 or more, not {request.line!r}"
-            )
-        self.claim = f"line {request.line} of {request.chip}"
-        self._request = request
+        if not isinstance(line, str):
+            check_whole(self.name, "line", line, 0)
+        self.claim = f"line {line} of {chip}"
+        self._request = LineRequest(self.name, chip, line, active_low=active_low)
         self._opener = opener or gpiod_line
         self._line: Line | None = None
 
-    def _open_line(self, request: LineRequest) -> Line:
-        self._close_line()
-        self._line = self._opener(request)
-        return self._line
+    def open(self) -> None:
+        """Request the line."""
+        self.close()
+        self._line = self._opener(self._request)
 
-    def _close_line(self) -> None:
+    def close(self) -> None:
+        """Let the line go."""
         line, self._line = self._line, None
         if line is not None:
             line.close()
@@ -189,32 +186,19 @@ class DigitalInput(_OnLine, Sensor[bool]):
         doc="how long a new value must be steady before it counts",
     )
 
-    def __init__(
-        self,
-        *,
-        chip: str,
-        line: int | str,
-        bias: Bias = "as_is",
-        active_low: bool = False,
-        opener: LineOpener | None = None,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, *, bias: Bias = "as_is", **settings: Any) -> None:
         super().__init__(**settings)
-        self._describe(
-            LineRequest(self.name, chip, line, bias=bias, active_low=active_low), opener
-        )
+        check_choice(self.name, "bias", bias, get_args(Bias))
+        self._request = attrs.evolve(self._request, bias=bias)
         self.missed = 0
         self._seen = False
         """What it is as far as the stream has told, or was at the opening."""
 
     def open(self) -> None:
         """Request the line."""
-        line = self._open_line(attrs.evolve(self._request, debounce=self.debounce))
-        self._seen = line.get()
-
-    def close(self) -> None:
-        """Let the line go."""
-        self._close_line()
+        self._request = attrs.evolve(self._request, debounce=self.debounce)
+        super().open()
+        self._seen = self._open.get()
 
     def apply(self, *, debounce: float | None = None, **_: object) -> None:
         """Change the time for which it must be steady."""
@@ -227,23 +211,9 @@ class DigitalInput(_OnLine, Sensor[bool]):
 
     async def stream(self) -> AsyncIterator[bool]:
         """Yield what it is, and each change."""
-        loop = asyncio.get_running_loop()
         line = self._open
-        # A descriptor of its own: the line is closed on another thread.
-        descriptor = os.dup(line.fileno())
-        changes: Inbox[Edge] = Inbox(64)
-
-        def readable() -> None:
-            try:
-                for edge in line.edges():
-                    changes.offer(edge)
-            except Exception as error:
-                loop.remove_reader(descriptor)
-                changes.fail(error)
-
-        loop.add_reader(descriptor, readable)
         number: int | None = None
-        try:
+        with arrivals(line.fileno(), line.edges) as (descriptor, changes):
             yield self._seen
             while True:
                 try:
@@ -255,10 +225,6 @@ class DigitalInput(_OnLine, Sensor[bool]):
                     self.missed += edge.number - number - 1
                 number, self._seen = edge.number, edge.value
                 yield edge.value
-        finally:
-            loop.remove_reader(descriptor)
-            os.close(descriptor)
-            changes.close()
 
 
 class DigitalOutput(_OnLine, Actuator[bool]):
@@ -280,24 +246,16 @@ class DigitalOutput(_OnLine, Actuator[bool]):
     def __init__(
         self,
         *,
-        chip: str,
-        line: int | str,
         safe: bool = False,
         drive: Drive = "push_pull",
-        active_low: bool = False,
-        opener: LineOpener | None = None,
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
         if type(safe) is not bool:
             raise ConfigError(self.name, "safe", f"expected a bool, not {safe!r:.80}")
+        check_choice(self.name, "drive", drive, get_args(Drive))
         self.safe = safe
-        self._describe(
-            LineRequest(
-                self.name, chip, line, output=safe, drive=drive, active_low=active_low
-            ),
-            opener,
-        )
+        self._request = attrs.evolve(self._request, output=safe, drive=drive)
 
     @property
     def outlet(self) -> Outlet | None:
@@ -311,25 +269,13 @@ class DigitalOutput(_OnLine, Actuator[bool]):
         """The safe value, as the kernel takes it: values, and which of them count."""
         return SafeFrames([struct.pack("=QQ", int(self.safe), 1)])
 
-    def open(self) -> None:
-        """Request the line, with its safe value."""
-        self._open_line(self._request)
-
-    def close(self) -> None:
-        """Let the line go."""
-        self._close_line()
-
     def write(self, command: bool) -> None:
         """Set the line."""
         self._open.set(command)
 
 
 def _check_hang_up(descriptor: int) -> None:
-    """Look whether the chip is gone; older kernels do not wake who waits.
-
-    Raises:
-        OSError: It is.
-    """
+    """Raise if the chip is gone; older kernels do not wake who waits."""
     poll = select.poll()
     poll.register(descriptor, 0)  # errors and hang-ups are told in any case
     if poll.poll(0):
