@@ -188,14 +188,14 @@ class Bus(abc.ABC):
 
     def on_lost(self, listener: Callable[[BaseException], None]) -> Callable[[], None]:
         """Call a function when the wire is gone; returns how to stop that."""
-        return _listen(self._on_lost, listener)
+        return listen(self._on_lost, listener)
 
     def on_arrival(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call a function when the wire has come back and can be opened again.
 
         Returns how to stop that.
         """
-        forget = _listen(self._on_arrival, listener)
+        forget = listen(self._on_arrival, listener)
         self._keep_watch()
 
         def forget_and_rest() -> None:
@@ -255,7 +255,8 @@ def wanted() -> bool:
     return True
 
 
-def _listen(listeners: list[T], listener: T) -> Callable[[], None]:
+def listen(listeners: list[T], listener: T) -> Callable[[], None]:
+    """Add a listener; returns how to stop that."""
     listeners.append(listener)
 
     def forget() -> None:

@@ -12,13 +12,13 @@ from esair.buses._bus import Bus, Wire, wanted
 from esair.buses._opening import open_on, shut_on
 from esair.exceptions import (
     BusyError,
-    ConfigError,
     DeviceLostError,
     DriverStuckError,
     EsairError,
     describe,
 )
 from esair.loop import spawn
+from esair.values import check_seconds
 
 T = TypeVar("T")
 
@@ -53,11 +53,7 @@ class LinkBus(Bus, Generic[L]):
 
     def __init__(self, *, name: str, timeout: float, wire: Wire | None = None) -> None:
         super().__init__(name=name, wire=wire)
-        if not 0 < timeout < float("inf"):
-            raise ConfigError(
-                name, "timeout", f"expected a number of seconds > 0, not {timeout!r}"
-            )
-        self.timeout = timeout
+        self.timeout = check_seconds(name, "timeout", timeout)
         self.path = ""
         """The path of the kernel's bus while it is open."""
         self._link: L | None = None

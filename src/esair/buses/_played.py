@@ -5,32 +5,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import os
 import threading
 import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import attrs
-
 from esair.buses._bus import Wire
+from esair.buses._failures import Failures, os_error
 from esair.buses._link_bus import L, LinkBus
 from esair.exceptions import DeviceLostError
 
 T = TypeVar("T")
-
-
-def os_error(code: int) -> OSError:
-    """Return the error of an error number, in the kernel's words."""
-    return OSError(code, os.strerror(code))
-
-
-@attrs.define
-class _Failure:
-    error: BaseException
-    after: int
-    times: int | None
-    address: int | None
 
 
 class PlayedWire(Wire):
@@ -41,7 +26,7 @@ class PlayedWire(Wire):
         plugged: Whether the adapter is there.
         stretch: How long every transfer takes, in seconds.
         go: Set unless transfers do not return.
-        failures: What is to fail, in the order in which it was told.
+        failures: What is to fail.
     """
 
     def __init__(self, *rest: Any) -> None:
@@ -51,7 +36,7 @@ class PlayedWire(Wire):
         self.stretch = 0.0
         self.go = threading.Event()
         self.go.set()
-        self.failures: list[_Failure] = []
+        self.failures = Failures()
 
     def hold(self) -> None:
         """Let a transfer take its time; on the thread of the bus."""
@@ -64,19 +49,8 @@ class PlayedWire(Wire):
 
     def fail_if_told(self, address: int) -> None:
         """Raise what a transfer with a chip is to fail with."""
-        if not self.plugged:
-            return  # that comes first
-        for failure in self.failures:
-            if failure.address not in {None, address}:
-                continue
-            if failure.after > 0:
-                failure.after -= 1
-                continue
-            if failure.times is not None:
-                failure.times -= 1
-                if failure.times <= 0:
-                    self.failures.remove(failure)
-            raise failure.error
+        if self.plugged:  # that comes first
+            self.failures.check(address)
 
 
 class PlayedBus(LinkBus[L]):
@@ -112,7 +86,7 @@ class PlayedBus(LinkBus[L]):
         """
         if isinstance(error, int):
             error = os_error(error)
-        self.link.failures.append(_Failure(error, after, times, address))
+        self.link.failures.add(error, after, times, address)
 
     def stretch(self, seconds: float) -> None:
         """Let every transfer take so long, as a slow or busy chip does."""

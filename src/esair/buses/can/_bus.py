@@ -8,15 +8,10 @@ import functools
 from collections.abc import Callable, Hashable
 from typing import Any, Final, Literal
 
-from esair.buses._bus import Bus, Wire
+from esair.buses._bus import Bus, Wire, listen
 from esair.buses._inbox import Inbox
 from esair.buses.can._errors import CanState, ErrorFrame, decode_error
-from esair.buses.can._frame import (
-    Frame,
-    FrameKind,
-    FrameLink,
-    check_data,
-)
+from esair.buses.can._frame import Frame, FrameKind, FrameLink, check_data
 from esair.buses.can._ids import EXTENDED, Ids, filters_of, key_of
 from esair.buses.can._inbox import FrameInbox, NewestInbox
 from esair.buses.can._outbox import Outbox
@@ -31,6 +26,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import spawn
+from esair.values import check_choice
 from esair.watchdog import Outlet
 
 _LOST_WHEN: Final = {
@@ -92,12 +88,6 @@ class CanBus(Bus):
             raise ConfigError(
                 name, "channel", "expected the name of a channel, such as 'can0'"
             )
-        if lost_when not in _LOST_WHEN:
-            raise ConfigError(
-                name,
-                "lost_when",
-                f"expected 'warning', 'passive' or 'bus_off', not {lost_when!r:.80}",
-            )
         if bitrate_switch and not fd:
             raise ConfigError(name, "bitrate_switch", "only CAN FD has it: fd=True")
         self.interface = interface
@@ -105,6 +95,7 @@ class CanBus(Bus):
         self.send_timeout = send_timeout
         self.fd = fd
         self.bitrate_switch = bitrate_switch
+        check_choice(name, "lost_when", lost_when, _LOST_WHEN)
         self._lost_when = _LOST_WHEN[lost_when]
         self._state = CanState.ACTIVE
         self._on_state: list[Callable[[CanState], None]] = []
@@ -138,17 +129,8 @@ class CanBus(Bus):
         return self._outbox.waiting
 
     def on_state(self, listener: Callable[[CanState], None]) -> Callable[[], None]:
-        """Call a function when the controller enters another state.
-
-        Returns how to stop that.
-        """
-        self._on_state.append(listener)
-
-        def forget() -> None:
-            if listener in self._on_state:
-                self._on_state.remove(listener)
-
-        return forget
+        """Call a function when the controller enters another state; returns how to stop."""
+        return listen(self._on_state, listener)
 
     def frames(
         self,

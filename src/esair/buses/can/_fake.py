@@ -7,7 +7,8 @@ import collections
 from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
-from esair.buses._inbox import within
+from esair.buses._awaited import Awaited
+from esair.buses._bus import listen
 from esair.buses.can._bus import CanBus
 from esair.buses.can._errors import BUS_OFF, CONTROLLER, CONTROLLER_BITS, CanState
 from esair.buses.can._far_end import MemoryCan
@@ -51,7 +52,7 @@ class FakeCan(CanBus):
         self._powered = True
         self._newest: dict[int, Frame] = {}
         self._on_send: list[Callable[[Frame], Reply]] = []
-        self._until: list[tuple[Callable[[Frame], bool], asyncio.Future[Frame]]] = []
+        self._until: Awaited[Frame] = Awaited()
 
     def feed(
         self,
@@ -78,13 +79,7 @@ class FakeCan(CanBus):
         Returns:
             How to stop that.
         """
-        self._on_send.append(listener)
-
-        def forget() -> None:
-            if listener in self._on_send:
-                self._on_send.remove(listener)
-
-        return forget
+        return listen(self._on_send, listener)
 
     def answer(
         self,
@@ -126,26 +121,16 @@ class FakeCan(CanBus):
         Raises:
             TimeoutError: It did not come; the last frames are in the message.
         """
-        matches: Callable[[Frame], bool]
-        if callable(wanted):
-            matches, words = wanted, repr(wanted)
-        else:
-            matches, words = (lambda frame: frame.id == wanted), f"a frame {wanted:#x}"
-        for frame in reversed(self._newest.values()):
-            if matches(frame):
-                return frame
-        future: asyncio.Future[Frame] = asyncio.get_running_loop().create_future()
-        waiter = (matches, future)
-        self._until.append(waiter)
-        try:
-            return await within(future, timeout)
-        except TimeoutError:
-            raise TimeoutError(
+        words = repr(wanted) if callable(wanted) else f"a frame {wanted:#x}"
+        return await self._until.until(
+            wanted if callable(wanted) else lambda frame: frame.id == wanted,
+            reversed(self._newest.values()),
+            timeout,
+            lambda: (
                 f"{self.name}: {words} did not come in {timeout:g} s; "
                 f"the last frames are {list(self.sent)[-5:]!r}"
-            ) from None
-        finally:
-            self._until.remove(waiter)
+            ),
+        )
 
     def error_frame(self, error: int | CanState, data: bytes = b"") -> None:
         """Have the robot's controller report an error.
@@ -229,9 +214,7 @@ class FakeCan(CanBus):
         self._newest.pop(key, None)
         self._newest[key] = frame
         self.sent.append(frame)
-        for matches, future in self._until:
-            if not future.done() and matches(frame):
-                future.set_result(frame)
+        self._until.came(frame)
         for listener in tuple(self._on_send) if self._powered else ():
             reply = listener(frame)
             if isinstance(reply, Frame):

@@ -6,6 +6,7 @@ import asyncio
 import collections
 from collections.abc import Callable, Collection
 
+from esair.buses._failures import Failures
 from esair.buses.can._errors import CanState
 from esair.buses.can._frame import (
     CanWire,
@@ -82,9 +83,7 @@ class MemoryCan(_Socket):
         self._acknowledged = True
         self._stalled = False
         self._full = 0
-        self._error: Exception | None = None
-        self._error_after = 0
-        self._error_times: int | None = 0
+        self._failures = Failures()
 
     async def start(self) -> None:
         """Begin."""
@@ -161,7 +160,7 @@ class MemoryCan(_Socket):
             after: How many sends go well before.
             times: How many sends fail; None for all from then on.
         """
-        self._error, self._error_after, self._error_times = error, after, times
+        self._failures.add(error, after, times)
 
     def bus_off(self) -> None:
         """Take the robot's controller off the bus, until `restart`."""
@@ -177,7 +176,7 @@ class MemoryCan(_Socket):
     def take(self, frame: Frame, node: _MemoryNode) -> bool:
         """Take a frame of the robot; tell whether there was room for it."""
         self._check()
-        self._fail_if_told()
+        self._failures.check()
         if self._stalled or self.state is CanState.BUS_OFF:
             return False
         if self._full:
@@ -198,19 +197,6 @@ class MemoryCan(_Socket):
         self._users.pop(node, None)
         if node in self._robots:
             self._robots.remove(node)
-
-    def _fail_if_told(self) -> None:
-        if self._error is None:
-            return
-        if self._error_after > 0:
-            self._error_after -= 1
-            return
-        error = self._error
-        if self._error_times is not None:
-            self._error_times -= 1
-            if self._error_times <= 0:
-                self._error = None
-        raise error
 
     def _drain(self) -> None:
         if not self._acknowledged or self._stalled or not self._queue:

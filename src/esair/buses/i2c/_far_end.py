@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import errno
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from esair.buses._bus import Wire
+from esair.buses._failures import os_error
 
 FUNCS = 0x0EFF0001
 """What `ChipBus` can do: plain I²C, and SMBus by it; as the kernel's bits."""
@@ -35,13 +35,9 @@ class Registers:
 
     def __init__(self, content: bytes | Mapping[int, int | bytes] = b"") -> None:
         self.content = bytearray(256)
-        if isinstance(content, Mapping):
-            for register, value in content.items():
-                self.write(
-                    register, bytes([value]) if isinstance(value, int) else value
-                )
-        else:
-            self.write(0, content)
+        given = content if isinstance(content, Mapping) else {0: content}
+        for register, value in given.items():
+            self.write(register, bytes([value]) if isinstance(value, int) else value)
 
     def read(self, register: int, length: int) -> bytes:
         """Return registers that follow one another."""
@@ -76,7 +72,7 @@ class ChipBus(Wire):
             OSError: It is unplugged.
         """
         if not self.plugged:
-            raise OSError(errno.ENOENT, os.strerror(errno.ENOENT))
+            raise os_error(errno.ENOENT)
         self.closed = False
         return self
 
@@ -126,20 +122,16 @@ class ChipBus(Wire):
         """Make ``smbus2.i2c_msg`` transfers, a write and the read after it as one."""
         waiting: Any = None
         for message in messages:
-            if not message.flags & 1:
-                if waiting is not None:
-                    self._exchange(waiting.addr, bytes(waiting), 0)
-                waiting = message
-                continue
-            before = b""
-            if waiting is not None and waiting.addr == message.addr:
+            reads, before = message.flags & 1, b""
+            if reads and waiting is not None and waiting.addr == message.addr:
                 before, waiting = bytes(waiting), None
-            elif waiting is not None:
+            if waiting is not None:
                 self._exchange(waiting.addr, bytes(waiting), 0)
-                waiting = None
-            data = self._exchange(message.addr, before, message.len)
-            for index, value in enumerate(data):
-                message.buf[index] = value
+            waiting = None if reads else message
+            if reads:
+                data = self._exchange(message.addr, before, message.len)
+                for index, value in enumerate(data):
+                    message.buf[index] = value
         if waiting is not None:
             self._exchange(waiting.addr, bytes(waiting), 0)
 
@@ -166,7 +158,7 @@ class ChipBus(Wire):
 
     def _chip(self, address: int) -> Chip:
         if not self.plugged:
-            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+            raise os_error(errno.ENODEV)
         if address not in self.chips:
-            raise OSError(errno.ENXIO, os.strerror(errno.ENXIO))
+            raise os_error(errno.ENXIO)
         return self.chips[address]

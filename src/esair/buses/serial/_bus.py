@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -26,6 +25,7 @@ from esair.exceptions import (
 )
 from esair.framing import Framing
 from esair.loop import Arrivals, spawn
+from esair.values import check_seconds, check_whole
 from esair.watchdog import Outlet
 
 ASK_LIMIT = 32
@@ -93,32 +93,18 @@ class SerialBus(Bus):
         **options: Any,
     ) -> None:
         super().__init__(name=name, wire=wire)
-        if type(baudrate) is not int or baudrate < 1:
-            raise ConfigError(
-                name, "baudrate", f"expected bits per second, not {baudrate!r:.80}"
-            )
-        for field, limit in (("out_limit", out_limit), ("bad_limit", bad_limit)):
-            if type(limit) is not int or limit < 1:
-                raise ConfigError(name, field, f"expected 1 or more, not {limit!r:.80}")
         for field, level in (("dtr", dtr), ("rts", rts)):
             if not isinstance(level, bool):
                 raise ConfigError(
                     name, field, f"expected true or false, not {level!r:.80}"
                 )
-        for field, seconds in (
-            ("write_timeout", write_timeout),
-            ("late_limit", late_limit),
-        ):
-            if not 0 < seconds < math.inf:
-                raise ConfigError(
-                    name, field, f"expected seconds > 0, not {seconds!r:.80}"
-                )
+        check_seconds(name, "late_limit", late_limit)
         self.port = port
-        self.baudrate = baudrate
+        self.baudrate = check_whole(name, "baudrate", baudrate, 1)
         self.framing = make_framing(name, framing)
-        self.out_limit = out_limit
-        self.write_timeout = write_timeout
-        self.bad_limit = bad_limit
+        self.out_limit = check_whole(name, "out_limit", out_limit, 1)
+        self.write_timeout = check_seconds(name, "write_timeout", write_timeout)
+        self.bad_limit = check_whole(name, "bad_limit", bad_limit, 1)
         self.path = ""
         self._options = options
         self._levels = {"dtr": dtr, "rts": rts}

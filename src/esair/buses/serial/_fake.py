@@ -8,8 +8,9 @@ import random
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from esair.buses._awaited import Awaited
 from esair.buses._bus import Bus, LateWire
-from esair.buses._inbox import within
+from esair.buses._failures import Failures
 from esair.buses.serial._bus import SerialBus
 from esair.buses.serial._far_end import MemoryLine, PtyLine
 from esair.exceptions import DeviceLostError
@@ -85,18 +86,14 @@ class FakeSerial(SerialBus):
         self._far: MemoryLine | PtyLine | None = None
         self._far_framing = self.framing.fresh()
         self._answers: dict[bytes, bytes | Reply] = {}
-        self._waiting_tests: list[
-            tuple[Callable[[bytes], bool], asyncio.Future[bytes]]
-        ] = []
+        self._until: Awaited[bytes] = Awaited()
         self._piece = 0
         self._speed = 0.0
         self._outgoing = bytearray()
         self._pushing: asyncio.TimerHandle | None = None
         self._repeated: list[tuple[Callable[[], bytes], float]] = []
         self._repeating: list[asyncio.TimerHandle] = []
-        self._error: BaseException | None = None
-        self._after = 0
-        self._times: int | None = 0
+        self._failures = Failures()
 
     # From the device to the robot.
 
@@ -163,23 +160,15 @@ class FakeSerial(SerialBus):
         Raises:
             TimeoutError: It did not come; the last messages are in the error.
         """
-        matches: Callable[[bytes], bool]
-        matches = wanted if callable(wanted) else lambda message: message == wanted
-        for message in self.sent:
-            if matches(message):
-                return message
-        future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        waiter = (matches, future)
-        self._waiting_tests.append(waiter)
-        try:
-            return await within(future, timeout)
-        except TimeoutError:
-            raise TimeoutError(
+        return await self._until.until(
+            wanted if callable(wanted) else lambda message: message == wanted,
+            self.sent,
+            timeout,
+            lambda: (
                 f"{self.name}: {wanted!r} was not sent in {timeout:g} s; "
                 f"the last messages are {list(self.sent)[-5:]!r}"
-            ) from None
-        finally:
-            self._waiting_tests.remove(waiter)
+            ),
+        )
 
     # What goes wrong.
 
@@ -245,13 +234,13 @@ class FakeSerial(SerialBus):
             after: How many writes go well before.
             times: How many writes fail; None for all from then on.
         """
-        self._error, self._after, self._times = error, after, times
+        self._failures.add(error, after, times)
 
     # The bus, as the robot uses it.
 
     async def write(self, data: bytes, *, timeout: float | None = None) -> None:
         """Send bytes, unless it is time to `fail`."""
-        error = self._due_error() if self.is_open else None
+        error = self._failures.due() if self.is_open else None
         if isinstance(error, OSError) and self._line is not None:
             self._line.connection_lost(error)
             assert self.error is not None
@@ -302,35 +291,17 @@ class FakeSerial(SerialBus):
         else:
             self._far.stall()
 
-    def _due_error(self) -> BaseException | None:
-        if self._error is None:
-            return None
-        if self._after > 0:
-            self._after -= 1
-            return None
-        error = self._error
-        if self._times is not None:
-            self._times -= 1
-            if self._times <= 0:
-                self._error = None
-        return error
-
     def _heard(self, data: bytes) -> None:
         self.written = (self.written + data)[-WRITTEN_LIMIT:]
         if self.on_write is not None and (back := self.on_write(data)):
             self.feed(back)
         for message in self._far_framing.feed(data):
             self.sent.append(message)
-            self._reply(message)
-            for matches, future in self._waiting_tests:
-                if not future.done() and matches(message):
-                    future.set_result(message)
-
-    def _reply(self, message: bytes) -> None:
-        reply = self._answers.get(message, self.on_frame)
-        payload = reply(message) if callable(reply) else reply
-        if payload is not None:
-            self.say(payload)
+            reply = self._answers.get(message, self.on_frame)
+            payload = reply(message) if callable(reply) else reply
+            if payload is not None:
+                self.say(payload)
+            self._until.came(message)
 
     def _push(self) -> None:
         """Send what waits: at once, or piece by piece."""

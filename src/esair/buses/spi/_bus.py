@@ -12,13 +12,13 @@ from esair.buses.spi import _kernel as kernel
 from esair.buses.spi._kernel import LIMIT, SpiLink
 from esair.exceptions import (
     BadValueError,
-    ConfigError,
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
     EsairError,
     describe,
 )
+from esair.values import check_whole
 
 T = TypeVar("T")
 
@@ -58,19 +58,9 @@ class SpiBus(LinkBus[SpiLink]):
         wire: Wire | None = None,
     ) -> None:
         super().__init__(name=name, timeout=timeout, wire=wire)
-        if type(bus) is not int or bus < 0:
-            raise ConfigError(
-                name, "bus", f"expected the N of /dev/spidevN.M, not {bus!r:.80}"
-            )
-        if not _is_speed(speed):
-            raise ConfigError(
-                name, "speed", f"expected bits per second, not {speed!r:.80}"
-            )
-        if not _is_mode(mode):
-            raise ConfigError(name, "mode", f"expected 0 to 3, not {mode!r:.80}")
-        self.bus = bus
-        self.speed = speed
-        self.mode = mode
+        self.bus = check_whole(name, "bus", bus, 0)
+        self.speed = check_whole(name, "speed", speed, 1)
+        self.mode = check_whole(name, "mode", mode, 0, 3)
         if wire is None:
             self._presence = self._look
             self._still_there = lambda: self._files() == self._opened_as
@@ -212,20 +202,15 @@ class SpiBus(LinkBus[SpiLink]):
         return DriverStuckError(self.name, f"a transfer with {_chip(address)}", seconds)
 
     def _check(self, chip: int, length: int, speed: int, mode: int) -> None:
-        if type(chip) is not int or chip < 0:
-            raise BadValueError(
-                self.name, "chip", f"expected the number of a select, not {chip!r:.80}"
-            )
-        if not 1 <= length <= LIMIT:
-            raise BadValueError(
-                self.name, "data", f"expected 1 to {LIMIT} bytes, not {length}"
-            )
-        if not _is_speed(speed):
-            raise BadValueError(
-                self.name, "speed", f"expected bits per second, not {speed!r:.80}"
-            )
-        if not _is_mode(mode):
-            raise BadValueError(self.name, "mode", f"expected 0 to 3, not {mode!r:.80}")
+        for field, value, least, most, what in (
+            ("chip", chip, 0, 255, ""),
+            ("data", length, 1, LIMIT, " bytes"),
+            ("speed", speed, 1, 2**32, " Hz"),
+            ("mode", mode, 0, 3, ""),
+        ):
+            if type(value) is not int or not least <= value <= most:
+                told = f"expected {least} to {most}{what}, not {value!r:.80}"
+                raise BadValueError(self.name, field, told)
 
     def _files(self) -> Hashable:
         # A changed time may be a changed permission; device and file are the bus.
@@ -251,11 +236,3 @@ class _Judged(Exception):  # noqa: N818 - no error of its own: it carries one
 
 def _chip(chip: int | None) -> str:
     return "a chip" if chip is None else f"chip {chip}"
-
-
-def _is_speed(speed: object) -> bool:
-    return type(speed) is int and speed >= 1
-
-
-def _is_mode(mode: object) -> bool:
-    return type(mode) is int and 0 <= mode <= 3

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import errno
-import os
 from collections.abc import Mapping
 from typing import Protocol
 
+from esair.buses._failures import os_error
 from esair.buses._played import PlayedWire
 
 
@@ -66,7 +66,7 @@ class SpiChips(PlayedWire):
             OSError: It is unplugged.
         """
         if not self.plugged:
-            raise OSError(errno.ENOENT, os.strerror(errno.ENOENT))
+            raise os_error(errno.ENOENT)
         self.closed = False
         return self
 
@@ -74,7 +74,7 @@ class SpiChips(PlayedWire):
         """Make a transfer."""
         self.hold()
         if not self.plugged:
-            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+            raise os_error(errno.ENODEV)
         self.fail_if_told(chip)
         if chip not in self.chips:
             return b"\xff" * len(data)
