@@ -4,7 +4,8 @@ The tests are collected once. One child process runs them all and notes which li
 one reaches, and in what time; then each mutant is a child of its own, forked from there:
 the mistake is put into the functions that are loaded, and the tests that reach its line
 run until one fails: those in virtual time first, of these the quick ones, those of the
-same room and those that have found other mistakes in the file. What a test in real time
+same room, those that come where few come in the file and those that have found other
+mistakes in it. What a test in real time
 finds has to be found three times: it could be the computer that is busy.
 
 With ``--baseline`` what the tests reach is kept in a file; next time only new tests are
@@ -45,6 +46,7 @@ TESTS = [
     *(f"tests/{room}" for room in ("actions", "resources", "journal", "recording")),
     *(f"tests/{room}" for room in ("replay", "seat", "plan", "testing")),
     *(f"tests/test_{it}.py" for it in ("robot", "halt", "cancellation", "one_owner")),
+    *(f"tests/test_{it}.py" for it in ("nobody_takes_the_loop", "state_machine")),
 ]
 IN_REAL_TIME = 3
 """The exit code of a child in which a test in real time has failed; and how often it must."""
@@ -74,6 +76,14 @@ class Baseline:
             for line, names in reached.items():
                 if first <= line <= last:
                     found |= names
+        return found
+
+    def special(self, mutant: Mutant) -> dict[str, float]:
+        """How much each test comes where few others come in the file of a mistake."""
+        found: dict[str, float] = collections.defaultdict(float)
+        for names in self.lines.get(_short(mutant.file), {}).values():
+            for name in names:
+                found[name] += 1 / len(names)
         return found
 
     def keep_up(self) -> None:
@@ -204,8 +214,9 @@ class Runner:
         def promise(name: str) -> float:
             found = self._killers[mutant.file, name]
             far = 1 if name.startswith(room) else 4
-            return far * baseline.seconds[name] / (1 + found)
+            return far * baseline.seconds[name] / (1 + found) / special[name]
 
+        special = baseline.special(mutant)
         room = f"tests/{mutant.file.parent.name}/"
         names = baseline.reached_by(mutant) & self.items.keys() - baseline.bad
         slow = names & self._in_real_time

@@ -137,6 +137,10 @@ def _cuts(node: ast.AST) -> bool:
 
 
 def _mistakes(node: ast.AST) -> Iterator[ast.AST]:
+    if any(
+        getattr(each, "id", "") in TOLERANCES for each in ast.iter_child_nodes(node)
+    ):
+        return
     if isinstance(node, ast.Compare) and len(node.ops) == 1:
         if any(getattr(each, "id", "") in TOLERANCES for each in ast.walk(node)):
             return
