@@ -63,8 +63,14 @@ async def test_an_odd_error_of_a_driver_is_contained(
     async with esair.Robot(resources=[Sonar(), Arm()], behaviors=[user]) as robot:
         with pytest.raises(esair.DeviceFaultError, match=type(error).__name__):
             await user.sonar.read()
-        with pytest.raises(esair.DeviceFaultError, match=type(error).__name__):
+        with pytest.raises(
+            esair.DeviceFaultError, match=type(error).__name__
+        ) as caught:
             await user.arm.write(1.0)
+        cause: BaseException | None = caught.value
+        for _ in range(3):
+            cause = cause if cause is error else cause and cause.__cause__
+        assert cause is error
         assert robot.resources.query("sonar").faults == 1
 
 

@@ -265,7 +265,8 @@ class ActuatorChannel(HeldDevice):
             )
         except Exception as error:
             self._busy = self._lane is not None or self._safe_task is not None
-            raise self._interrupted(error, command) from error
+            failed = self._interrupted(error, command)
+            raise failed from failed.__cause__
         if sent is not None and type(sent) is Call:
             sent.apply = self._ended
             sent.owner = registration
@@ -329,7 +330,8 @@ class ActuatorChannel(HeldDevice):
                 return self._overtaken(registration)
             return self._turned_away(registration, command, sending.halts)
         except Exception as error:
-            raise self._in_doubt(self._translated(error), command) from error
+            failed = self._in_doubt(self._translated(error), command)
+            raise failed from failed.__cause__
         return self._applied(registration, command, applied, sending.asked, sending.by)
 
     def _overtaken(self, registration: Registration) -> Refused:
@@ -430,9 +432,11 @@ class ActuatorChannel(HeldDevice):
         if not isinstance(failed, DeviceLostError):
             return failed
         doubt = f"it is unknown whether {command!r:.80} was applied, it is not repeated"
-        return DeviceLostError(
+        doubtful = DeviceLostError(
             self.name, f"{failed.detail}; {doubt}" if failed.detail else doubt
         )
+        doubtful.__cause__ = failed
+        return doubtful
 
     # Giving back.
 

@@ -119,7 +119,8 @@ class Calls:
             coroutine = method.function(*args)
             waits_for = self.context.run(light.send, coroutine)
         except BaseException as error:
-            raise self._contained(error) from error.__cause__
+            contained = self._contained(error)
+            raise contained from contained.__cause__
         finally:
             if caller is None:
                 del current_tasks[loop]
@@ -164,7 +165,8 @@ class Calls:
                 coroutine = method.function(*args)
             value = self._steps.begin(coroutine, self)
         except BaseException as error:
-            raise self._contained(error) from error.__cause__
+            contained = self._contained(error)
+            raise contained from contained.__cause__
         if type(value) is not LightTask:
             return value
         return self._waits(value, kind, args, limit)
