@@ -12,6 +12,7 @@ import pytest
 from tests.protection.road import PERIOD, RATE, SPEED, Drive, ObstacleGuard, Wheels
 
 import esair
+from esair.journal import Event, Kind
 from esair.messages import BehaviorState
 from esair.testing import FakeActuator, FakeSensor
 
@@ -194,7 +195,7 @@ async def test_a_command_in_the_queue_of_a_thread_is_fenced_by_its_guard(
 
 
 @pytest.mark.promise("PRO-6", "PRO-9")
-@pytest.mark.parametrize("gives", [0.9, -0.1, math.nan, "much", True])
+@pytest.mark.parametrize("gives", [0.9, -0.1, math.nan, "much", True, False])
 async def test_a_guard_gives_nothing_else_than_less(gives: Any) -> None:
     """More, a wrong type or NaN is a crash of the guard, and nothing passes."""
 
@@ -536,3 +537,43 @@ async def test_a_late_motion_is_answered_as_it_was_made_safe(stays: bool) -> Non
         await asyncio.wait({writing})
         writing.exception()
         robot.resume()
+
+
+@pytest.mark.promise("PRO-8")
+@pytest.mark.parametrize("takes", [0.0, 0.05])
+async def test_what_stands_is_made_less_by_a_call_like_any_other(takes: float) -> None:
+    """Told, waited for, and at fault if the device does not take it."""
+
+    class Scale(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(float)
+
+        def react(self, sonar: float, wheels: float) -> float | None:
+            return wheels * sonar
+
+    sonar, op = ranges(1.0), user()
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=60.0)
+    told: list[Event] = []
+    robot = esair.Robot(resources=[sonar, wheels], behaviors=[Scale(), op])
+    robot.journal.listen(told.append, kinds=[Kind.SENT])
+    async with robot:
+        channel = robot.actuators.channels["wheels"]
+        assert (await op.wheels.write(0.8)).command == 0.8
+        wheels.slow(takes)
+        sonar.feed(0.5)
+        await asyncio.sleep(0.001)
+        assert channel.told()[1:4] == (0.4, False, not takes)
+        assert (await op.wheels.write(0.6)).command == 0.3
+        assert wheels.commands == [0.0, 0.8, 0.4, 0.3]
+        assert channel.told().answered
+        wheels.fail(ValueError("brown-out"), times=1)
+        sonar.feed(0.25)
+        await asyncio.sleep(takes + 0.001)
+        assert robot.resources.query("wheels").faults == 1
+        assert "brown-out" in channel.told().error
+    assert [(each.peer, each.value) for each in told] == [
+        ("user", 0.8),
+        ("", 0.4),
+        ("user", 0.3),
+        ("", 0.15),
+    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import logging
 from typing import Any
 
@@ -220,6 +221,32 @@ async def test_what_a_guard_gives_is_weighed() -> None:
     entry = deciding(guard(), lambda _: 0.75)
     assert weigh(entry, command) is None
     assert "crashed" in entry.reason
+
+
+async def test_what_nobody_can_compare_passes_as_it_was_handed() -> None:
+    """Of what has parts a guard may not change one behind the command's back."""
+
+    class Opaque:
+        __slots__ = ()
+
+    class Parts:
+        def __init__(self, speed: float) -> None:
+            self.speed = speed
+
+    def faster(handed: Any) -> Any:
+        handed.speed *= 2
+        return handed
+
+    def given(judge: Any, command: Any, safe: Any) -> Any:
+        entry = deciding(guard(), judge)
+        return entry.weigh(command, safe, 0.0, moving=True, hand=copy.copy)
+
+    opaque, parts = Opaque(), Parts(1.0)
+    assert given(lambda handed: handed, opaque, Opaque()) is opaque
+    assert given(lambda _: Opaque(), opaque, Opaque()) is None
+    assert given(lambda handed: handed, parts, Parts(0.0)) is not None
+    assert given(faster, parts, Parts(0.0)) is None
+    assert parts.speed == 1.0
 
 
 async def test_what_a_guard_raises_is_told_outside_of_the_commit_point() -> None:

@@ -306,13 +306,16 @@ async def test_a_halt_refuses_operations_and_no_settings() -> None:
 
 
 @pytest.mark.promise("RS-7", "AC-4")
-async def test_an_operation_that_fails_at_once_is_followed_by_safe() -> None:
-    """Who knows what it has moved."""
+async def test_an_operation_that_ends_at_once_is_followed_by_safe() -> None:
+    """Who knows what it has moved, whether it failed or not."""
 
     class Lift(FakeActuator[float]):
         @esair.operation
         async def home(self) -> None:
             raise RuntimeError("it is stuck")
+
+        @esair.operation
+        async def zero(self) -> None: ...
 
     lift = Lift("lift", safe=0.0)
     allow = Access.WRITE | Access.CONFIGURE
@@ -323,6 +326,9 @@ async def test_an_operation_that_fails_at_once_is_followed_by_safe() -> None:
             await robot.resources.operate(mine, "home")
         await asyncio.sleep(0.01)
         assert lift.commands == [0.0, 0.0]
+        await robot.resources.operate(mine, "zero")
+        await asyncio.sleep(0.01)
+        assert lift.commands == [0.0, 0.0, 0.0]
 
 
 # Devices.
@@ -390,3 +396,131 @@ async def test_a_behavior_is_told_why_nobody_may_read_too_old() -> None:
         for wrong in (0.0, -1.0, "1", True):
             with pytest.raises(esair.BadValueError, match="max_age"):
                 robot.sensors.port(right, max_age=wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.promise("AC-2")
+async def test_a_device_that_is_back_owes_nothing_to_its_loss() -> None:
+    """Its error is gone, and a halt that ends has it accept commands again."""
+    motor = FakeActuator("motor", safe=0.0)
+    user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        motor.unplug()
+        await asyncio.sleep(0.1)
+        halting = robot.halt("while it is lost")
+        assert not halting.done()
+        (told,) = await halting
+        assert halting.done()
+        assert not told.answered
+        motor.plug()
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("motor").error is None
+        assert motor.commands == [0.0, 0.0]
+        assert not await user.motor.write(1.0)
+        robot.resume()
+        assert await user.motor.write(1.0)
+
+
+@pytest.mark.promise("SC-1")
+@pytest.mark.parametrize("turns", range(6))
+async def test_who_asks_in_the_instant_of_a_loss_asks_again_afterwards(
+    turns: int,
+) -> None:
+    """The question that was about to be asked holds up none after it."""
+    sonar = FakeSensor("sonar", 1.0)
+    user: Any = esair.Behavior(name="user", reads={"sonar": esair.reads(float)})
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        sonar.unplug()
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        with pytest.raises(esair.DeviceLostError):
+            await user.sonar.read(fresh=True)
+        sonar.plug()
+        await asyncio.sleep(1.0)
+        assert await user.sonar.read(fresh=True) == 1.0
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize("turns", range(6))
+async def test_a_device_that_goes_as_it_takes_safe_has_not_answered(turns: int) -> None:
+    """Whatever comes first: it is lost, and nobody says that it is safe."""
+
+    class Motor(FakeActuator[float]):
+        goes = False
+
+        async def write(self, command: float) -> None:
+            await super().write(command)
+            if self.goes:
+                await asyncio.sleep(0.01)
+                self.unplug()
+                for _ in range(turns):
+                    await asyncio.sleep(0)
+
+    motor = Motor("motor", safe=0.0)
+    async with esair.Robot(resources=[motor]) as robot:
+        motor.goes = True
+        robot.halt("a test")
+        await asyncio.sleep(0.1)
+        told = robot.actuators.channels["motor"].told()
+        assert (told.answered, "lost" in told.error) == (False, True)
+        motor.goes = False
+        motor.plug()
+        await asyncio.sleep(1.0)
+        assert robot.actuators.channels["motor"].told().answered
+
+
+@pytest.mark.promise("AC-1")
+async def test_who_gives_up_waiting_for_safe_disturbs_nobody() -> None:
+    """Those who wait on hear of its end."""
+    motor = FakeActuator("motor", safe=0.0)
+    async with esair.Robot(resources=[motor]) as robot:
+        channel = robot.actuators.channels["motor"]
+        motor.slow(0.1)
+        channel.make_safe()
+        waiting = [asyncio.create_task(channel.safe_now()) for _ in range(3)]
+        await asyncio.sleep(0.05)
+        waiting[0].cancel()
+        before = asyncio.get_running_loop().time()
+        await asyncio.wait(waiting)
+        assert waiting[0].cancelled()
+        assert asyncio.get_running_loop().time() - before == pytest.approx(0.05)
+
+
+@pytest.mark.promise("AC-3")
+async def test_a_driver_may_say_in_a_message_what_was_applied(fake_sensor: Any) -> None:
+    """As one does that hands commands on to another robot."""
+
+    class Far(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = 60.0
+
+        async def write(self, command: float) -> Any:
+            return esair.Written(command / 2, command, "governor")
+
+    user: Any = esair.Behavior(
+        name="user",
+        writes={"far": esair.writes(float)},
+        reads={"applied": esair.reads(float, name="far.applied")},
+    )
+    async with esair.Robot(resources=[Far()], behaviors=[user]):
+        assert (await user.far.write(1.0)).command == 0.5
+        assert await user.applied.read() == 0.5
+
+
+@pytest.mark.promise("RS-2")
+async def test_who_registers_as_declared_has_the_same_right() -> None:
+    """With the priority and the hold of the declaration, or those that it leaves out."""
+
+    class User(esair.Behavior):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=3)
+
+    user: Any = User()
+    devices = FakeSensor("sonar", 1.0), FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(resources=devices, behaviors=[user]):
+        assert await user.sonar.read() == 1.0
+        again = await user.register("sonar", Access.READ)
+        assert again.registration is user.sonar.registration
+        again = await user.register("wheels", Access.WRITE, priority=3)
+        assert again.registration is user.wheels.registration
+        other = await user.register("wheels", Access.WRITE)
+        assert other.registration is not user.wheels.registration

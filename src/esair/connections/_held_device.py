@@ -186,11 +186,10 @@ class HeldDevice(ProtectedDevice):
 
     def dead(self) -> None:
         """Make it safe, because nobody has written."""
-        holder, until = self.holder, self.until
+        holder = self.holder
         self.timeouts += 1
         self.make_safe()
-        if holder is not None and self.time() + _EARLY < until:
-            self.holder = holder  # a longer hold keeps lower priorities away
+        self.holder = holder  # a longer hold keeps lower priorities away
 
     # Operations.
 

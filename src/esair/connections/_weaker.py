@@ -98,7 +98,7 @@ def _parts(one: Any, other: Any) -> dict[Any, tuple[Any, Any]] | None:
     if isinstance(one, Sequence):
         if len(one) != len(other):
             return None
-        return dict(enumerate(zip(one, other, strict=True)))
+        return {place: (one[place], other[place]) for place in range(len(one))}
     names = list(fields_of(type(one))) or [
         *getattr(one, "__dict__", ()),
         *_slots(type(one)),

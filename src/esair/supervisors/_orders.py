@@ -112,8 +112,7 @@ class Order(Link):
     def leave(self, error: BaseException | None) -> bool:
         """The block is left; tells whether its error ends here."""
         if _is_elsewhere(self._loop):
-            self._in_loop(self._left, error)
-            return False
+            return self._in_loop(self._left, error)
         mine = False
         if self._begins is not None:
             self._begins.cancel()
@@ -134,7 +133,7 @@ class Order(Link):
         else:
             self.fail(describe(error), error)
         self.queue.done_with(self)
-        return True
+        return False
 
     def _answer(self, value: Any) -> bool:
         return self._told(Outcome.ANSWERED, value, None)
