@@ -59,17 +59,25 @@ class Spinner(esair.Behavior):
     wheels = esair.writes(float)
     sonar = esair.reads(float)
     do: Callable[[Any], Awaitable[object]]
+    robot: esair.Robot
     turns = 0
     done: asyncio.Future[int]
 
     async def run(self) -> None:
         await self.sonar.read(fresh=True)
+        self.gone: Any = await self.register("gone", esair.Access.READ)
+        await self.robot.resources.remove("gone")
         self.turns = 0
         for _ in range(AWAITS):
             with contextlib.suppress(esair.EsairError):
                 await type(self).do(self)
         self.done.set_result(self.turns)
         await asyncio.get_running_loop().create_future()
+
+
+async def follow(port: Any) -> None:
+    async for _ in port:
+        return
 
 
 VERBS: dict[str, Callable[[Any], Awaitable[object]]] = {
@@ -90,6 +98,12 @@ VERBS: dict[str, Callable[[Any], Awaitable[object]]] = {
     "register": lambda me: me.register("sonar", esair.Access.READ),
     "register for nothing": lambda me: me.register("nothing", esair.Access.READ),
     "perform nonsense": lambda me: me.perform(object()),
+    "follow what is gone": lambda me: follow(me.gone),
+    "read what is gone": lambda me: me.gone.read(),
+    "add without the right": lambda me: me.supervisor.add(Peer(name="other")),
+    "remove nobody": lambda me: me.robot.behaviors.remove("nobody"),
+    "add nothing": lambda me: me.robot.resources.add(object()),
+    "type nonsense": lambda me: me.robot.behaviors.command("nonsense"),
 }
 
 
@@ -101,10 +115,11 @@ async def test_others_get_the_loop(verb: str) -> None:
     Spinner.do = VERBS[verb]
     write = esair.Access.WRITE | esair.Access.CONFIGURE
     robot = esair.Robot(
-        resources=[Wheels(), Sonar()],
+        resources=[Wheels(), Sonar(), Sonar(name="gone")],
         behaviors=[spinner, Peer()],
         policies=[esair.Policy("wheels", allow={"spinner": write})],
     )
+    spinner.robot = robot
 
     async def count() -> None:
         while True:
@@ -116,3 +131,27 @@ async def test_others_get_the_loop(verb: str) -> None:
         turns = await spinner.done
         counting.cancel()
     assert turns >= AWAITS / 100
+
+
+class Insists(esair.Behavior):
+    """Takes no error for an answer."""
+
+    sonar = esair.reads(float)
+    robot: esair.Robot
+
+    async def run(self) -> None:
+        while True:
+            with contextlib.suppress(esair.EsairError):
+                await follow(self.sonar)
+            with contextlib.suppress(esair.EsairError):
+                await self.robot.behaviors.remove("nobody")
+
+
+@pytest.mark.promise("SUP-3", "SUP-5")
+async def test_who_goes_on_without_its_sensor_can_be_stopped() -> None:
+    """What it asks for is refused at once, again and again: also when the robot stops."""
+    stubborn = Insists()
+    stubborn.robot = esair.Robot(resources=[Sonar()], behaviors=[stubborn])
+    async with stubborn.robot as robot:
+        await robot.resources.remove("sonar")
+        await asyncio.sleep(0.05)

@@ -20,7 +20,7 @@ from esair.actions._supervisor import Behaviors, BlockingBehaviors
 from esair.actions._takes import Answers, Takes, declared_requests
 from esair.connections import ActuatorPort, Halting, SensorPort, Stopped
 from esair.exceptions import BadValueError, ConfigError, NotRegisteredError
-from esair.loop import PUT_COST, Portal, portal
+from esair.loop import PUT_COST, VERB_COST, Portal, portal
 from esair.messages import Access, Restart
 from esair.values import check_duration, passes_as, type_name
 
@@ -295,7 +295,7 @@ class Behavior(ProfiledAction):
         if host is None:
             raise self._alone()
         budget = host.budget
-        budget.left -= 1
+        budget.left -= VERB_COST
         if budget.left < 0:
             await budget.give_way()
         adapted: Reaction = adapt_action(reaction)

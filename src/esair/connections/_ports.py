@@ -137,6 +137,7 @@ class SensorPort(Port[T]):
         return self._values()
 
     async def _values(self) -> AsyncGenerator[T, None]:
+        await Budget.spend()  # whoever begins again and again has lost its sensor
         stream = _Stream(self.registration)
         self._channel.cached(self.registration, 0.0)  # checks the registration
         self._channel.follow(stream)

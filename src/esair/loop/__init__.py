@@ -1,7 +1,7 @@
 """What the one event loop needs: a scheduler for time, threads for blocking code."""
 
 from esair.loop._arrivals import Arrivals, arrive
-from esair.loop._budget import PUT_COST, SPENDABLE, WRITE_COST, Budget
+from esair.loop._budget import PUT_COST, SPENDABLE, VERB_COST, WRITE_COST, Budget
 from esair.loop._dead_man import DeadMan
 from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._door import Door
@@ -51,6 +51,7 @@ __all__ = [
     "REACHED",
     "SPENDABLE",
     "SPOILED",
+    "VERB_COST",
     "WAITS",
     "WRITE_COST",
     "Arrivals",

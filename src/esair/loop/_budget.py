@@ -18,6 +18,9 @@ WRITE_COST = 3
 PUT_COST = 2
 """What handing data over costs."""
 
+VERB_COST = 16
+"""What costs that changes more than that: an operation, a step, a command of the user."""
+
 
 class Budget(OfLoop):
     """Counts awaits that need not wait; a task that makes too many gives way.

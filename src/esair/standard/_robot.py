@@ -24,7 +24,7 @@ from esair.connections import (
 )
 from esair.exceptions import ConfigError, StoppingError, describe
 from esair.journal import Journal, LogLines
-from esair.loop import News, SignalWatch, leave_behind, spawn
+from esair.loop import Budget, News, SignalWatch, leave_behind, spawn
 from esair.messages import (
     BehaviorsPolicy,
     Operator,
@@ -334,6 +334,7 @@ class Robot:
         Raises:
             BehaviorFailedError: One has failed for good (the first one, if several).
         """
+        await Budget.spend()
         await self._behaviors.all_ended()
         for failed in self._behaviors.failures():
             raise failed

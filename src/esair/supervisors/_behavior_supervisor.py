@@ -10,7 +10,7 @@ from esair import abc, minimal
 from esair.actions import Behavior, Reaction, Request, adapt_action
 from esair.exceptions import BehaviorRemovedError
 from esair.journal import Kind
-from esair.loop import Budget
+from esair.loop import VERB_COST, Budget
 from esair.messages import BehaviorState, BehaviorStatus, SupervisorPhase
 from esair.plan import examine_action, in_use
 from esair.supervisors._behavior_deployment import (
@@ -353,4 +353,5 @@ class BehaviorSupervisor(abc.Supervisor):
             ConfigError: The command is not understood.
             EsairError: What the command itself raises.
         """
+        await Budget.spend(VERB_COST)
         return await self._command(text)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 from esair.exceptions import BusyError, StoppingError
-from esair.loop import has_come, look_at, spawn
+from esair.loop import VERB_COST, Budget, has_come, look_at, spawn
 from esair.messages import SupervisorPhase
 
 T = TypeVar("T")
@@ -50,6 +50,7 @@ class CommandQueue:
         undo: bool,
     ) -> T:
         """Do a command of the user when its turn has come."""
+        await Budget.spend(VERB_COST)
         loop = asyncio.get_running_loop()
         await self._turn(loop)
         me = asyncio.current_task()

@@ -25,7 +25,7 @@ from esair.exceptions import (
     UnknownNameError,
 )
 from esair.journal import Kind
-from esair.loop import Budget, look_at, spawn
+from esair.loop import VERB_COST, Budget, look_at, spawn
 from esair.messages import Access, ResourceState, SupervisorPhase
 from esair.resources import APPLIED, check_settings, operation_of, shown
 from esair.supervisors._resource_life import ResourceLife
@@ -129,7 +129,7 @@ class ControlPath:
 
     async def configure(self, registration: Registration, /, **settings: Any) -> None:
         """Change settings of a resource; see `ResourceSupervisor.configure`."""
-        await Budget.spend()
+        await Budget.spend(VERB_COST)
         life = self._configurable(registration)
         check_settings(life.resource, settings)
         task = spawn(
@@ -144,7 +144,7 @@ class ControlPath:
         self, registration: Registration, name: str, /, **parameters: Any
     ) -> Any:
         """Call an operation of a resource; see `ResourceSupervisor.operate`."""
-        await Budget.spend()
+        await Budget.spend(VERB_COST)
         life = self._configurable(registration)
         resource = life.resource
         operation = operation_of(resource, name)

@@ -106,6 +106,7 @@ class Member(Life, Mailbox):
 
     async def manage(self, verb: str, *args: Any) -> Any:
         """Add, remove, replace or restart a behavior, if a policy allows it."""
+        await Budget.spend()
         if speaks_for_nobody() or not self.alive:
             raise BehaviorRemovedError(self.name)
         return await self.crew.managed_by(self.name, verb, *args)
