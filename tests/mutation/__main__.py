@@ -88,7 +88,10 @@ class Baseline:
 
     def keep_up(self) -> None:
         """Find the lines of files that have changed since."""
-        for file, before in self.sources.items():
+        for file, before in tuple(self.sources.items()):
+            if not (SOURCE / file).exists():
+                del self.sources[file], self.lines[file]
+                continue
             now = (SOURCE / file).read_text(encoding="utf-8").splitlines()
             match = difflib.SequenceMatcher(None, before, now, autojunk=False)
             moved = {
