@@ -814,6 +814,113 @@ async def test_one_that_waits_for_an_answer_cannot_begin_a_loop() -> None:
 
 
 @pytest.mark.promise("BS-5")
+@pytest.mark.parametrize("child", [False, True])
+async def test_one_that_asks_itself_needs_somebody_free(child: bool) -> None:
+    """Its only task would wait for itself; a task of its own may take the request."""
+    told: list[Any] = []
+
+    class Itself(esair.Behavior):
+        orders = esair.takes(Dock)
+
+        async def run(self) -> None:
+            taking = asyncio.ensure_future(self.take()) if child else None
+            try:
+                told.append(await self.ask("itself", Dock(1)))
+            except esair.CircularRequestError as error:
+                told.append(error.path)
+            if taking is not None:
+                taking.cancel()
+
+        async def take(self) -> None:
+            async for request in self.orders:
+                request.answer(Docked(request.bay))
+
+    async with esair.Robot(behaviors=[Itself()]) as robot:
+        await asyncio.sleep(0.1)
+        assert told == ([Docked(1)] if child else [("itself", "itself")])
+        last = robot.behaviors.outcomes()[-1]
+        assert last.outcome is (Outcome.ANSWERED if child else Outcome.REFUSED)
+
+
+@pytest.mark.promise("BS-11")
+async def test_who_enters_a_withdrawn_request_is_cancelled_in_its_block() -> None:
+    """Taken from the queue, but not begun with, when its asker went."""
+    seen: list[str] = []
+
+    class Late(Docking):
+        async def run(self) -> None:
+            async for request in self.orders:
+                await asyncio.sleep(1.0)
+                async with request:
+                    seen.append("begun")
+                    await asyncio.sleep(1.0)
+                    seen.append("done")
+                seen.append("on")
+
+    a = Idle(name="a")
+    async with esair.Robot(behaviors=[a, Late(name="docking")]):
+        asking = await soon(a.ask("docking", Dock(1)))
+        await asyncio.sleep(0.5)
+        asking.cancel()
+        await asyncio.sleep(2.0)
+        assert seen == ["begun", "on"]
+
+
+@pytest.mark.promise("BS-11")
+async def test_who_ends_its_own_asker_and_leaves_at_once_is_not_cancelled() -> None:
+    """It has not waited for anything since."""
+    seen: list[int] = []
+
+    class Mutiny(Docking):
+        captain: asyncio.Task[Any]
+
+        async def run(self) -> None:
+            async for request in self.orders:
+                async with request:
+                    await robot.behaviors.remove("a")
+                task = asyncio.current_task()
+                assert task is not None
+                seen.append(task.cancelling())
+                await asyncio.sleep(0.1)
+                seen.append(request.bay)
+
+    a, worker = Idle(name="a"), Mutiny(name="docking")
+    async with esair.Robot(behaviors=[a, worker]) as robot:
+        asking = await soon(a.ask("docking", Dock(1)))
+        await asyncio.gather(asking, return_exceptions=True)
+        await asyncio.sleep(2.0)
+        assert seen == [0, 1]
+
+
+@pytest.mark.promise("BS-8")
+@pytest.mark.parametrize("fails", [True, False])
+async def test_a_method_that_fails_when_nobody_waits_says_so_in_the_log(
+    fails: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whoever asked has gone; that it was cancelled for that is no failure."""
+
+    class Stubborn(esair.Behavior):
+        @esair.answers
+        async def dock(self, request: Dock) -> Docked:
+            try:
+                await asyncio.sleep(1.0)
+            except asyncio.CancelledError:
+                if fails:
+                    raise RuntimeError("the gate jams") from None
+                raise
+            return Docked(1)
+
+    a = Idle(name="a")
+    async with esair.Robot(behaviors=[a, Stubborn(name="docking")]):
+        with pytest.raises(esair.BehaviorUnavailableError):
+            await a.ask("docking", Dock(1), timeout=0.5)
+        await asyncio.sleep(0.1)
+    told = [r.getMessage() for r in caplog.records if "nobody waited" in r.getMessage()]
+    assert len(told) == fails
+    assert all("the gate jams" in each for each in told)
+
+
+@pytest.mark.promise("BS-5")
 async def test_what_outlives_its_request_waits_for_nobody() -> None:
     """A child task that goes on after the answer may ask the asker."""
     told: list[Any] = []

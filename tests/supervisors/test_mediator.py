@@ -1102,3 +1102,54 @@ async def test_foreign_errors_are_contained_in_the_mediator() -> None:
             await a.get("b")
         assert await a.get("b") == "fine"
     assert problems == []
+
+
+@pytest.mark.promise("BS-5")
+@pytest.mark.parametrize("through", ["g", "h"])
+async def test_one_whose_provide_waits_for_who_waits_for_it_closes_a_circle(
+    through: str,
+) -> None:
+    """It makes one piece of data at a time, for whomever: the next one never comes."""
+    told: list[Any] = []
+
+    class Makes(Idle):
+        async def provide(self) -> str:
+            await asyncio.sleep(0.1)
+            try:
+                return str(await self.get("g", 60.0))
+            except esair.CircularRequestError as error:
+                told.append(error.path)
+                return "made"
+
+    x, g, h = Makes(name="x"), Idle(name="g"), Idle(name="h")
+    async with esair.Robot(behaviors=[x, g, h]):
+        first = asyncio.ensure_future((g if through == "g" else h).get("x", 60.0))
+        await asyncio.sleep(0.05)
+        second = asyncio.ensure_future(g.get("x", 60.0))
+        assert [await first, await second] == ["made", "made"]
+        assert told == [("x", "g", "x")] * 2
+
+
+@pytest.mark.promise("BS-5")
+@pytest.mark.real_clock
+async def test_a_circle_of_get_through_threads_is_refused_at_once() -> None:
+    """A thread that waits answers nobody; one with another thread still may."""
+    told: list[object] = []
+
+    class Gets(esair.ThreadBehavior):
+        other = ""
+
+        def run(self) -> None:
+            try:
+                told.append(self.get(self.other, 60.0))
+            except esair.EsairError as error:
+                told.append(error)
+
+    a, b = Gets(name="a"), Gets(name="b")
+    a.other, b.other = "b", "a"
+    async with esair.Robot(behaviors=[a, b]):
+        for _ in range(1000):
+            if len(told) == 2:
+                break
+            await asyncio.sleep(0.005)
+    assert any(isinstance(each, esair.CircularRequestError) for each in told)

@@ -24,8 +24,12 @@ async def test_what_outlives_a_crash_speaks_for_nobody(fake_actuator):
     go = asyncio.Event()
     errors: list[Exception] = []
 
+    class Job(esair.Request[int]):
+        pass
+
     class Drive(esair.Behavior):
         wheels = esair.writes(float, configure=True)
+        jobs = esair.takes(Job)
         inbox_size = 4
         runs = 0
 
@@ -49,6 +53,8 @@ async def test_what_outlives_a_crash_speaks_for_nobody(fake_actuator):
                 lambda: self.get("other"),
                 lambda: self.register("wheels", esair.Access.WRITE),
                 lambda: self.perform(Nothing()),
+                lambda: anext(aiter(self.jobs)),
+                lambda: self.wheels.operate("home"),
             ):
                 try:
                     await attempt()
@@ -72,7 +78,7 @@ async def test_what_outlives_a_crash_speaks_for_nobody(fake_actuator):
         await drive.put("drive", "for the living")
         go.set()
         await drive.left
-        assert len(errors) == 8
+        assert len(errors) == 10
         assert all("has ended" in str(error) for error in errors)
         assert wheels.commands == [0.0]
         assert await drive.wheels.write(2.0)

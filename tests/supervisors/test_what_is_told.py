@@ -9,9 +9,11 @@ import attrs
 import pytest
 
 import esair
+from esair.buses import Bus
+from esair.journal import Event, Kind
 from esair.messages import BehaviorState
 from esair.supervisors._life import RestartBudget
-from esair.testing import FakeActuator
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -175,3 +177,186 @@ async def test_an_operation_whose_device_was_replaced_while_it_waited_is_told() 
         results = await asyncio.gather(changes, blinks, return_exceptions=True)
         assert isinstance(results[1], esair.DeviceLostError)
         assert "old" not in done
+
+
+@pytest.mark.promise("SUP-5")
+async def test_the_journal_has_who_parks_and_who_runs_again() -> None:
+    """With why."""
+
+    class Drive(esair.Reaction):
+        wheels = esair.writes(float)
+        rate = 10.0
+
+        def react(self) -> float:
+            return 1.0
+
+    events: list[Event] = []
+    kinds = [Kind.PARKED, Kind.RUNNING]
+    wheels = FakeActuator("wheels", safe=0.0)
+    robot = esair.Robot(resources=[wheels], behaviors=[Drive()])
+    robot.journal.listen(events.append, kinds=kinds)
+    async with robot:
+        await robot.resources.remove("wheels")
+        await asyncio.sleep(0.1)
+        await robot.resources.add(FakeActuator("wheels", safe=0.0))
+        await asyncio.sleep(0.1)
+    assert [each.kind for each in events] == [Kind.RUNNING, Kind.PARKED, Kind.RUNNING]
+    assert "wheels" in events[1].text
+
+
+@pytest.mark.promise("BS-3")
+async def test_what_waits_and_what_was_dropped_is_counted() -> None:
+    """Of each behavior, and in its status too."""
+
+    class Newest(Idle):
+        outbox_size = 2
+        outbox_policy = "latest"
+        inbox_size = 1
+
+    a, b = Newest(name="a"), Newest(name="b")
+    async with esair.Robot(behaviors=[a, b]) as robot:
+        for n in range(3):
+            a.offer(n)
+        assert robot.behaviors.query("a").dropped == 2
+        await a.put("b", 1)
+        puts = [asyncio.create_task(a.put("b", n)) for n in (2, 3)]
+        await turns()
+        assert robot.journal.counts()["b"]["waiting"] == 2
+        assert robot.behaviors.query("b").waiting == 2
+        for n in (1, 2, 3):
+            assert await b.receive() == n
+        await asyncio.gather(*puts)
+        assert robot.journal.counts()["b"]["waiting"] == 0
+
+
+@pytest.mark.promise("BS-5")
+async def test_the_usual_interval_of_a_request_is_a_second() -> None:
+    """Of the user's too."""
+
+    class Full(Idle):
+        inbox_size = 1
+
+    a, b = Idle(name="a"), Full(name="b")
+    loop = asyncio.get_running_loop()
+    async with esair.Robot(behaviors=[a, b]) as robot:
+        await a.put("b", 0)
+        for request in (
+            robot.behaviors.put(1, sender="a", receiver="b"),
+            robot.behaviors.get(sender="b", receiver="a"),
+            a.put("b", 1),
+            a.get("b"),
+        ):
+            began = loop.time()
+            with pytest.raises(esair.BehaviorUnavailableError):
+                await request
+            assert loop.time() - began == pytest.approx(1.0)
+
+
+@pytest.mark.promise("BS-5")
+async def test_requests_that_are_over_make_room_for_as_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of one asker that has others waiting all the time, and of all together."""
+    monkeypatch.setattr("esair.supervisors._requests.REQUESTS_PER_SENDER", 2)
+    monkeypatch.setattr("esair.supervisors._requests.REQUESTS", 3)
+    a, b, c = Idle(name="a"), Idle(name="b"), Idle(name="c")
+    async with esair.Robot(behaviors=[a, b, c]):
+        waits = asyncio.create_task(a.get("c", 3600.0))
+        await turns()
+        for _ in range(5):
+            with pytest.raises(esair.BehaviorUnavailableError):
+                await a.get("b", 0.1)
+        more = [asyncio.create_task(each.get("c", 3600.0)) for each in (a, b)]
+        await turns()
+        with pytest.raises(esair.BusyError, match="number of its requests"):
+            await a.get("b")
+        with pytest.raises(esair.BusyError, match="number of requests"):
+            await b.get("a")
+        for n in range(3):
+            c.offer(n)
+        assert sorted(await asyncio.gather(waits, *more)) == [0, 1, 2]
+
+
+@pytest.mark.promise("SUP-5")
+async def test_what_protects_nothing_is_not_muted_nor_reset() -> None:
+    """Nor is a latch reset that nobody has."""
+
+    class Watch(esair.Reaction):
+        wheels = esair.guards(float)
+        rate = 10.0
+
+        def react(self, wheels: float) -> float:
+            return wheels
+
+    wheels = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(
+        resources=[wheels], behaviors=[Idle(name="idle"), Watch()]
+    ) as robot:
+        for act in (
+            lambda: robot.behaviors.mute("idle", 1.0, "why"),
+            lambda: robot.behaviors.reset("idle"),
+        ):
+            with pytest.raises(esair.BadValueError, match="protects no actuator"):
+                act()
+        with pytest.raises(esair.BadValueError, match="it has no latch"):
+            robot.behaviors.reset("watch")
+
+
+@pytest.mark.promise("SUP-2")
+async def test_a_replacement_whose_place_is_gone_protects_nothing() -> None:
+    """The user takes the guard away while the new one has not decided yet."""
+
+    class Guard(esair.Reaction):
+        eye = esair.reads(float)
+        wheels = esair.guards(float)
+
+        def react(self, eye: float, wheels: float) -> float:
+            return wheels
+
+    class Other(Guard):
+        eye = esair.reads(float, name="other")
+
+    wheels = FakeActuator("wheels", safe=0.0)
+    eyes: Any = (
+        FakeSensor("eye", 1.0, rate=20.0),
+        FakeSensor("other", type=float, rate=20.0),
+    )
+    async with esair.Robot(
+        resources=[wheels, *eyes], behaviors=[Guard(name="guard")]
+    ) as robot:
+        await asyncio.sleep(0.2)
+        replacing = asyncio.create_task(
+            robot.behaviors.replace("guard", Other(name="guard"))
+        )
+        await asyncio.sleep(0.05)
+        await robot.behaviors.remove("guard")
+        with pytest.raises((esair.BehaviorRemovedError, esair.UnknownNameError)):
+            await replacing
+        assert robot.behaviors.names() == []
+        assert not robot.actuators.channels["wheels"]._guards
+
+
+@pytest.mark.promise("SUP-1")
+async def test_a_bus_that_does_not_close_is_named_and_holds_up_nothing(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The others are closed."""
+    closed: list[str] = []
+
+    class Wire(Bus):
+        async def _open(self) -> None: ...
+
+        async def _close(self) -> None:
+            if self.name == "bad":
+                raise OSError("jammed")
+            closed.append(self.name)
+
+    parts = [
+        FakeActuator(name, safe=0.0, bus=Wire(name=name)) for name in ("bad", "good")
+    ]
+    async with esair.Robot(resources=parts) as robot:
+        assert {each.name for each in robot.resources.buses} == {"bad", "good"}
+    assert closed == ["good"]
+    assert any(
+        "bad" in r.getMessage() and "jammed" in r.getMessage() for r in caplog.records
+    )

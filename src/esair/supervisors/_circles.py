@@ -54,8 +54,7 @@ def circle_of_get(
         for request in _waits(name, member, gets.get(name, ())):
             other = request.peer
             if other == asker:
-                own = members.get(asker)
-                if request in links or _is_stuck(own, gets.get(asker, ()), links):
+                if _is_stuck(members.get(asker), gets.get(asker, ()), links):
                     return [*path, asker]
             elif other not in seen:
                 seen.add(other)
