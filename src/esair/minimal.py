@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
     from typing import Any, Literal
 
-_NOTHING: "dict[str, Any]" = {}
 _ENDLESS = (-float("inf"), float("inf"))
+_ROWS = (tuple, list)
 
 # Moments are whole milliseconds that wrap, on boards at this or a multiple of it.
 _MASK = const(0x3FFFFFFF)
@@ -43,65 +43,62 @@ _HALF = const(0x20000000)
 _NEVER = const(-0x20000001)
 
 _ticks = getattr(time, "ticks_ms", None) or (lambda: time.monotonic_ns() // 1000000)
-_sleep = getattr(time, "sleep_ms", None) or (lambda ticks: time.sleep(ticks / 1000))
+_sleep = getattr(time, "sleep_ms", None) or (lambda value: time.sleep(value / 1000))
 
 
 class Need:
-    """What a reaction declares to use, as a class attribute."""
+    """What a reaction declares to use; made by `reads`, `writes` and `guards`."""
 
-    type: "Any"
-    name: "str | None"
-    configure = False
+    max_age: "float | None"
+    every: bool
+    optional: bool
+    priority: int
+    hold: "float | None"
+    blind: "Literal['safe', 'release']"
+    latch: bool
 
-
-class Reads(Need):
-    """A reaction reads a sensor; made by `reads`."""
-
-    def __init__(
-        self,
-        type: "Any" = None,
-        name: "str | None" = None,
-        max_age: "float | None" = None,
-        every: bool = False,
-        optional: bool = False,
-        configure: bool = False,
-    ) -> None:
+    def __init__(self, type: "Any", name: "str | None", configure: bool) -> None:
         self.type, self.name, self.configure = type, name, configure
-        self.max_age, self.every, self.optional = max_age, every, optional
 
 
-class Writes(Need):
-    """A reaction writes an actuator; made by `writes`."""
-
-    def __init__(
-        self,
-        type: "Any" = None,
-        name: "str | None" = None,
-        priority: int = 0,
-        hold: "float | None" = None,
-        blind: "Literal['safe', 'release']" = "safe",
-        configure: bool = False,
-    ) -> None:
-        self.type, self.name, self.configure = type, name, configure
-        self.priority, self.hold, self.blind = priority, hold, blind
+def reads(
+    type: "Any" = None,
+    name: "str | None" = None,
+    max_age: "float | None" = None,
+    every: bool = False,
+    optional: bool = False,
+    configure: bool = False,
+) -> Need:
+    """Declare, as a class attribute, that a reaction reads a sensor; as `esair.reads`."""
+    need = Need(type, name, configure)
+    need.max_age, need.every, need.optional = max_age, every, optional
+    return need
 
 
-class Guards(Need):
-    """Every command for an actuator passes a reaction; made by `guards`."""
+def writes(
+    type: "Any" = None,
+    name: "str | None" = None,
+    priority: int = 0,
+    hold: "float | None" = None,
+    blind: "Literal['safe', 'release']" = "safe",
+    configure: bool = False,
+) -> Need:
+    """Declare that a reaction writes an actuator; as `esair.writes`."""
+    need = Need(type, name, configure)
+    need.priority, need.hold, need.blind = priority, hold, blind
+    return need
 
-    def __init__(
-        self,
-        type: "Any" = None,
-        name: "str | None" = None,
-        priority: int = 0,
-        latch: bool = False,
-    ) -> None:
-        self.type, self.name, self.priority, self.latch = type, name, priority, latch
 
-
-reads = Reads
-writes = Writes
-guards = Guards
+def guards(
+    type: "Any" = None,
+    name: "str | None" = None,
+    priority: int = 0,
+    latch: bool = False,
+) -> Need:
+    """Declare that every command for an actuator passes a reaction; as `esair.guards`."""
+    need = Need(type, name, False)
+    need.priority, need.latch = priority, latch
+    return need
 
 
 class _Part:
@@ -162,8 +159,9 @@ class Reaction(_Part):
     """One small decision each step, on the newest readings.
 
     It runs in each step with a new reading of one of its sensors, or at a fixed
-    ``rate``. While a reading that it needs is missing or too old it is blind: what it
-    may write is safe, unless a higher priority moves it.
+    ``rate``. While a reading that it needs is missing or too old, or after it has raised
+    or wanted what is no command, it is blind: what it may write is safe, unless a higher
+    priority moves it.
 
     Args:
         name: Its name; the class name in snake case unless given.
@@ -193,59 +191,47 @@ class Reaction(_Part):
 
 
 class _Input:
-    """A sensor, and its newest reading.
-
-    Attributes:
-        due: Whether it is read in this step.
-        value: What it has given last.
-        time: When that was; negative before the first.
-    """
+    """A sensor, if it is due in this step, its newest value, and the time of that."""
 
     time: int
 
     def __init__(self, loop: "Any", part: "Any") -> None:
         self.due = True
         self.value: "Any" = None
-        self.known: "Any" = None
+        self.last: "Any" = None
         self.name, self.read = part.name, part.read
         loop.pace(self, part.rate)
 
 
 class _Task:
-    """A reaction with its wiring.
-
-    Attributes:
-        due: Whether it is its turn in this step; None to run whenever there is news.
-        ports: What it writes or guards, by attribute.
-        values: What it reads, by attribute.
-    """
+    """A reaction, its ports by attribute, and its turn: at news if ``due`` is None."""
 
     blind: bool
     now_ms = 0
 
     def __init__(self, loop: "Any", reaction: "Any") -> None:
         self.due: "bool | None" = None if reaction.rate is None else True
-        self.reaction, self.name = reaction, reaction.name
+        self.reaction, self.name, self.said = reaction, reaction.name, self
         self.ports: "Any" = {}
         self.values: "Any" = {}
         loop.pace(self, reaction.rate)
-        timed, react, terms, port = reaction, reaction.react, [], None
+        timed, react = reaction, reaction.react
+        terms: "Any" = []
+        port: "Any" = self
         for key, need in declared(reaction):
             name = need.name or key
             if hasattr(need, "max_age"):
                 source = loop.inputs[name]
                 age = need.max_age or 3000 / min(source.pace, loop.every)
                 terms.append((key, source, _ms(age), need.optional))
-                self.values[key] = None
             else:
                 port = self.ports[key] = _Port(self, key, need, loop.outputs[name])
                 if hasattr(need, "latch"):
                     timed, react = self, self.wake
-        if len(self.ports) != 1:
-            port = None
-        wired = self, timed, terms, react, port, self.values
+        if len(self.ports) > 1:
+            port = self
         place = len(loop.tasks) if timed is self else 0  # guards last
-        loop.tasks.insert(place, wired)
+        loop.tasks.insert(place, (self, timed, terms, react, port, self.values))
 
     def lose_sight(self) -> None:
         """Be blind: whatever it moves, or bars, is safe until it sees again."""
@@ -256,29 +242,24 @@ class _Task:
     def wake(self, **readings: "Any") -> None:
         """Let what it writes or guards be looked at closely."""
         for port in self.ports.values():
-            port.output.steady, port.time = None, -1
+            port.output.steady = None
+            port.time = -1
             if hasattr(port, "latch"):
                 port.output.news = True
 
-    def share(self, command: "Any", now: int) -> None:
-        """Ask for what a reaction has decided for each of its ports."""
-        if command is None:
-            command = _NOTHING
-        for key in command:
+    def ask(self, said: "Any", now: int) -> None:
+        """Ask for what a reaction has said for each of its ports, as one port does."""
+        for key in said or ():
             self.ports[key]  # it raises for what is none of its ports
-        for key in self.ports:
-            self.ports[key].ask(command.get(key), now)
+        for key in self.ports:  # without `items`: those are made each time
+            self.ports[key].ask(None if said is None else said.get(key), now)
 
 
 class _Port:
-    """What one reaction may do with one actuator, and what it has asked for.
+    """What one reaction may do with one actuator, and what it has asked for, and when.
 
-    Attributes:
-        time: When it has asked for its command.
-        said: What it has asked for, as it has said it.
-        command: The same as it may be sent: it was checked, and cannot change.
-        bar: Whom it keeps away while its reaction is blind: that priority, and less.
-        latch: As a guard: whether it lets nothing pass after it has stopped all.
+    It asked for ``said``; ``command`` is that as it may be sent. While its reaction is
+    blind it keeps away the priority ``bar``, and less.
     """
 
     time: int
@@ -295,15 +276,15 @@ class _Port:
             self.bar = need.priority if need.blind == "safe" else _ENDLESS[0]
             beside = output.ports
         beside.append(self)
-        beside.sort(key=_rank)
+        beside.sort(key=lambda port: (-port.priority, port.task.name))
 
     def ask(self, said: "Any", now: int) -> None:
         """Ask for a command; None gives the actuator back. Raise for a bad one."""
         if said is None:
             if self.output.holder is self:
-                self.output.holder = self.output.steady = None
+                self.output.holder = None
         elif type(said) is dict:
-            self.task.share(said, now)
+            self.task.ask(said, now)
         else:
             self.command = self.output.checked(said)
             self.said, self.time = said, now
@@ -311,11 +292,10 @@ class _Port:
     def passes(self, command: "Any") -> "Any":
         """Return what a guard lets pass of a command: None, or never more than it."""
         task, output = self.task, self.output
-        reaction, now = task.reaction, output.loop.now_ms
-        passed = None
+        reaction, now, passed = task.reaction, output.loop.now_ms, None
+        if self.latched:
+            return None
         try:
-            if self.latched:
-                return None
             if not task.blind:
                 if reaction.now_ms < 0:
                     reaction.now_ms = now
@@ -325,39 +305,28 @@ class _Port:
                 passed = reaction.react(**task.values)
             elif not self.latch:
                 passed = reaction.blind(command)
-            if passed is None:
-                self.latched = self.latch and not (task.blind and output.writer is None)
-            elif passed is not command:
+            if passed is not None and passed is not command:
                 passed = output.checked(passed)
                 if passed != _less(passed, command, output.safe):
                     raise ValueError("too much", passed)
-            return passed
         except Exception as error:
             output.loop.note(task.name, error)
+            passed = None
+        if passed is None:
+            self.latched = self.latch and not (task.blind and output.writer is None)
+        return passed
 
 
 class _Output:
-    """An actuator, and whose will it does.
+    """An actuator, and whose will it does."""
 
-    Attributes:
-        steady: Its only port, if that moves it and nothing can be in its way.
-        last: What was sent last; None if that was the safe command.
-        limits: Of each limited field, or of the whole: its least and greatest value.
-        ports: Of the highest priority first, as the guards.
-        holder: The port that keeps lower priorities away.
-        writer: The port whose command stands; None if it is safe.
-        written: When that command was sent.
-        news: Whether a guard sees something new.
-        bad: Whether it has not taken its safe command.
-    """
-
-    steady: "Any"
-    last: "Any"
-    writer: "Any"
-    bad: bool
-    holder: "Any" = None
-    written = 0
-    news = False
+    writer: "Any"  # the port whose command stands; None if it is safe
+    last: "Any"  # that command
+    since = 0  # when it was sent
+    holder: "Any" = None  # the port that keeps lower priorities away
+    steady: "Any"  # the writer, if nothing can be in its way
+    bad: bool  # it has not taken its safe command
+    news = False  # a guard sees something new
 
     def __init__(self, loop: "Any", part: "Any") -> None:
         self.loop, self.name, self.send = loop, part.name, part.write
@@ -367,19 +336,13 @@ class _Output:
         self.limits = limits if isinstance(limits, dict) else {"": limits}
         self.ports: "Any" = []
         self.guards: "Any" = []
-        self.single: "Any" = None if isinstance(part.safe, tuple) else [0]
 
     def checked(self, command: "Any") -> "Any":
         """Return a command of somebody as it may be sent; raise if it is a fault."""
         # With one more name, or a `try`, its frame would be taken from the heap.
         if type(command) is not self.type or self.limits:
             command = self.fitted(command)
-        parts = self.single or command or ()
-        if parts is self.single:
-            parts[0] = command
-        for each in parts:
-            if each != each or each in _ENDLESS:
-                raise ValueError("not finite", command)
+        _check(command, _ENDLESS)
         return command
 
     def fitted(self, command: "Any") -> "Any":
@@ -398,21 +361,16 @@ class _Output:
                 command = kind(low if each < low else high)
         return command
 
-    def settle(self, now: int, early: int = 0) -> None:
-        """Do the will of the best who asks, if nobody holds it against them.
-
-        Args:
-            now: The moment of this step.
-            early: By how much the moment is before it that is looked at.
-        """
+    def settle(self, now: int, late: int = 0) -> None:
+        """Do the will of the best who asks, as it is by now, or was so much before."""
         if self.bad:
-            self.make_safe()
+            self.tell()
             if self.bad:
                 return
-        loop, holder, since = self.loop, self.holder, now - early - self.written
-        best: "Any" = None
+        loop, holder, age = self.loop, self.holder, now - late - self.since
+        self.steady = best = None
         bar = _ENDLESS[not loop.armed]
-        over = holder is None or since >= holder.hold
+        over = not holder or age >= holder.hold
         for port in self.ports:
             if port.task.blind:
                 bar = max(bar, port.bar)
@@ -421,74 +379,69 @@ class _Output:
                 if port is holder:
                     holder = None
             elif port.time == now and (
-                best is None
+                not best
                 or (port is holder and not over and port.priority == best.priority)
             ):
                 best = port
-        lost = holder is None or since > holder.hold or holder.priority <= bar
-        if lost and bar > _ENDLESS[0] and self.writer is not None:
+        lost = not holder or age > holder.hold or holder.priority <= bar
+        if lost and bar > _ENDLESS[0] and self.writer:
             holder = self.writer = None
         if over:
             holder = None
-        elif holder is not None and best is not holder:
+        elif holder and best is not holder:
             bar = max(bar, holder.priority)
         self.holder = holder
-        if holder is None:
-            self.steady = None
-        if best is not None and best.priority > bar:
-            self.holder, self.written, since = best, now, 0
-            self.steady = None if self.guards else best
-            self.review(best)
+        if best and best.priority > bar:
+            self.holder, self.since, age = best, now, 0
+            if not self.guards:
+                self.steady = best
         else:
             loop.refused += best is not None
-            if self.news:
-                self.review()
-        if self.last is not None and (self.writer is None or since >= self.timeout):
-            self.make_safe()
+            best = None
+        if best or self.news:
+            self.review(best)
+        if self.last is not None and (not self.writer or age >= self.timeout):
+            self.tell()
 
-    def review(self, best: "Any" = None) -> None:
+    def review(self, port: "Any") -> None:
         """Send what the guards let pass: of a new command, or less of what stands."""
         self.news = False
-        port = self.writer if best is None else best
-        if port is None:
+        writer = port or self.writer
+        if not writer:
             return
-        command = port.command
+        command = writer.command
         for guard in self.guards:
             if command is not None:
                 command = guard.passes(command)
         if command is None:
-            self.loop.refused += best is not None
+            self.loop.refused += port is not None
             self.writer = None
             return
-        if best is None:
+        if not port:
             command = _less(command, self.last, self.safe)
             if command == self.last:
                 return
-        self.tell(command, port)
+        self.tell(command, writer)
 
-    def make_safe(self) -> None:
-        """Send the safe command."""
-        self.steady = None
-        self.tell(self.safe)
-
-    def tell(self, command: "Any", writer: "Any" = None) -> None:
-        """Send a command of somebody, or the safe one."""
+    def tell(self, command: "Any" = None, writer: "Any" = None) -> None:
+        """Send a command of somebody, or the safe one if it is nobody's."""
         # Safe is tried again at each step, and no other command goes before it.
-        self.writer, self.bad = writer, writer is None
-        self.last = None if self.bad else command
+        self.writer, self.last, self.bad = writer, command, not writer
+        if self.bad:
+            self.steady, command = None, self.safe
         try:
             self.send(command)
             self.bad = False
         except Exception as error:
             self.loop.note(self.name, error)
-            if writer is not None:
+            if not self.bad:
                 self.holder = None
-                self.make_safe()
+                self.tell()
 
     def close(self) -> None:
         """Send the safe command, unless it has taken it already."""
         if self.bad:
-            self.make_safe()
+            self.tell()
 
 
 class Loop:
@@ -519,6 +472,10 @@ class Loop:
             what is wrong.
     """
 
+    now_ms = steps = late = refused = faults = silent = 0
+    fault: "Any" = None
+    _turns: "Any" = None
+
     def __init__(
         self,
         reactions: "Iterable[Any]" = (),
@@ -527,29 +484,25 @@ class Loop:
         rate: float = 50,
         armed: bool = True,
     ) -> None:
-        self.now_ms = self.steps = self.late = self.refused = self.faults = 0
-        self.fault: "Any" = None
         self.armed = armed
         self.inputs: "Any" = {}
         self.outputs: "Any" = {}
-        self._debt, self._said = 0, -1000
         self.every = _ms(rate)  # steps in 1000 s
-        self._turns: "Any" = None
         self._paced: "Any" = []
         self._parts: "Any" = []
         self.tasks: "Any" = []
         for part in sensors:
-            self._take(part, self.inputs, _Input)
+            self.inputs[self._named(part)] = _Input(self, part)
         for part in actuators:
-            self._take(part, self.outputs, _Output)
+            self.outputs[self._named(part)] = _Output(self, part)
         for reaction in reactions:
             give_name(reaction)
             _Task(self, reaction)
 
-    def _take(self, part: "Any", nodes: "Any", kind: "Any") -> None:
-        nodes[give_name(part)] = kind(self, part)
-        if isinstance(part, _Part):
+    def _named(self, part: "Any") -> str:
+        if isinstance(part, _Part):  # one of STD opens elsewhere
             self._parts.append(part)
+        return give_name(part)
 
     def pace(self, part: "Any", rate: "float | None") -> None:
         """Give a sensor or a reaction its turns, if it is slower than the loop."""
@@ -572,7 +525,7 @@ class Loop:
         """Make a step each time: a generator has at hand what it works with."""
         paced, every = self._paced, self.every
         gap, odd = divmod(1000000, every)
-        inputs, outputs = list(self.inputs.values()), list(self.outputs.values())
+        inputs, outputs = self.inputs.values(), self.outputs.values()
         odd += len(paced)
         dark: "Any" = []  # who is blind, or will be before the next step
         while True:
@@ -580,18 +533,17 @@ class Loop:
             for node in paced:
                 node.due = node.phase >= every
                 node.phase %= every
-            if dark:  # as it was since the last step, before anybody sees again
-                for node in dark:  # reactions, then guards
-                    node.lose_sight()
-                    for port in node.ports.values():
-                        port.output.settle(now, 1)
-                dark.clear()
+            while dark:  # as it was since the last step, before anybody sees again
+                node = dark.pop(0)  # reactions, then guards
+                node.lose_sight()
+                for port in node.ports.values():
+                    port.output.settle(now, 1)
             for node in inputs:
                 if node.due:
                     try:
                         value = node.read()
-                        if value is not node.known:
-                            node.known = _known(value)
+                        if value is not node.last:
+                            node.last = _check(value)
                         node.value, node.time = value, now
                     except Exception as error:
                         self.note(node.name, error)
@@ -602,20 +554,20 @@ class Loop:
                     if source.time == now:
                         if news is None:
                             news = True
-                    elif now - source.time > age:
-                        if not optional:
-                            node.lose_sight()
-                            dark.append(node)
-                            break
-                        value = None
-                        if news is None and values[key] is not None:
-                            news = True
-                    elif now - source.time > age - gap and not optional:
+                    elif optional:
+                        if now - source.time > age:
+                            value = None
+                            if news is None and values.get(key) is not None:
+                                news = True
+                    elif now - source.time > age - gap:
                         dark.append(node)
+                        if now - source.time > age:
+                            node.lose_sight()
+                            break
                     values[key] = value
                 else:
                     if timed is node and node.blind:
-                        node.blind, news = False, True  # a guard sees at once
+                        news = True  # a guard sees at once
                     if news:
                         try:
                             if node.blind:
@@ -625,9 +577,7 @@ class Loop:
                             timed.elapsed_ms = now - timed.now_ms
                             timed.now_ms = now
                             command = react(**values)
-                            if port is None:
-                                node.share(command, now)
-                            elif command is port.said:
+                            if command is port.said:
                                 port.time = now
                             else:
                                 port.ask(command, now)
@@ -646,14 +596,13 @@ class Loop:
                         else:
                             self.refused += 1
                 if best is node.steady:
-                    command = node.last = best.command
-                    node.written = now
+                    node.since = now
                     try:
-                        node.send(command)
+                        node.send(best.command)
                     except Exception as error:
                         self.note(node.name, error)
                         node.holder = None
-                        node.make_safe()
+                        node.tell()
                 else:
                     node.settle(now)
             self.steps += 1
@@ -667,9 +616,9 @@ class Loop:
     def skip(self, steps: int) -> None:
         """Leave out steps that come too late."""
         self.late += steps
-        self._debt += 1000000 * steps
-        self.now_ms += self._debt // self.every
-        self._debt %= self.every
+        self.phase += 1000000 * steps
+        self.now_ms += self.phase // self.every
+        self.phase %= self.every
         for node in self._paced:
             node.phase += node.pace * steps
 
@@ -693,7 +642,7 @@ class Loop:
                 left = ((begin + self.now_ms - _ticks() + _HALF) & _MASK) - _HALF
                 if left < 0:
                     self.skip(-left * self.every // 1000000)
-                elif self.steps != last:
+                else:
                     _sleep(left)
         finally:
             self.close()
@@ -703,25 +652,25 @@ class Loop:
 
         `run` does this, and the first `step`.
         """
-        self.now_ms = self._debt = 0
+        self.now_ms = self.phase = self.silent = 0
         for node in self.inputs.values():
             node.time = _NEVER
         for wired in self.tasks:
-            wired[0].reaction.now_ms = -1
-            wired[0].blind = False
-            wired[0].lose_sight()
+            task = wired[0]
+            task.reaction.now_ms = -1
+            task.blind = False
+            task.lose_sight()
         for part in self._parts:
             part.open()
         for output in self.outputs.values():
             output.holder = None
-            output.make_safe()
+            output.tell()
         self._turns = self._steps()
         self.step = self._turns.__next__  # type: ignore[method-assign]
 
     def close(self) -> None:
         """Give each actuator its safe command, three tries each, and close all."""
         if self._turns:
-            self._turns.close()
             del self.step
         self._turns = stop = None
         for output in self.outputs.values():
@@ -755,25 +704,25 @@ class Loop:
         """Count a fault, and print it: a line a second at most."""
         self.faults += 1
         self.fault = (name, fault)
-        now = _ticks()
-        if (now - self._said) & _MASK >= 1000:
-            self._said = now  # a serial line is slow
+        if self.now_ms >= self.silent:
+            self.silent = self.now_ms + 1000  # a serial line is slow
             print("esair: %s: %r, fault %d" % (name, fault, self.faults))
 
 
-def _known(reading: "Any") -> "Any":
-    """Return a finite reading, None for a row, which may change; raise for all else.
+def _check(value: "Any", endless: "Any" = ()) -> "Any":
+    """Return a finite number, None for a row, which may change; raise for what is NaN.
 
-    In a row, such as a scan, infinity stands for "nothing in reach".
+    In a row of readings, such as a scan, infinity stands for "nothing in reach".
     """
-    row = isinstance(reading, (tuple, list))
-    if row:
-        for each in reading:
-            if each != each:
-                reading = each
-    if reading != reading or reading in _ENDLESS:
-        raise ValueError("not finite", reading)
-    return None if row else reading
+    if isinstance(value, _ROWS):
+        for each in value:
+            if each != each or each in endless:
+                break
+        else:
+            return None
+    elif value == value and value not in _ENDLESS:
+        return value
+    raise ValueError("not finite", value)
 
 
 def _less(value: "Any", most: "Any", safe: "Any") -> "Any":
@@ -788,33 +737,29 @@ def _less(value: "Any", most: "Any", safe: "Any") -> "Any":
     return most
 
 
-def _rank(port: "Any") -> "Any":
-    return -port.priority, port.task.name
-
-
 def _ms(value: float) -> int:
-    return int(value * 1000 + 0.5)
+    return round(value * 1000)
 
 
-def declared(reaction: "Any") -> "Iterable[tuple[str, Any]]":
+def declared(reaction: "Any") -> "Any":
     """Return what a reaction declares to use, by attribute."""
     needs: "Any" = getattr(reaction, "needs", {})  # of STD
     for key in dir(reaction):
         need = getattr(type(reaction), key, None)
         if isinstance(need, Need):
             needs[key] = need
-    found: "Iterable[tuple[str, Any]]" = needs.items()
-    return found
+    return needs.items()
 
 
 def give_name(part: "Any") -> str:
     """Give a part the name of its class, in snake case, unless it has one; return it."""
-    if not part.name:
-        kind, found = type(part).__name__, ""
-        for before, letter, after in zip("_" + kind, kind, kind[1:] + "_"):
-            if letter.isupper() and (after.islower() or not before.isupper()):
-                found += "_"
-            found += letter.lower()
-        part.name = found.replace("__", "_").strip("_")
     name: str = part.name
+    if not name:
+        kind = type(part).__name__
+        for before, letter, after in zip("_" + kind, kind, kind[1:] + "_"):
+            first = after.islower() or not before.isupper()
+            if letter.isupper() and first and before != "_":
+                name += "_"
+            name += letter.lower()
+        part.name = name = name.strip("_")
     return name

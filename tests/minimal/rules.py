@@ -777,6 +777,18 @@ def rule_a_number_is_no_dictionary_of_commands():
         assert loop.faults == 1, (wrong, loop.fault)
 
 
+def rule_a_latching_guard_that_raises_has_stopped_all():
+    class Latches(Bumper):
+        motor = guards(float, latch=True)
+
+        def react(self, eye, motor):
+            return motor / eye
+
+    loop, motor = blind_world([1, 0, 1], [Latches("guard"), Go()], 4)
+    assert motor.told == [0.0, 1, 0.0], motor.told
+    assert loop.reset("guard")
+
+
 def rule_guards_that_lose_sight_together_latch_each():
     """As it is in STD: one after the other, in the order in which they are listed."""
 
@@ -933,8 +945,17 @@ def rule_nothing_is_allocated_in_the_steady_state():
     motors = [Quiet("left"), Quiet("right")]
     several = Loop([Both()], [Sonar(0.5)], motors, rate=50)
     nothing = told_by([-1], 1, motor=Quiet())[0]
-    for loop in (told_by([0.5], 1, motor=Quiet())[0], several, nothing):
+    other = Loop([Go()], [Turns(1)], [Switch("motor")], rate=50)
+    for loop in (told_by([0.5], 1, motor=Quiet())[0], other, several, nothing):
         allocates_nothing(loop.step)
+
+
+class Turns(Sonar):
+    name = "sonar"
+
+    def read(self):
+        self.asked = 1 - self.asked
+        return self.asked
 
 
 def allocates_nothing(step):
@@ -952,6 +973,10 @@ def allocates_nothing(step):
 class Quiet(Motor):
     def write(self, command):
         pass
+
+
+class Switch(Quiet):
+    safe = 0
 
 
 def rules():

@@ -95,7 +95,7 @@ def test_compiled_it_is_small(tmp_path) -> None:
         capture_output=True,
     )
 
-    assert compiled.stat().st_size <= 6750
+    assert compiled.stat().st_size <= 6200
 
 
 def test_nothing_is_allocated_in_the_steady_state() -> None:

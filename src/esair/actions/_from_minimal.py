@@ -24,34 +24,27 @@ class MinimalReaction(Reaction):
 
     def __init__(self, reaction: minimal.Reaction) -> None:
         reaction.name = reaction.name or snake_case(type(reaction).__name__)
-        needs = minimal.declared(reaction)
-        super().__init__(
-            name=reaction.name,
-            reads={
-                key: Reads(
-                    *(_type_of(need), need.name, need.max_age, need.configure),
+        reads: dict[str, Reads[Any]] = {}
+        writes: dict[str, Writes[Any]] = {}
+        guarded: dict[str, Need] = {}
+        for key, need in minimal.declared(reaction):
+            of = Any if need.type is None else need.type
+            about = of, need.name
+            if hasattr(need, "max_age"):
+                reads[key] = Reads(
+                    *(*about, need.max_age, need.configure),
                     every=need.every,
                     optional=need.optional,
                 )
-                for key, need in needs
-                if isinstance(need, minimal.Reads)
-            },
-            writes={
-                key: Writes(
-                    *(_type_of(need), need.name, need.priority, need.hold),
-                    need.configure,
+            elif hasattr(need, "latch"):
+                guarded[key] = Guards(*about, need.priority, need.latch, key)
+            else:
+                writes[key] = Writes(
+                    *(*about, need.priority, need.hold, need.configure),
                     blind=need.blind,
                 )
-                for key, need in needs
-                if isinstance(need, minimal.Writes)
-            },
-        )
+        super().__init__(name=reaction.name, reads=reads, writes=writes)
         self.reaction = reaction
-        guarded: dict[str, Need] = {
-            key: Guards(_type_of(need), need.name, need.priority, need.latch, key)
-            for key, need in needs
-            if isinstance(need, minimal.Guards)
-        }
         if guarded:
             self._profile = {**self._profile, **guarded}
         for name in _OF_STD:
@@ -62,10 +55,6 @@ class MinimalReaction(Reaction):
             self.react = reaction.react  # type: ignore[method-assign]
         if type(reaction).blind is not minimal.Reaction.blind:
             self.blind = reaction.blind  # type: ignore[method-assign]
-
-
-def _type_of(need: minimal.Need) -> Any:
-    return Any if need.type is None else need.type
 
 
 @overload

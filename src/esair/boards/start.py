@@ -116,7 +116,7 @@ class Start:
                     part.open()
                     self.repaired += 1
                     if part.name in self.loop.outputs:
-                        self.loop.outputs[part.name].make_safe()
+                        self.loop.outputs[part.name].tell()
                     print("esair: %s: set up again" % part.name)
             except Exception as error:
                 self.loop.note(part.name, error)
