@@ -15,6 +15,7 @@ import pytest
 from tests.torture.generated import maker
 
 import esair
+from esair.actions import ReactionRunner
 from esair.connections import ActuatorChannel
 from esair.testing import VirtualLoop
 from esair.torture import Outcome, Step, Story, Target, World, torture
@@ -289,6 +290,20 @@ def test_a_core_that_breaks_its_promise_is_seen(
     """Without the dead man, the halt, or the holds of those that cannot see."""
     monkeypatch.setattr(ActuatorChannel, broken, lambda *_args, **_options: None)
     assert (rule, "wheels") in told_to(Drive, Stop, steps=steps).keys
+
+
+def test_who_drives_on_a_bad_command_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reaction that goes mad is blind; without the hold the one below it drives."""
+
+    class Turn(Stop):
+        def react(self, sonar: float) -> float | None:
+            return -0.1 if self.now_ms % 1000 < 400 else None
+
+    steps = (Step(1.0, "mad", "turn", lasts=1.0, how="nan"),)
+    monkeypatch.setattr(ReactionRunner, "flawed", lambda *_: None)
+    assert ("blind", "wheels") in told_to(Drive, Turn, steps=steps).keys
+    monkeypatch.undo()
+    assert told_to(Drive, Turn, steps=steps).violations == ()
 
 
 @pytest.mark.parametrize(

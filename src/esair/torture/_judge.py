@@ -152,8 +152,8 @@ class Judge:
         if world.now - world.jumped(muted) < muted:
             return
         lever = world.levers.get(id(action))
-        if lever is not None and lever.crashed:
-            text = f"{what}{more} while {action.name} had crashed and not decided anew"
+        if lever is not None and lever.undecided:
+            text = f"{what}{more} while {action.name} had not decided anew"
             self._blind(gate, action, text)
             return
         for need in action.needs.values():

@@ -12,7 +12,7 @@ from typing import Any
 from esair.actions import Reaction
 from esair.loop import portal
 from esair.torture._gate import ERRORS
-from esair.torture._values import has_number, wrong
+from esair.torture._values import has_number, is_good, wrong
 
 
 class Lever:
@@ -24,7 +24,7 @@ class Lever:
         self.hangs = self.mad = self.slow = -1.0
         # Deaf: it does not hear its cancellation meanwhile, as no thread does
         self.deaf = self.was_deaf = False
-        self.crashed = False  # Whether the last step of a reaction has raised
+        self.undecided = False  # Whether the last step of a reaction gave nothing good
         self.how = "nan"
         self.seconds = 0.0
         self._loop = loop
@@ -63,13 +63,13 @@ class Lever:
             now = self._loop.time()
             if now < self.slow:
                 self._loop.advance(self.seconds)
-            self.crashed = True
+            self.undecided = True
             if error is not None:
                 raise ERRORS[error]()
             command = react(*args, **readings)
-            self.crashed = False
             if now < self.mad and command is not None and has_number(command):
-                return wrong(command, self.how)
+                command = wrong(command, self.how)
+            self.undecided = not is_good(command)
             return command
 
         return step
