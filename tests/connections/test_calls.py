@@ -12,6 +12,7 @@ import pytest
 
 import esair
 from esair import ResourceState
+from esair.connections._calls import ABANDONED_LIMIT
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -455,3 +456,81 @@ async def test_a_motion_that_a_thread_lands_late_is_followed_by_safe() -> None:
     assert 1.0 in landed
     assert landed[-1] == 0.0
     assert robot.stopped[0].answered
+
+
+@pytest.mark.promise("CALL-1")
+async def test_calls_that_never_end_are_bounded() -> None:
+    """An opening that swallows its end is not begun for ever, one beside the other."""
+
+    class Deaf(esair.Sensor[float]):
+        deadline = 0.05
+        restart = esair.Restart(max=10_000, within=1e9, delay=0.1, max_delay=0.1)
+        begun = 0
+
+        async def open(self) -> None:
+            self.begun += 1
+            for _ in range(10_000):
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(1e6)
+
+        async def read(self) -> float:
+            return 1.0
+
+    deaf = Deaf()
+    async with esair.Robot(resources=[deaf]) as robot:
+        await asyncio.sleep(600.0)
+        assert 1 < deaf.begun <= ABANDONED_LIMIT + 1
+        status = robot.resources.query("deaf")
+        assert "calls have not ended" in str(status.error)
+
+
+@pytest.mark.promise("RES-1")
+@pytest.mark.real_clock
+async def test_a_computer_without_another_thread_is_told_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nothing of such a call is left; with a thread again the device is there."""
+    start, refused = threading.Thread.start, list[str]()
+
+    def none_left(thread: threading.Thread) -> None:
+        if thread.name == "esair-sonar" and not refused:
+            refused.append(thread.name)
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    class Sonar(esair.Sensor[float]):
+        def open(self) -> None: ...
+
+        def read(self) -> float:
+            return 1.0
+
+    monkeypatch.setattr(threading.Thread, "start", none_left)
+    user: Any = esair.Behavior(name="user", reads={"sonar": esair.reads(float)})
+    async with esair.Robot(resources=[Sonar()], behaviors=[user]) as robot:
+        assert refused
+        for _ in range(1000):
+            if robot.resources.query("sonar").state is ResourceState.READY:
+                break
+            await asyncio.sleep(0.01)
+        assert await user.sonar.read() == 1.0
+        assert not robot.sensors.channels["sonar"].calls.alive
+
+
+@pytest.mark.promise("RES-1")
+async def test_tools_see_whose_driver_runs(user_of: Any) -> None:
+    """In its first step and afterwards."""
+    names: list[str] = []
+
+    class Sonar(esair.Sensor[float]):
+        async def read(self) -> float:
+            task = asyncio.current_task()
+            assert task is not None
+            names.append(task.get_name())
+            await asyncio.sleep(0.01)
+            names.append(task.get_name())
+            return 1.0
+
+    user = user_of("user", sonar=esair.reads(float))
+    async with esair.Robot(resources=[Sonar()], behaviors=[user]):
+        assert await user.sonar.read() == 1.0
+    assert all("sonar" in name for name in names)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -351,6 +352,74 @@ async def test_blocking_drivers_run_on_a_thread(user_of: Any) -> None:
         await user.arm.configure(gain=3)
 
     assert threads == {"esair-sonar", "esair-arm"}
+
+
+@pytest.mark.fault("D25")
+async def test_a_stream_that_cancels_itself_is_at_fault(user_of: Any) -> None:
+    """It is asked for again, as after any other error; its loss ends it."""
+    streams: list[int] = []
+
+    class Radar(esair.Sensor[float]):
+        async def stream(self) -> AsyncIterator[float]:
+            streams.append(len(streams))
+            yield float(len(streams))
+            await asyncio.sleep(0.1)
+            if len(streams) == 1:
+                raise asyncio.CancelledError
+            await asyncio.sleep(3600.0)
+
+    radar, user = Radar(), user_of("user", radar=esair.reads(float))
+    async with esair.Robot(resources=[radar], behaviors=[user]) as robot:
+        assert await user.radar.read() == 1.0
+        await asyncio.sleep(2.0)
+        assert robot.resources.query("radar").faults == 1
+        assert await user.radar.read(max_age=60.0) == 2.0
+        radar.report_lost(esair.DeviceLostError("radar", "its plug is out"))
+        await asyncio.sleep(2.0)
+        assert await user.radar.read(max_age=60.0) == 3.0
+        assert robot.resources.query("radar").faults == 1
+
+
+@pytest.mark.promise("CALL-2")
+@pytest.mark.real_clock
+async def test_what_a_blocking_stream_gives_after_a_loss_is_not_heard(
+    user_of: Any,
+) -> None:
+    """It belongs to an opening that is over; the next one has a stream of its own."""
+    go, seen = threading.Event(), list[float]()
+
+    class Radar(esair.Sensor[float]):
+        streams = 0
+
+        def stream(self) -> Iterator[float]:
+            self.streams += 1
+            number = self.streams
+            yield float(number)
+            go.wait(30.0)
+            yield number + 0.5
+
+    radar, user = Radar(), user_of("user", radar=esair.reads(float))
+    async with esair.Robot(resources=[radar], behaviors=[user]):
+
+        async def follow() -> None:
+            while True:
+                with contextlib.suppress(esair.EsairError):
+                    async for value in user.radar:
+                        seen.append(value)
+                await asyncio.sleep(0.01)
+
+        following = asyncio.create_task(follow())
+        await asyncio.sleep(0.1)
+        radar.report_lost(esair.DeviceLostError("radar", "its plug is out"))
+        await asyncio.sleep(0.1)
+        go.set()
+        for _ in range(1000):
+            if 2.5 in seen:
+                break
+            await asyncio.sleep(0.01)
+        following.cancel()
+    assert 2.5 in seen
+    assert 1.5 not in seen
 
 
 @pytest.mark.promise("RES-1")

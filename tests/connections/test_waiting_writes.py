@@ -72,7 +72,7 @@ async def test_one_that_is_cancelled_in_its_turn_leaves_it_to_the_next(
 
 
 @pytest.mark.real_clock
-@pytest.mark.parametrize("way", ["safe", "halted"])
+@pytest.mark.parametrize("way", ["safe", "halted", "cancelled"])
 async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
     way: str, user_of: Any
 ) -> None:
@@ -111,21 +111,26 @@ async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
         await asyncio.sleep(0.05)
         writing = asyncio.create_task(user.motor.write(1.0))
         await asyncio.sleep(0.05)
-        if way == "safe":
+        if way == "cancelled":
+            writing.cancel()
+            await asyncio.wait({writing})
+        elif way == "safe":
             robot.actuators.channels["motor"].make_safe()
         else:
             robot.halt("enough")
             robot.resume()
         go.set()
-        refused = await writing
-        assert not refused
-        assert (
-            refused.rule
-            == {
-                "safe": "it was made safe before the turn of this command came",
-                "halted": "it was asked for before the robot was halted",
-            }[way]
-        )
+        if way == "cancelled":
+            with pytest.raises(asyncio.CancelledError):
+                await writing
+        else:
+            refused = await writing
+            why = {
+                "safe": "made safe before the turn",
+                "halted": "before the robot was",
+            }
+            assert not refused
+            assert why[way] in refused.rule
         await reading
         assert await user.motor.write(2.0)
     assert 1.0 not in done

@@ -176,6 +176,33 @@ async def test_samples_of_a_source_that_has_come_are_waited_for(
     assert statistics.median(reaction.ages) < 1e-6
 
 
+@pytest.mark.virtual_clock
+@pytest.mark.promise("TURN-3")
+async def test_what_a_guard_sees_is_waited_for_as_long_as_it_guards() -> None:
+    """All who have a say in one actuator decide on samples of one instant."""
+
+    class Guard(esair.Reaction):
+        other = esair.reads(float)
+        motor = esair.guards(float)
+        rate = RATE
+
+        def react(self, other: float, motor: float) -> float:
+            return motor
+
+    reaction = Ages()
+    devices = [Asked("sensor", RATE, 0.002), Asked("other", RATE, 0.01)]
+    robot = esair.Robot(
+        resources=[*devices, FakeActuator("motor", safe=0.0)],
+        behaviors=[reaction, Guard()],
+    )
+    async with robot:
+        await asyncio.sleep(1.0)
+        assert reaction.moments[-1] % 0.05 == pytest.approx(0.01)
+        await robot.behaviors.remove("guard")
+        await asyncio.sleep(1.0)
+        assert reaction.moments[-1] % 0.05 == pytest.approx(0.002)
+
+
 @pytest.mark.real_clock
 @pytest.mark.promise("TURN-3")
 @pytest.mark.parametrize("kind", [Asked, InThread])

@@ -12,7 +12,7 @@ from esair.exceptions import EsairError
 from esair.loop import Budget
 from esair.messages import Access, ResourceStatus, SupervisorPhase, Why
 from esair.plan import Finding, examine_resource, in_use, refuse
-from esair.resources import Actuator, Resource, Sensor, adapt_resource
+from esair.resources import Actuator, Resource, adapt_resource
 from esair.supervisors._resource_deployment import ResourceDeployment
 from esair.supervisors._resource_life import ResourceLife
 from esair.values import check_name, same_type
@@ -221,9 +221,8 @@ class ResourceSupervisor(abc.Supervisor):
                 added._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
             plan = self._deployment.plan_with(added, without=old)
             self._refuse(examine_resource(plan, added, instead_of=old))
-            keep = _kind(old) is _kind(added) and same_type(
-                added.value_type, old.value_type
-            )
+            same_kind = isinstance(old, Actuator) is isinstance(added, Actuator)
+            keep = same_kind and same_type(added.value_type, old.value_type)
             return self._deployment.replace(
                 name, added, keep=keep, until=until, title=title
             )
@@ -325,10 +324,6 @@ class ResourceSupervisor(abc.Supervisor):
     @staticmethod
     def _refuse(found: list[Finding]) -> None:
         refuse(found, "the resource is described wrongly")
-
-
-def _kind(resource: Resource) -> type:
-    return Actuator if isinstance(resource, Actuator) else Sensor
 
 
 def admit(
