@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, overload
 from esair import minimal
 from esair.actions._from_minimal import adapt_action
 from esair.actions._host import Host
-from esair.actions._needs import ProfiledAction
+from esair.actions._needs import ProfiledAction, Unbound, not_bound
 from esair.actions._reaction import Reaction
 from esair.actions._request import Request
 from esair.actions._supervisor import Behaviors, BlockingBehaviors
 from esair.actions._takes import Answers, Takes, declared_requests
 from esair.connections import ActuatorPort, Halting, SensorPort, Stopped
-from esair.exceptions import BadValueError, ConfigError, NotRegisteredError
+from esair.exceptions import BadValueError, ConfigError
 from esair.loop import PUT_COST, VERB_COST, Portal, portal
 from esair.messages import Access, Restart
 from esair.values import check_duration, passes_as, type_name
@@ -65,7 +65,7 @@ class Behavior(ProfiledAction):
     restart: Restart = Restart()
     """How often it is started again after a crash."""
 
-    _host: Host | None = None
+    _host = cast("Host", Unbound())
 
     if TYPE_CHECKING:
 
@@ -110,8 +110,6 @@ class Behavior(ProfiledAction):
             BusyError: Too many requests wait.
         """
         host = self._host
-        if host is None:
-            raise self._alone()
         budget = host.budget
         budget.left -= PUT_COST
         if budget.left < 0:
@@ -147,8 +145,6 @@ class Behavior(ProfiledAction):
             BusyError: Too many requests wait.
         """
         host = self._host
-        if host is None:
-            raise self._alone()
         budget = host.budget
         budget.left -= PUT_COST
         if budget.left < 0:
@@ -193,8 +189,6 @@ class Behavior(ProfiledAction):
             StoppingError: The robot is stopping.
         """
         host = self._host
-        if host is None:
-            raise self._alone()
         return await host.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
 
     @overload
@@ -259,8 +253,6 @@ class Behavior(ProfiledAction):
             BusyError: The outbox is full, and its policy is ``"reject"``.
         """
         host = self._host
-        if host is None:
-            raise self._alone()
         host.offer(data, latest)
 
     async def perform(
@@ -292,8 +284,6 @@ class Behavior(ProfiledAction):
             Exception: What the reaction raised.
         """
         host = self._host
-        if host is None:
-            raise self._alone()
         budget = host.budget
         budget.left -= VERB_COST
         if budget.left < 0:
@@ -377,8 +367,6 @@ class Behavior(ProfiledAction):
             ConfigError: It gives or takes something else.
         """
         host = self._host
-        if host is None:
-            raise self._alone()
         return await host.register(resource, access, as_type, priority, hold, max_age)
 
     @property
@@ -388,8 +376,6 @@ class Behavior(ProfiledAction):
         In the thread of a plain ``run`` its verbs wait.
         """
         host = self._host
-        if host is None:
-            raise self._alone()
         behaviors = Behaviors(host)
         if host.portal is None:
             return behaviors
@@ -409,8 +395,6 @@ class Behavior(ProfiledAction):
             its ``result``.
         """
         host = self._host
-        if host is None:
-            raise self._alone()
         return host.halt_robot(reason)
 
     async def stop_robot(self, reason: str) -> Stopped:
@@ -420,8 +404,6 @@ class Behavior(ProfiledAction):
             reason: Why, for `Robot.stopped` and the log.
         """
         host = self._host
-        if host is None:
-            raise self._alone()
         return await host.stop_robot(reason)
 
     @property
@@ -436,8 +418,6 @@ class Behavior(ProfiledAction):
 
     async def _take(self, timeout: float | None) -> tuple[str, Any]:
         host = self._host
-        if host is None:
-            raise self._alone()
         budget = host.budget
         budget.left -= PUT_COST
         if budget.left < 0:
@@ -452,14 +432,11 @@ class Behavior(ProfiledAction):
         told = f"expected {type_name(wanted)} from {sender}, not {data!r:.80}"
         raise BadValueError(self.name, verb, told)
 
-    def _alone(self) -> NotRegisteredError:
-        return NotRegisteredError(self.name, "robot", "it is not in a running robot")
-
 
 def portal_of(behavior: Behavior) -> Portal:
     """Return the portal through which a thread of a behavior calls."""
-    host = behavior._host  # noqa: SLF001 - the same idea, for a thread
+    host: Host | None = vars(behavior).get("_host")
     found = portal.get(None) if host is None else host.portal
     if found is None:
-        raise behavior._alone()  # noqa: SLF001 - as above
+        raise not_bound(behavior, "robot")
     return found

@@ -32,6 +32,21 @@ Blind = Literal["safe", "release"]
 """What is done with the actuator of a component that cannot see."""
 
 
+def not_bound(instance: object, resource: str) -> NotRegisteredError:
+    """Make the error for the use of what only a running robot gives."""
+    name = instance.name if isinstance(instance, abc.Component) else repr(instance)
+    return NotRegisteredError(name, resource, "it is not in a running robot")
+
+
+class Unbound:
+    """An attribute that a running robot puts into the instance."""
+
+    def __get__(self, instance: object | None, owner: type) -> Any:
+        if instance is None:
+            return self
+        raise not_bound(instance, "robot")
+
+
 class _Declared(Generic[T]):
     """What is declared of any device: it is named like the attribute unless said."""
 
@@ -95,7 +110,7 @@ class Reads(_Declared[T]):
         if instance is None:
             return self
         # A bound port lies in the instance and is found before this.
-        raise _not_bound(instance, self.resource)
+        raise not_bound(instance, self.resource)
 
     @property
     def provider(self) -> str:
@@ -137,7 +152,7 @@ class Writes(_Declared[T]):
     def __get__(self, instance: object | None, owner: type) -> Any:
         if instance is None:
             return self
-        raise _not_bound(instance, self.resource)
+        raise not_bound(instance, self.resource)
 
 
 @attrs.frozen
@@ -322,8 +337,3 @@ class ProfiledAction(abc.Action):
         if not isinstance(need, Writes):
             return isinstance(need, Guards)
         return (need.blind or self.blind_unless_said) == "safe"
-
-
-def _not_bound(instance: object, resource: str) -> NotRegisteredError:
-    name = instance.name if isinstance(instance, abc.Component) else repr(instance)
-    return NotRegisteredError(name, resource, "it is not in a running robot")

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, overload
 
 import attrs
 
-from esair import abc
+from esair.actions._needs import not_bound
 from esair.actions._request import Request, answer_type
-from esair.exceptions import ConfigError, NotRegisteredError
+from esair.exceptions import ConfigError
 from esair.loop import Portal
 from esair.values import same_type, type_name
 
@@ -134,10 +134,7 @@ class Takes(Generic[R]):
         if instance is None:
             return self
         # A bound port lies in the instance and is found before this.
-        name = instance.name if isinstance(instance, abc.Component) else repr(instance)
-        raise NotRegisteredError(
-            name, type_name(self.type), "it is not in a running robot"
-        )
+        raise not_bound(instance, type_name(self.type))
 
 
 def takes(

@@ -35,7 +35,7 @@ def in_use(component: object) -> bool:
     """Tell whether a component is deployed, in this robot or in another one."""
     if isinstance(component, Resource):
         return component._listener is not None  # noqa: SLF001 - set by a supervisor
-    return isinstance(component, Behavior) and component._host is not None  # noqa: SLF001 - set by a supervisor
+    return isinstance(component, Behavior) and "_host" in vars(component)
 
 
 def used_already(component: Component) -> Finding:

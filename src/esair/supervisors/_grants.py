@@ -198,9 +198,9 @@ def fill(
 
 def empty(behavior: Behavior | Reaction, host: Any, portal: Portal | None) -> None:
     """Take a behavior its supervisor, if it has not another one by now."""
-    if isinstance(behavior, Reaction) or behavior._host is not host:  # noqa: SLF001 - the behavior's own supervisor
+    if isinstance(behavior, Reaction) or vars(behavior).get("_host") is not host:
         return
-    behavior._host = None  # noqa: SLF001 - the behavior's own supervisor
+    del behavior._host  # noqa: SLF001 - the behavior's own supervisor
     if portal is not None:
         for method in _METHODS:
             behavior.__dict__.pop(method, None)
