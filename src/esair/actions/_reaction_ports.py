@@ -57,17 +57,14 @@ class Input:
     ) -> None:
         self.runner = runner
         self.name = name
-        self.place = place
-        """Where its value is among those of the reaction."""
+        self.place = place  # where its value is among those of the reaction
         self.channel = channel
         self.registration = registration
         self.max_age = max_age
         """The greatest age of a reading; the sensor's own limit if it is None."""
         self.optional = optional
-        self.every = every
-        """Whether each single reading has a step."""
-        self.seen = -1
-        """How many steps there were when it was fed last."""
+        self.every = every  # whether each single reading has a step
+        self.seen = -1  # how many steps there were when it was fed last
         self.ready = False
         self.stale_at = FOR_EVER
 
@@ -169,16 +166,11 @@ class Output:
         self._sight: Sight | None = None
         self.command: Any = None
         """What it decided in this turn; None to give the actuator back."""
-        self.checked: Any = None
-        """The same as it may be sent."""
-        self.decided = False
-        """It takes part in the decision of this turn."""
-        self.active = False
-        """It may hold the actuator."""
-        self.pending = False
-        """A write is on its way."""
-        self.later: Any = None
-        """The newest command, while an older one is on its way."""
+        self.checked: Any = None  # the same as it may be sent
+        self.decided = False  # it takes part in the decision of this turn
+        self.active = False  # it may hold the actuator
+        self.pending = False  # a write is on its way
+        self.later: Any = None  # the newest command, while an older one is on its way
 
     def join(self, sensors: tuple[SensorChannel, ...]) -> None:
         """Have a say in what the actuator does, by what these sensors see."""

@@ -100,8 +100,7 @@ class ReactionRunner:
         "values",
     )
 
-    input_type: ClassVar[type[Input]] = Input
-    """What each of its sensors feeds."""
+    input_type: ClassVar[type[Input]] = Input  # what each of its sensors feeds
 
     grace: ClassVar[float] = 1e-5
     """Seconds that a reading may be older than its limit: timers are a hair early."""
@@ -125,12 +124,9 @@ class ReactionRunner:
         reaction.take_clock(self._clock)
         self.every: collections.deque[tuple[int, Any]] | None = None
         """The readings that wait for a step each, of ports with ``every=True``."""
-        self.overflow = 0
-        """How many of those were dropped because too many waited."""
-        self.skipped = 0
-        """How many readings were replaced by a newer one before a step."""
-        self.blind = True
-        """Whether it has not decided since it could not."""
+        self.overflow = 0  # how many of those were dropped because too many waited
+        self.skipped = 0  # how many readings were replaced by a newer one before a step
+        self.blind = True  # whether it has not decided since it could not
         self.flaw: BadValueError | None = None
         """Why it is parked, if that is what it has decided itself."""
         self._on_sight = on_sight
@@ -139,8 +135,7 @@ class ReactionRunner:
         self._names, self._by_place = order_of(reaction)
         self.values: list[Any] = [None] * len(self._names)
         """The newest readings, in the order of the names."""
-        self.missing = 0
-        """How many sensors have no reading that may be used."""
+        self.missing = 0  # how many sensors have no reading that may be used
         self.steps = 0
         self.refused = 0
         self.rejected = 0

@@ -41,10 +41,8 @@ class Sampling:
         self._moved = moved
         self._half = 0.5 / rate
         self._deferred: Job = scheduler.on_demand(step, name=name)
-        self._awaits = 0
-        """For how many samples it waits,"""
-        self._sampled_in = 0
-        """and of which turn they are; 0 if it waits for none."""
+        self._awaits = 0  # for how many samples it waits,
+        self._sampled_in = 0  # and of which turn they are; 0 if it waits for none
         self._patience: OneShot | None = None
 
     def waits(self, now: float) -> bool:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-_EARLY = 1e-3
-"""What is lost to floating point, in milliseconds."""
+_EARLY = 1e-3  # what is lost to floating point, in milliseconds
 
 
 class StepClock:
@@ -17,8 +16,7 @@ class StepClock:
         self._began = began
         self.now: float | None = None
         """When the step began, in seconds of the loop's clock; None before the first,"""
-        self.before: float | None = None
-        """and the one before it."""
+        self.before: float | None = None  # and the one before it
         self.reaction = reaction
 
     def step(self, now: float) -> None:

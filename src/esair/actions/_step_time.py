@@ -21,10 +21,8 @@ class StepTime:
         self._reaction = reaction
         self._budget = budget
         self._clock = clock_beside(loop)
-        self.overruns = 0
-        """How many have taken longer,"""
-        self.in_row = 0
-        """and how many of them the last ones."""
+        self.overruns = 0  # how many have taken longer,
+        self.in_row = 0  # and how many of them the last ones
 
     def begin(self) -> float:
         return self._clock()

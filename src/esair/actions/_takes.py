@@ -28,8 +28,7 @@ S = TypeVar("S")
 T = TypeVar("T")
 R = TypeVar("R", bound=Request[Any])
 
-QUEUE = 16
-"""How many requests wait for a behavior unless it says otherwise."""
+QUEUE = 16  # how many requests wait for a behavior unless it says otherwise
 
 _MARK = "_esair_answers"
 

@@ -30,8 +30,7 @@ from esair.resources import HOLD, Actuator
 _EARLY = 1e-6  # timers may fire a hair early
 
 
-_SENT: Written[Any] = Written(None)
-"""The answer to who does not look at it."""
+_SENT: Written[Any] = Written(None)  # the answer to who does not look at it
 
 
 class _Sending:
@@ -96,8 +95,7 @@ class ActuatorChannel(HeldDevice):
         self.writes = 0
         self._accepts = False
         self._waiting = WaitingWrites(actuator.name, loop)
-        self.decision = Decision(self, loop)
-        """What reactions want of it in this turn."""
+        self.decision = Decision(self, loop)  # what reactions want of it in this turn
         super().__init__(actuator, terms)
 
     def attach(self, actuator: Actuator[Any]) -> None:

@@ -82,8 +82,7 @@ class ActuatorDevice(Device):
         """Until when the stop of the robot waits for the safe command."""
         self._lane: Call | None = None
         """The write that waits for the device: there is one at a time."""
-        self._busy = False
-        """A write, or the safe command, is on its way."""
+        self._busy = False  # a write, or the safe command, is on its way
         self._safe_task: asyncio.Task[bool] | None = None
         self._pulses: list[asyncio.Future[None]] = []
         self.watch: Watched | None = None
@@ -97,8 +96,7 @@ class ActuatorDevice(Device):
         """Write to this actuator from now on; it was told nothing."""
         self.actuator = actuator
         self._again = False
-        self._safe_number = 0
-        """The number of the newest call with the safe command."""
+        self._safe_number = 0  # the number of the newest call with the safe command
         self._stays = False
         """The safe command on its way is to stay, because safe is a place to go."""
         self._base: Any = None

@@ -46,29 +46,22 @@ class Call:
     """One call of a driver that waits; one that ends in its first step is over at once."""
 
     resource: str
-    kind: str
-    """What was called: read, write, safe, open, close, apply, identify, ..."""
-    opening: int
-    """The opening of the device that it belongs to."""
-    number: int
-    """Higher than that of all calls of this driver before."""
+    kind: str  # what was called: read, write, safe, open, close, apply, identify
+    opening: int  # the opening of the device that it belongs to
+    number: int  # higher than that of all calls of this driver before
     args: tuple[Any, ...]
-    begun: float
-    """When, on the loop's clock."""
+    begun: float  # when, on the loop's clock
     apply: Apply | None = None
     ended: float | None = None
     """When the driver's code has ended; None while it is alive."""
     outcome: End | None = None
     """What its caller was told; None while nobody was told anything."""
-    cancelled: bool = False
-    """Its caller has gone; what it still does is nobody's fault."""
-    owner: object = None
-    """The right by which it was begun, if it needs one."""
+    cancelled: bool = False  # its caller has gone; what it still does is nobody's fault
+    owner: object = None  # the right by which it was begun, if it needs one
     engine: Engine | None = None
     deadline: Any = None
     waiters: list[asyncio.Future[None]] = attrs.field(factory=list)
-    taped: Callable[[End], None] | None = None
-    """Keeps its end, where a run is recorded."""
+    taped: Callable[[End], None] | None = None  # keeps its end, where a run is recorded
 
     @property
     def is_abandoned(self) -> bool:

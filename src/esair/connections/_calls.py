@@ -60,10 +60,8 @@ class Calls:
         self.number = 0
         self.alive: dict[int, Call] = {}
         """The calls whose driver's code has not ended, by number."""
-        self.abandoned = 0
-        """How many calls have had their outcome before they ended."""
-        self.late = 0
-        """How many of them have ended since, without an effect."""
+        self.abandoned = 0  # how many calls have had their outcome before they ended
+        self.late = 0  # how many of them have ended since, without an effect
         self.on_late_open: Callable[[Call], None] | None = None
         """Told of an opening that has ended after it was given up."""
         self._loop = loop

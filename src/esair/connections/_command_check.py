@@ -36,8 +36,7 @@ class CommandCheck:
         self._get = (lambda command: (get(command),)) if len(self._fields) == 1 else get
         self.copies = not (_is_frozen(self.wanted) and _is_fixed(actuator.safe))
         """Whether somebody could change a command after its check."""
-        self.slews = bool(self._slew)
-        """Whether how fast a command changes is limited."""
+        self.slews = bool(self._slew)  # whether how fast a command changes is limited
         self.checked: Callable[[Any], Any] = self._quickest(actuator)
         """Return the command that may be sent.
 

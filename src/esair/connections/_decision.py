@@ -61,8 +61,7 @@ class Decision:
     def __init__(self, channel: HeldDevice, loop: asyncio.AbstractEventLoop) -> None:
         self._channel = channel
         self._scheduler = Scheduler.of(loop)
-        self.sights: list[Sight] = []
-        """What those see who have a say in it."""
+        self.sights: list[Sight] = []  # what those see who have a say in it
         self._wish: Wish | None = None
         self._others: list[Wish] = []
 

@@ -21,10 +21,8 @@ class Terms(NamedTuple):
     """What a device needs of its robot."""
 
     registrations: Registrations
-    on_error: Callable[[Exception], None]
-    """Told what its calls meet."""
-    left: set[Call]
-    """Gets each abandoned call while it is alive."""
+    on_error: Callable[[Exception], None]  # told what its calls meet
+    left: set[Call]  # gets each abandoned call while it is alive
 
 
 class Device:

@@ -8,11 +8,8 @@ import sys
 from collections.abc import Generator, Iterable
 from typing import NamedTuple, Self
 
-HALT = "halt"
-"""Who holds every actuator of a robot that is halted."""
-
-HALT_PRIORITY = sys.maxsize
-"""With which priority: nobody's is higher."""
+HALT = "halt"  # who holds every actuator of a robot that is halted
+HALT_PRIORITY = sys.maxsize  # with which priority: nobody's is higher
 
 
 class Halt(NamedTuple):

@@ -27,8 +27,7 @@ from esair.resources import Actuator
 
 _EARLY = 1e-6  # timers may fire a hair early
 
-USER = "user"
-"""Who holds an actuator that is being replaced."""
+USER = "user"  # who holds an actuator that is being replaced
 
 
 class BeingReplacedError(DeviceLostError):
@@ -56,8 +55,7 @@ class HeldDevice(ProtectedDevice):
         self.since = 0.0
         self.until = 0.0
         self.refusals = 0
-        self.timeouts = 0
-        """How often the safe command was sent because nobody wrote."""
+        self.timeouts = 0  # how often the safe command was sent because nobody wrote
         self._writer: Registration | None = None
         self._last_write = 0.0
         self._dead_man = DeadMan(asyncio.get_running_loop(), self)

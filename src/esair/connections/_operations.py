@@ -55,8 +55,7 @@ class Operating:
     limit: float
     outcome: asyncio.Future[Any]
     call: Call | None = None
-    ended_by: EsairError | None = None
-    """Why it was ended before its time."""
+    ended_by: EsairError | None = None  # why it was ended before its time
 
     def __repr__(self) -> str:
         given = ", ".join(f"{key}={value!r}" for key, value in self.parameters.items())
@@ -74,8 +73,7 @@ class Operations:
         self._time = clock_of(loop)
         self._deadlines = Deadlines.of(loop)
         self._on_error = on_error
-        self.current: Operating | None = None
-        """What waits for its turn, or runs."""
+        self.current: Operating | None = None  # what waits for its turn, or runs
 
     async def run(
         self,

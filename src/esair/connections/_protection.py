@@ -22,8 +22,7 @@ from esair.resources import HOLD
 HOLD_LIMIT = 999
 """The highest priority of a blind hold: an operator's own (1000) is above it."""
 
-UNDECIDED = "it has not decided yet"
-"""Why a component is blind that was just accepted."""
+UNDECIDED = "it has not decided yet"  # why a component is blind that was just accepted
 
 BLIND: Any = object()
 """What a guard's judge answers that finds, asked about a command, that it cannot see."""
@@ -87,18 +86,15 @@ class Protection:
         self.since = 0.0
         self.latched = ""
         self.muted_until = 0.0
-        self.muted_for = ""
-        """The user's reason, while it is muted."""
+        self.muted_for = ""  # the user's reason, while it is muted
         self.judge: Judge | None = None
         """Of a guard: what decides; None while the guard does not run."""
-        self.fallback = fallback
-        """Of a guard: what decides while it is blind."""
+        self.fallback = fallback  # of a guard: what decides while it is blind
         self.on_crash: Callable[[BaseException], None] = _ignore
         """Told, outside of the commit point, what the guard has raised."""
         self.stopping = ""
         """Why the guard has refused the last command; empty if that has passed."""
-        self.refused: Any = None
-        """The command that has latched the guard."""
+        self.refused: Any = None  # the command that has latched the guard
 
     @property
     def rule(self) -> str:
@@ -245,8 +241,7 @@ class Protections:
     def __init__(self, channels: Mapping[str, Protected]) -> None:
         self._channels = channels
         self._entries: dict[str, list[Protection]] = {}
-        self._ends: list[OneShot] = []
-        """When what is muted now is in force again."""
+        self._ends: list[OneShot] = []  # when what is muted now is in force again
 
     def __iter__(self) -> Iterator[Protection]:
         return iter([each for entries in self._entries.values() for each in entries])

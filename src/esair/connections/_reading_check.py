@@ -13,11 +13,8 @@ from esair.messages import Stamped
 from esair.resources import Sensor
 from esair.values import checked_class, once_for_class, passes_as, type_name
 
-AHEAD = 0.01
-"""How far in the future a device may say that it has measured, in seconds."""
-
-_DEPTH = 4
-"""How deeply a value is looked into."""
+AHEAD = 0.01  # how far in the future a device may say that it has measured, in seconds
+_DEPTH = 4  # how deeply a value is looked into
 
 _ATOMS = (str, bytes, bytearray, memoryview, bool, int, type(None))
 """What cannot hide a number that is not finite."""

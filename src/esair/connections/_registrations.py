@@ -10,8 +10,7 @@ from esair.exceptions import BusyError, EsairError, NotRegisteredError
 from esair.journal import Journal, Kind
 from esair.messages import Access
 
-LIMIT = 65_536
-"""How many registrations there may be at a time."""
+LIMIT = 65_536  # how many registrations there may be at a time
 
 
 class Registration:
@@ -83,8 +82,7 @@ class Registrations:
         self.journal = Journal() if journal is None else journal
         """Where the connections tell what flows."""
         self._numbers = itertools.count(1)
-        self.live: dict[int, Registration] = {}
-        """What is valid now, by number."""
+        self.live: dict[int, Registration] = {}  # what is valid now, by number
         self.halt: Halt | None = None
         """Set while the robot is halted: no command passes, whoever asks."""
 

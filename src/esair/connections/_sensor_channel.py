@@ -89,8 +89,7 @@ class SensorChannel(SensorDevice):
         """How many readings were of a wrong type, not finite, or outside the limits."""
         self.missed = 0
         """How many polls were left out because the device had not answered yet."""
-        self.dropped = 0
-        """How many readings a slow follower has not seen."""
+        self.dropped = 0  # how many readings a slow follower has not seen
         self.sequence = 0
         self._followers: tuple[Follower, ...] = ()
         self._poll: Job | None = None

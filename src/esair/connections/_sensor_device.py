@@ -41,8 +41,7 @@ class SensorDevice(Device):
 
     def __init__(self, sensor: Sensor[Any], terms: Terms) -> None:
         loop = asyncio.get_running_loop()
-        self.transactions = 0
-        """How many times the device was asked."""
+        self.transactions = 0  # how many times the device was asked
         self.awaited_in = 0
         """The turn in which it was polled, while that poll is not answered; or 0."""
         self.latency = 0.0

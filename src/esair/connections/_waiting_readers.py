@@ -10,8 +10,7 @@ from esair.exceptions import BusyError, EsairError
 from esair.loop import Deadlines
 from esair.messages import Reading
 
-WAITING_LIMIT = 1024
-"""How many readers may wait for one sensor at a time."""
+WAITING_LIMIT = 1024  # how many readers may wait for one sensor at a time
 
 Waiter = tuple[float, asyncio.Future[Reading[Any]]]
 """Of which transaction the answer must be at least, and what gets it."""
@@ -32,8 +31,7 @@ class WaitingReaders:
         self._loop = loop
         self._silent = silent
         self._deadlines = Deadlines.of(loop)
-        self.readers: list[Waiter] = []
-        """Who waits."""
+        self.readers: list[Waiter] = []  # who waits
 
     def add(self, need: float) -> Waiter:
         """Take a reader in; it gets what transaction `need` gives, or a later one."""

@@ -13,8 +13,7 @@ from esair.exceptions import BusyError
 from esair.loop import fail, has_come
 from esair.messages import Refused, Written
 
-WAITING_LIMIT = 256
-"""How many writes may wait for one actuator at a time."""
+WAITING_LIMIT = 256  # how many writes may wait for one actuator at a time
 
 Sent = Written[Any] | Refused | Awaitable[Written[Any] | Refused]
 """What comes of a write: its outcome, or what to await for it."""

@@ -13,8 +13,7 @@ from esair.connections._reading_check import fields_of
 
 _MISSING: Any = object()
 
-_WHOLE = (str, bytes, bytearray, enum.Enum, type)
-"""What is compared as a whole."""
+_WHOLE = (str, bytes, bytearray, enum.Enum, type)  # what is compared as a whole
 
 
 def is_weaker(result: Any, command: Any, safe: Any) -> bool:

@@ -15,8 +15,7 @@ SPENDABLE = 48
 WRITE_COST = 3
 """What a write costs: it takes about three times as long as a read, which costs 1."""
 
-PUT_COST = 2
-"""What handing data over costs."""
+PUT_COST = 2  # what handing data over costs
 
 VERB_COST = 16
 """What costs that changes more than that: an operation, a step, a command of the user."""

@@ -35,8 +35,7 @@ class DeadMan:
         self._all = DeadMen.of(loop)
         self.mortal = mortal
         self.armed = False
-        self.moment = 0.0
-        """When it is looked at next, if its number is not 0."""
+        self.moment = 0.0  # when it is looked at next, if its number is not 0
         self.number = 0
 
     def arm(self) -> None:

@@ -22,8 +22,7 @@ from esair.loop._timer import clock_of
 HELD_UP = 0.1
 """How much too late the loop comes to a deadline if it was held up, in seconds."""
 
-CHANCE = 0.1
-"""By how much a deadline is put off that has passed meanwhile, in seconds."""
+CHANCE = 0.1  # by how much a deadline is put off that has passed meanwhile, in seconds
 
 
 class Deadline:

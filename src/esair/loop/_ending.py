@@ -18,8 +18,7 @@ import anyio
 from esair.loop._overseer import overseer
 from esair.loop._ownership import current_owner
 
-PATIENCE = 0.25
-"""How long a loop may take to hear that it should end, in seconds."""
+PATIENCE = 0.25  # how long a loop may take to hear that it should end, in seconds
 
 KICK = 0.02
 """How often code that holds a loop which should end is interrupted, in seconds."""
@@ -70,8 +69,7 @@ class Ending:
         self._told = False
         self._kicks = 0
         self._spared_until = -math.inf
-        self.heard = False
-        """Whether the loop has heard of it."""
+        self.heard = False  # whether the loop has heard of it
 
     def start(self) -> None:
         overseer.join(self)

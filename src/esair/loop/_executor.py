@@ -240,8 +240,7 @@ class Results:
         self.loop = loop
         self.held = 0
         """How many calls it was given that have not come to its thread: see `Door`."""
-        self.is_over = False
-        """Whether the thread ends after them."""
+        self.is_over = False  # whether the thread ends after them
 
     def add(self, call: Call, result: Any, error: BaseException | None) -> None:
         """Hand over a result, from the thread."""

@@ -17,14 +17,9 @@ LOOK = 0.25
 TRIES = 20
 """How many gaps that are too short are let pass before one is used all the same."""
 
-LONG = 0.001
-"""A collection that takes longer sets aside what it has kept, in seconds."""
-
-MAX_SHARE = 0.02
-"""The greatest share of time that full collections may take."""
-
-FEW = 50_000
-"""Up to how many objects that were set aside are not worth a look."""
+LONG = 0.001  # a collection that takes longer sets aside what it has kept, in seconds
+MAX_SHARE = 0.02  # the greatest share of time that full collections may take
+FEW = 50_000  # up to how many objects that were set aside are not worth a look
 
 _NEVER = 1_000_000
 
@@ -48,14 +43,10 @@ class Collector:
         self._robots = 0
         self._before = (0, 0, 0)
         self._not_before = -math.inf
-        self._known = 0
-        """How many objects were kept when all were looked at,"""
-        self._set_aside = 0
-        """and how many were set aside since."""
-        self.collections = 0
-        """How many full collections there were."""
-        self.collected = 0
-        """How many objects they have freed."""
+        self._known = 0  # how many objects were kept when all were looked at,
+        self._set_aside = 0  # and how many were set aside since
+        self.collections = 0  # how many full collections there were
+        self.collected = 0  # how many objects they have freed
         self.longest = 0.0
         """The longest of them, in seconds, since the first robot has started."""
         self._expected = 0.0
@@ -117,8 +108,7 @@ class Collector:
             self._expected = (self._known + self._set_aside) * 1e-7
 
 
-collector = Collector()
-"""The one of this process."""
+collector = Collector()  # the one of this process
 
 
 class Gaps(OfLoop):

@@ -123,8 +123,7 @@ class LightTask(asyncio.Future[None]):
         runs.send(None)
         self.send = runs.send
         """Runs a coroutine to its end or its first wait; `ENDED` says that it ended."""
-        self.value: Any = None
-        """What the last coroutine has returned."""
+        self.value: Any = None  # what the last coroutine has returned
         # These three have the names that anyio looks at.
         self._fut_waiter: asyncio.Future[Any] | None = None
         self._must_cancel = False

@@ -11,8 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-JOIN = 1.0
-"""How long the last one who leaves waits for the thread, in seconds."""
+JOIN = 1.0  # how long the last one who leaves waits for the thread, in seconds
 
 
 class Sentinel(Protocol):
@@ -34,8 +33,7 @@ class Overseer:
         self._sentinels: tuple[Sentinel, ...] = ()
         self._thread: threading.Thread | None = None
         self._read_fd = -1
-        self.wake_fd = -1
-        """Where a byte wakes the thread; 0 means nothing but that."""
+        self.wake_fd = -1  # where a byte wakes the thread; 0 means nothing but that
         self.on_bytes: Callable[[bytes], None] = lambda _data: None
         """Called with what else was written there, in whatever thread has read it."""
 
@@ -97,5 +95,4 @@ class Overseer:
             self.drain()
 
 
-overseer = Overseer()
-"""The one of this process."""
+overseer = Overseer()  # the one of this process

@@ -37,8 +37,7 @@ class Owner:
         self._others: set[asyncio.Task[Any]] | None = None
         self.threads: tuple[threading.Thread, ...] = ()
         """The threads that run its plain functions."""
-        self.stream: Callable[[], Random] | None = None
-        """Gives its random numbers."""
+        self.stream: Callable[[], Random] | None = None  # gives its random numbers
         self.over = False
         """Its run has ended: what would not end with it speaks for nobody."""
         self.told: Sequence[asyncio.Task[Any]] = ()
@@ -66,8 +65,7 @@ _owner: contextvars.ContextVar[Owner | None] = contextvars.ContextVar(
     "esair_owner", default=None
 )
 
-_OUTSIDE = Owner()
-"""Of code in whose context nobody was ever the owner."""
+_OUTSIDE = Owner()  # of code in whose context nobody was ever the owner
 
 
 def spawn(
@@ -188,8 +186,7 @@ class _Factory:
 
     def __init__(self, before: Any) -> None:
         self.before = before
-        self.over = False
-        """It was left in the factory of a stranger: it only hands on."""
+        self.over = False  # it was left in the factory of a stranger: it only hands on
 
     def __call__(
         self,

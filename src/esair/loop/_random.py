@@ -9,8 +9,7 @@ from typing import Any
 from esair.loop._of_loop import OfLoop
 from esair.loop._ownership import Owner, current_owner
 
-_outside = random.Random()
-"""For code that belongs to no component."""
+_outside = random.Random()  # for code that belongs to no component
 
 
 class Stepping(OfLoop):

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 Step = Callable[[float], Awaitable[object] | None]
 
-SECOND = 1_000_000_000
-"""In nanoseconds."""
+SECOND = 1_000_000_000  # in nanoseconds
 
 EARLY = 1_000
 """Timers may fire a hair early; what is due so soon is due, in nanoseconds."""
@@ -30,18 +29,12 @@ REACHED = (EARLY + 2) / SECOND
 class Order(enum.IntEnum):
     """In which order the things of one instant are called."""
 
-    POLL = 0
-    """Ask a sensor."""
-    STEP = 1
-    """Decide; what was decided leaves when all have."""
-    WAKE = 2
-    """Go on with what waited for this moment."""
-    EXPIRY = 3
-    """End a call or a wait that was not over until this moment."""
-    STALE = 4
-    """See that a reading has become too old, or that a hold has ended."""
-    DEAD = 5
-    """Make an actuator safe that nobody has written until this moment."""
+    POLL = 0  # ask a sensor
+    STEP = 1  # decide; what was decided leaves when all have
+    WAKE = 2  # go on with what waited for this moment
+    EXPIRY = 3  # end a call or a wait that was not over until this moment
+    STALE = 4  # see that a reading has become too old, or that a hold has ended
+    DEAD = 5  # make an actuator safe that nobody has written until this moment
 
 
 class Callee(Protocol):
@@ -80,8 +73,7 @@ class OneShot:
     __slots__ = ("due", "function", "order")
 
     def __init__(self, due: int, order: Order, function: Step) -> None:
-        self.due = due
-        """In nanoseconds of the loop's clock."""
+        self.due = due  # in nanoseconds of the loop's clock
         self.order = order
         self.function = function
 
@@ -195,8 +187,7 @@ class RateGroup:
         self._numerator = period.numerator
         self._denominator = period.denominator
         self._phase = phase
-        self.moment = 0
-        """When those that are called now were due."""
+        self.moment = 0  # when those that are called now were due
         self._count = (after - phase) * self._denominator // self._numerator
         self.due = self._at_count()
         if self.due < after:

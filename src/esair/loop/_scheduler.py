@@ -48,11 +48,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("esair")
 
-SPREAD = 2_500_000
-"""Phases of the same period are at least this far apart, in ns."""
-
-CROWD = 32
-"""How many components share a phase before another phase is used."""
+SPREAD = 2_500_000  # phases of the same period are at least this far apart, in ns
+CROWD = 32  # how many components share a phase before another phase is used
 
 
 class Scheduler(OfLoop):
@@ -71,14 +68,12 @@ class Scheduler(OfLoop):
         self._time = clock_of(loop)
         self.suspends = SuspendWatch(loop)
         """Looked at each time the scheduler begins to turn after a sleep."""
-        self.turns = 0
-        """How many turns have begun: the number of this one."""
+        self.turns = 0  # how many turns have begun: the number of this one
         self.polled_in = 0
         """The last turn in which a sensor was asked that did not answer at once."""
         self._numbers = itertools.count()
         self._heap: list[tuple[int, int, Any, RateGroup | OneShot]] = []
-        self._cancelled = 0
-        """How many one-shots in the heap nobody wants any more."""
+        self._cancelled = 0  # how many one-shots in the heap nobody wants any more
         self._groups: dict[tuple[Order, Fraction, int], RateGroup] = {}
         self._phases = 1
         self._queue: list[Job] = []

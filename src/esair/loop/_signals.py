@@ -35,8 +35,7 @@ from esair.loop._overseer import overseer
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-LAST_WORD = 0.6
-"""How long the third signal waits at most for safe commands, in seconds."""
+LAST_WORD = 0.6  # how long the third signal waits at most for safe commands, in seconds
 
 
 class SignalWatch:
@@ -53,11 +52,9 @@ class SignalWatch:
         self.is_safe = is_safe
         self.loop: asyncio.AbstractEventLoop | None = None
         self.ending: Ending | None = None
-        self.last: Ending | None = None
-        """That of the whole process, if there is one."""
+        self.last: Ending | None = None  # that of the whole process, if there is one
         self.host: asyncio.Task[Any] | None = None
-        self.number: int | None = None
-        """The first signal that it was told of."""
+        self.number: int | None = None  # the first signal that it was told of
 
     def start(self, *, interrupts: bool) -> None:
         """Begin to watch.
@@ -244,8 +241,7 @@ class SignalDesk:
                 raise
 
 
-desk = SignalDesk()
-"""The one of this process."""
+desk = SignalDesk()  # the one of this process
 
 
 class LateSignals:

@@ -32,8 +32,7 @@ class StallWatch(OfLoop):
         self._limits: list[float] = []
         self._asked: float | None = None
         self._said = False
-        self.stalls = 0
-        """How often the loop was held too long."""
+        self.stalls = 0  # how often the loop was held too long
 
     def start(self, limit: float) -> None:
         """Watch for turns that take longer than a limit, in seconds."""

@@ -10,8 +10,7 @@ from collections.abc import Callable
 from esair.loop._door import Door
 from esair.loop._tape import TapeWriter
 
-JUMP = 0.1
-"""From how many seconds of sleep on everything that is known counts as old."""
+JUMP = 0.1  # from how many seconds of sleep on everything that is known counts as old
 
 GLANCE = 0.25
 """How often a robot looks whether the computer slept, if nothing else is due, in s."""

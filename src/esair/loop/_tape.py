@@ -18,11 +18,8 @@ from esair.exceptions import DeviceLostError
 Tag = tuple[str, ...]
 """Which call it is the end of, or who tells something: such as ``("sonar", "read")``."""
 
-PATIENCE = 10.0
-"""How long a replay waits for a thread of the robot's own, in seconds."""
-
-IMPATIENT = 0.2
-"""How long it waits for one when it has waited in vain before."""
+PATIENCE = 10.0  # how long a replay waits for a thread of the robot's own, in seconds
+IMPATIENT = 0.2  # how long it waits for one when it has waited in vain before
 
 SPOILED: Tag = ("spoiled",)
 """The tag of what makes a run one that cannot be repeated from there on."""
@@ -131,8 +128,7 @@ class Player:
     def __init__(
         self, items: Iterable[Any], over: Callable[[], object] | None = None
     ) -> None:
-        self.moments: list[float] = []
-        """When each turn began."""
+        self.moments: list[float] = []  # when each turn began
         self._arrived: collections.deque[Arrived] = collections.deque()
         self._firsts: dict[Tag, collections.deque[First]] = {}
         for item in items:

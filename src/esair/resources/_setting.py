@@ -22,8 +22,7 @@ _WORDS: Mapping[type, str] = {
     str: "a text",
 }
 
-HIDDEN = "(secret)"
-"""What is shown of the value of a secret setting."""
+HIDDEN = "(secret)"  # what is shown of the value of a secret setting
 
 
 @attrs.frozen

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
     from esair.recording import Recorder
 
-FORMAT = "1"
-"""That of the turns in a recording."""
+FORMAT = "1"  # that of the turns in a recording
 
 _log = logging.getLogger("esair")
 

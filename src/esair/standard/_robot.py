@@ -53,8 +53,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-LAST_WAIT = 2.0
-"""How long `run` may take to end beside the grace period, in seconds."""
+LAST_WAIT = 2.0  # how long `run` may take to end beside the grace period, in seconds
 
 _log = logging.getLogger("esair")
 

@@ -38,8 +38,7 @@ SETUP_TIMEOUT = 5.0
 MARGIN = 0.05
 """How long a component may take to end beside its grace period, in seconds."""
 
-ZOMBIE_LIMIT = 256
-"""How many zombies are listed."""
+ZOMBIE_LIMIT = 256  # how many zombies are listed
 
 _log = logging.getLogger("esair")
 
@@ -77,21 +76,18 @@ class BehaviorDeployment:
         self.journal = resources.journal
         self.commands = CommandQueue("behaviors", asleep=True)
         self.members: dict[str, Member] = {}
-        self.coming: list[Member] = []
-        """Those whose ``setup`` a command waits for."""
+        self.coming: list[Member] = []  # those whose ``setup`` a command waits for
         self.ending: list[Member] = []
         self.grace = grace
         self.may_begin = asyncio.Event()
         """Set when every protection that can see has decided: ``run`` may begin."""
-        self.zombies: list[Zombie] = []
-        """What would not end, the oldest first."""
+        self.zombies: list[Zombie] = []  # what would not end, the oldest first
         self.zombie_count = 0
         self.undead: set[asyncio.Task[Any]] = set()
         """Tasks of zombies: the loop itself keeps only weak references."""
         self.began = 0.0
         """When the robot has started, on the loop's clock: the zero of ``now_ms``."""
-        self.seed = 0
-        """What the random numbers of its components are made from."""
+        self.seed = 0  # what the random numbers of its components are made from
         self.context: contextvars.Context | None = None
         """The context variables of the script; those of its behaviors begin so."""
         self.verbs: Verbs | None = None

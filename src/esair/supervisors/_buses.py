@@ -13,8 +13,7 @@ from esair.loop import outside, spawn
 if TYPE_CHECKING:
     from esair.buses import Bus
 
-BUS_TIMEOUT = 2.0
-"""How long a bus may take to open or to close, in seconds."""
+BUS_TIMEOUT = 2.0  # how long a bus may take to open or to close, in seconds
 
 _log = logging.getLogger("esair")
 

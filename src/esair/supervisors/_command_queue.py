@@ -13,8 +13,7 @@ from esair.messages import SupervisorPhase
 
 T = TypeVar("T")
 
-LIMIT = 256
-"""How many commands of the user may wait at a supervisor."""
+LIMIT = 256  # how many commands of the user may wait at a supervisor
 
 
 class CommandQueue:

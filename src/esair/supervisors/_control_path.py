@@ -54,8 +54,7 @@ class ControlPath:
         self._leaving = leaving
         self._sensors = sensors
         self._actuators = actuators
-        self.closed = False
-        """The robot stops: nobody gets a right any more."""
+        self.closed = False  # the robot stops: nobody gets a right any more
 
     def grant(
         self,

@@ -44,8 +44,7 @@ class DerivedLife(ResourceLife):
         self._deployment = deployment
         self._rights: list[Registration] = []
         self._derivation: Derivation | None = None
-        self._missing: EsairError | None = None
-        """Why it has not the right sources."""
+        self._missing: EsairError | None = None  # why it has not the right sources
         self._owner = Owner()
         self._owner.stream = Stream(f"{deployment.seed}/{self.name}")
 

@@ -17,11 +17,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound=str)
 
-BEATS = 5
-"""How many beats the watchdog gets in its limit."""
-
-STARTS = 3
-"""How often a watchdog that dies is started anew in the life of a robot."""
+BEATS = 5  # how many beats the watchdog gets in its limit
+STARTS = 3  # how often a watchdog that dies is started anew in the life of a robot
 
 _log = logging.getLogger("esair")
 

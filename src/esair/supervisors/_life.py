@@ -54,8 +54,7 @@ class RestartBudget:
 
     def __init__(self, policy: Restart) -> None:
         self.policy = policy
-        self.count = 0
-        """How many restarts there were since it was full."""
+        self.count = 0  # how many restarts there were since it was full
         self._times: collections.deque[float] | None = None
 
     def fill(self) -> None:

@@ -85,18 +85,15 @@ class Mailbox:
         self.state = BehaviorState.STARTING
         self.error: BaseException | None = None
         self.inbox: list[Any] = []
-        self.origins: list[str] = []
-        """Who put what lies in the inbox."""
-        self.latest: Any = NOTHING
-        """What everybody may get again and again."""
+        self.origins: list[str] = []  # who put what lies in the inbox
+        self.latest: Any = NOTHING  # what everybody may get again and again
         self.outbox: list[Any] = []
         self.dropped = 0
         self.senders = FairQueue()
         self.askers = FairQueue()
         self.provider: asyncio.Task[Any] | None = None
         """Makes data for somebody who asks; one at a time."""
-        self.serves: Request | None = None
-        """What the provider makes data for."""
+        self.serves: Request | None = None  # what the provider makes data for
         self.asked: dict[Request | Order, None] = {}
         """The requests that it has made and that wait, the oldest first."""
         self.queues: Mapping[Any, RequestQueue] = _NO_QUEUES

@@ -39,8 +39,7 @@ from esair.values import is_positive
 if TYPE_CHECKING:
     from esair.supervisors._mailbox import Mailbox
 
-LEDGER_SIZE = 256
-"""How many outcomes the ledger remembers."""
+LEDGER_SIZE = 256  # how many outcomes the ledger remembers
 
 _DELIVERED = Outcome.DELIVERED
 

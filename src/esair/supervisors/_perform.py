@@ -99,8 +99,7 @@ class Step:
         self._blind_timer: asyncio.TimerHandle | None = None
         self._is_blind()
         self.needs = tuple(reaction.needs.values())
-        self.own: list[Registration] = []
-        """The registrations that end with it."""
+        self.own: list[Registration] = []  # the registrations that end with it
         self.uses: list[Registration] = []
         self.ended: asyncio.Future[bool] = loop.create_future()
 

@@ -14,14 +14,9 @@ from esair.exceptions import BusyError
 if TYPE_CHECKING:
     from esair.supervisors._mailbox import Mailbox
 
-REQUESTS_PER_SENDER = 16
-"""How many requests of one behavior may wait at a time."""
-
-REQUESTS_PER_TARGET = 64
-"""How many requests to one behavior may wait at a time."""
-
-REQUESTS = 4096
-"""How many requests may wait in a robot at a time."""
+REQUESTS_PER_SENDER = 16  # how many requests of one behavior may wait at a time
+REQUESTS_PER_TARGET = 64  # how many requests to one behavior may wait at a time
+REQUESTS = 4096  # how many requests may wait in a robot at a time
 
 
 class Outcome(enum.Enum):

@@ -86,8 +86,7 @@ class ResourceDeployment:
         """The driver calls that were given up, and whose code still runs."""
         self.seed = 0
         """What the random numbers of its components begin with; set by the robot."""
-        self.began = 0.0
-        """When the robot has started, in seconds of the loop's clock."""
+        self.began = 0.0  # when the robot has started, in seconds of the loop's clock
         self.watchdog: Watchdog | None = None
         """The second process that makes safe what this one cannot; the robot's."""
         self.buses: list[Bus] = []

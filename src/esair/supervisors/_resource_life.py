@@ -57,8 +57,7 @@ SET_UP_AGAIN = 0.01
 LAST_CLOSE = 0.05
 """How long a close may take at least, when nothing is left of its deadline, in s."""
 
-MAX_DELAY = 5.0
-"""The longest pause between two tries, in seconds."""
+MAX_DELAY = 5.0  # the longest pause between two tries, in seconds
 
 _log = logging.getLogger("esair")
 
@@ -88,8 +87,7 @@ class ResourceLife(Life):
         """Done when the device was tried for the first time."""
         self.configuring = asyncio.Lock()
         """Held while settings are applied: one change at a time, none in an opening."""
-        self.operations = 0
-        """How many operations wait or run."""
+        self.operations = 0  # how many operations wait or run
         self._loop = asyncio.get_running_loop()
         self._door = Door.of(self._loop)
         self._tag = (resource.name, "news")
@@ -99,8 +97,7 @@ class ResourceLife(Life):
         self._news: asyncio.Future[BaseException | None] | None = None
         self._lost: BaseException | None = None
         """A loss that was reported while the device was being opened."""
-        self._arrived = False
-        """Somebody said meanwhile that the device is there."""
+        self._arrived = False  # somebody said meanwhile that the device is there
         self._faults_in_row = 0
         self._successes = 0
         self._is_open = False

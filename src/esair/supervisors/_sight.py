@@ -30,8 +30,7 @@ class Sight:
             for need in action.needs.values()
             if action.holds_when_blind(need)
         )
-        self.reason = UNDECIDED
-        """Why it cannot decide; empty if it can."""
+        self.reason = UNDECIDED  # why it cannot decide; empty if it can
         self._decided: asyncio.Future[None] | None = None
 
     @property

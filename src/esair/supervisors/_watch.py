@@ -22,8 +22,7 @@ class Watch:
     def __init__(self, actuator: Actuator[Any], watchdog: Watchdog) -> None:
         self.actuator = actuator
         self._watchdog = watchdog
-        self.why = "it is not open"
-        """Why it is not watched; empty if it is."""
+        self.why = "it is not open"  # why it is not watched; empty if it is
 
     async def arm(self) -> None:
         """Hand its safe frames to the watchdog; returns when it has answered."""
