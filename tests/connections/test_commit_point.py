@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.connections import Registration
+from esair.connections import Registration, Terms
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -328,14 +328,13 @@ async def test_a_forged_registration_is_refused(
 
     async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
         real = user.wheels.registration
-        forged = Registration(
-            real.number, "user", "wheels", esair.Access.WRITE, 1000, None
-        )
+        terms = Terms("user", "wheels", esair.Access.WRITE, 1000)
+        forged = Registration(real.number, terms)
         tokens: tuple[Any, ...] = (forged, "user", None, 7)
         for token in tokens:
             with pytest.raises(esair.NotRegisteredError):
                 await robot.actuators.write(token, 1.0)
-        strange = Registration(99, "user", "nowhere", esair.Access.WRITE, 0, None)
+        strange = Registration(99, Terms("user", "nowhere", esair.Access.WRITE))
         with pytest.raises(esair.UnknownNameError):
             await robot.actuators.write(strange, 1.0)
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.connections import Registrations
+from esair.connections import Registrations, Terms
 from esair.exceptions import NotRegisteredError
 from esair.journal import Event, Kind
 
@@ -28,7 +28,7 @@ async def test_rights_that_come_and_go_are_told() -> None:
     registrations.journal.start(asyncio.get_running_loop())
     listener = registrations.journal.listen(heard.append)
 
-    registration = registrations.issue("drive", "wheels", WRITE)
+    registration = registrations.issue(Terms("drive", "wheels", WRITE))
     assert registrations.revoke(registration)
     assert not registrations.revoke(registration)
     await asyncio.sleep(0.01)
@@ -54,12 +54,12 @@ async def test_rights_that_come_and_go_are_told() -> None:
 async def test_a_right_is_found_by_exactly_its_terms(other: Any) -> None:
     """One that differs in one of them is another right."""
     registrations = Registrations()
-    mine = registrations.issue("drive", "wheels", WRITE, priority=1, hold=2.0)
+    mine = registrations.issue(Terms("drive", "wheels", WRITE, 1, 2.0))
 
-    assert registrations.find("drive", "wheels", WRITE, 1, 2.0) is mine
-    assert registrations.find(*other) is None
+    assert registrations.find(Terms("drive", "wheels", WRITE, 1, 2.0)) is mine
+    assert registrations.find(Terms(*other)) is None
     registrations.revoke(mine)
-    assert registrations.find("drive", "wheels", WRITE, 1, 2.0) is None
+    assert registrations.find(Terms("drive", "wheels", WRITE, 1, 2.0)) is None
 
 
 @pytest.mark.promise("RS-3")
@@ -67,8 +67,8 @@ async def test_a_right_is_found_by_exactly_its_terms(other: Any) -> None:
 async def test_a_right_is_valid_in_its_own_table_only() -> None:
     """A copy, one of another robot and one that was revoked are refused; numbers grow."""
     registrations, others = Registrations(), Registrations()
-    mine = registrations.issue("drive", "wheels", WRITE)
-    foreign = others.issue("drive", "wheels", WRITE)
+    mine = registrations.issue(Terms("drive", "wheels", WRITE))
+    foreign = others.issue(Terms("drive", "wheels", WRITE))
     registrations.check(mine)
 
     for wrong in (foreign, object(), "drive"):
@@ -77,14 +77,14 @@ async def test_a_right_is_valid_in_its_own_table_only() -> None:
     registrations.revoke(mine)
     with pytest.raises(NotRegisteredError, match="was revoked"):
         registrations.check(mine)
-    assert registrations.issue("drive", "wheels", WRITE).number > mine.number
+    assert registrations.issue(Terms("drive", "wheels", WRITE)).number > mine.number
 
 
 @pytest.mark.promise("RS-3")
 async def test_a_right_to_configure_is_none_for_data() -> None:
     """The refusal says what it is for."""
     registrations = Registrations()
-    only = registrations.issue("drive", "wheels", esair.Access.CONFIGURE)
+    only = registrations.issue(Terms("drive", "wheels", esair.Access.CONFIGURE))
 
     with pytest.raises(NotRegisteredError, match="only"):
         registrations.check(only)

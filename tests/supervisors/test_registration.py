@@ -9,6 +9,7 @@ import pytest
 
 import esair
 from esair import Access, Policy
+from esair.connections import Terms
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -387,7 +388,7 @@ async def test_registrations_are_bounded(fake_sensor: Any) -> None:
     async with esair.Robot(resources=[sonar]) as robot:
         table = robot.sensors.channels["sonar"].registrations
         for _ in range(65_536):
-            table.issue("me", "sonar", Access.READ)
+            table.issue(Terms("me", "sonar", Access.READ))
         with pytest.raises(esair.BusyError, match="registrations"):
             await robot.resources.register("you", "sonar", Access.READ)
 

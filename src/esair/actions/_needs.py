@@ -52,10 +52,16 @@ class _Declared(Generic[T]):
 
     __slots__ = ()
 
+    # What one kind of declaration cannot say is as if it were not said.
     right: ClassVar[Access]
-    configure: bool
     name: str | None
     attribute: str
+    configure: bool = False
+    priority: int = 0
+    hold: float | None = None
+    max_age: float | None = None
+    optional: bool = False
+    latch: bool = False
 
     def __set_name__(self, owner: type, name: str) -> None:
         object.__setattr__(self, "attribute", name)
@@ -168,7 +174,6 @@ class Guards(_Declared[T]):
     """
 
     right: ClassVar[Access] = Access.GUARD
-    configure: ClassVar[bool] = False  # type: ignore[misc]
 
     type: Any
     name: str | None = None

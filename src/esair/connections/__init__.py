@@ -8,14 +8,14 @@ from esair.connections._calls import Calls
 from esair.connections._command_check import CommandCheck, limits_by_field, part_of
 from esair.connections._decision import Decision, Sight
 from esair.connections._derived_channel import DerivedChannel, Source
-from esair.connections._device import Terms
+from esair.connections._device import OfRobot
 from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
 from esair.connections._held_device import BeingReplacedError
 from esair.connections._port import Port
 from esair.connections._ports import ActuatorPort, SensorPort
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
-from esair.connections._registrations import Registration, Registrations
+from esair.connections._registrations import Registration, Registrations, Terms
 from esair.connections._sensor_channel import Follower, SensorChannel
 from esair.connections._sensor_connection import SensorConnection
 
@@ -41,6 +41,7 @@ __all__ = [
     "Halting",
     "LastCommand",
     "Method",
+    "OfRobot",
     "Port",
     "Protection",
     "Protections",

@@ -12,7 +12,7 @@ import attrs
 from esair.connections._call import Call, End
 from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
-from esair.connections._device import Terms
+from esair.connections._device import OfRobot
 from esair.connections._driver import Guard
 from esair.connections._held_device import BeingReplacedError, HeldDevice
 from esair.connections._registrations import Registration
@@ -90,13 +90,13 @@ class ActuatorChannel(HeldDevice):
         "writes",
     )
 
-    def __init__(self, actuator: Actuator[Any], terms: Terms) -> None:
+    def __init__(self, actuator: Actuator[Any], robot: OfRobot) -> None:
         loop = asyncio.get_running_loop()
         self.writes = 0
         self._accepts = False
         self._waiting = WaitingWrites(actuator.name, loop)
         self.decision = Decision(self, loop)  # what reactions want of it in this turn
-        super().__init__(actuator, terms)
+        super().__init__(actuator, robot)
 
     def attach(self, actuator: Actuator[Any]) -> None:
         """Write to this actuator from now on; it is not ready yet."""

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from esair.connections._applied_channel import AppliedChannel
 from esair.connections._call import Call, End
-from esair.connections._device import Device, Terms
+from esair.connections._device import Device, OfRobot
 from esair.connections._driver import Method, translate_call
 from esair.connections._halt import LastCommand
 from esair.exceptions import (
@@ -75,7 +75,7 @@ class ActuatorDevice(Device):
 
     _write: Method
 
-    def __init__(self, actuator: Actuator[Any], terms: Terms) -> None:
+    def __init__(self, actuator: Actuator[Any], robot: OfRobot) -> None:
         self.latched = False
         """Set when the robot stops: from then on only the safe command leaves."""
         self._last_moment = math.inf
@@ -90,7 +90,7 @@ class ActuatorDevice(Device):
         self.command_timeout = 0.0
         self.applied: AppliedChannel | None = None
         """Given each command that was applied, if somebody reads that."""
-        super().__init__(actuator, terms)
+        super().__init__(actuator, robot)
 
     def attach(self, actuator: Actuator[Any]) -> None:
         """Write to this actuator from now on; it was told nothing."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from esair.connections._device import Terms
+from esair.connections._device import OfRobot
 from esair.connections._registrations import Registrations
 from esair.connections._sensor_channel import SensorChannel
 from esair.messages import ResourceState
@@ -28,8 +28,8 @@ class AppliedChannel(SensorChannel):
     """Reads what an actuator has applied last; the actuator's own channel fills it."""
 
     def __init__(self, actuator: Actuator[Any], registrations: Registrations) -> None:
-        terms = Terms(registrations, lambda _error: None, set())
-        super().__init__(Applied(actuator), terms)
+        robot = OfRobot(registrations, lambda _error: None, set())
+        super().__init__(Applied(actuator), robot)
 
     def took(self, command: Any) -> None:
         """Give a command that was applied; nobody knows where it is if that is HOLD."""

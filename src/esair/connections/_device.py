@@ -17,7 +17,7 @@ from esair.messages import ResourceState
 from esair.resources import Resource
 
 
-class Terms(NamedTuple):
+class OfRobot(NamedTuple):
     """What a device needs of its robot."""
 
     registrations: Registrations
@@ -52,11 +52,11 @@ class Device:
     ready_for: Callable[[Operating], bool]
     _late: Callable[[Call], None]
 
-    def __init__(self, resource: Resource, terms: Terms) -> None:
+    def __init__(self, resource: Resource, robot: OfRobot) -> None:
         self.name = resource.name
         self.state = ResourceState.CLOSED
         self.error: EsairError | None = None
-        self.registrations, self._on_error, self._left = terms
+        self.registrations, self._on_error, self._left = robot
         self._journal = self.registrations.journal
         self._loop = loop = asyncio.get_running_loop()
         self.time = clock_of(loop)

@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from esair.connections._call import Call
-from esair.connections._device import Terms
+from esair.connections._device import OfRobot
 from esair.connections._halt import HALT, HALT_PRIORITY, Halt
 from esair.connections._operations import Operating
 from esair.connections._protected_device import ProtectedDevice
@@ -50,7 +50,7 @@ class HeldDevice(ProtectedDevice):
         "until",
     )
 
-    def __init__(self, actuator: Actuator[Any], terms: Terms) -> None:
+    def __init__(self, actuator: Actuator[Any], robot: OfRobot) -> None:
         self.holder: Registration | None = None
         self.since = 0.0
         self.until = 0.0
@@ -61,7 +61,7 @@ class HeldDevice(ProtectedDevice):
         self._dead_man = DeadMan(asyncio.get_running_loop(), self)
         self._halts = 0
         """Grows with each halt: a command from before is never sent after it."""
-        super().__init__(actuator, terms)
+        super().__init__(actuator, robot)
 
     @property
     def present_holder(self) -> Registration | None:

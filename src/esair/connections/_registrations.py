@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 from esair.connections._halt import Halt
 from esair.exceptions import BusyError, EsairError, NotRegisteredError
@@ -11,6 +12,16 @@ from esair.journal import Journal, Kind
 from esair.messages import Access
 
 LIMIT = 65_536  # how many registrations there may be at a time
+
+
+class Terms(NamedTuple):
+    """Who may do what with a resource, with which priority, and for how long at a time."""
+
+    behavior: str
+    resource: str
+    access: Access
+    priority: int = 0
+    hold: float | None = None
 
 
 class Registration:
@@ -36,25 +47,16 @@ class Registration:
     priority: int
     reason: Callable[[], EsairError] | None
     resource: str
+    terms: Terms
     usable: bool
 
-    def __init__(
-        self,
-        number: int,
-        behavior: str,
-        resource: str,
-        access: Access,
-        priority: int,
-        hold: float | None,
-    ) -> None:
+    def __init__(self, number: int, terms: Terms) -> None:
         write = super().__setattr__
+        for name, value in zip(Terms._fields, terms, strict=True):
+            write(name, value)
         write("number", number)
-        write("behavior", behavior)
-        write("resource", resource)
-        write("access", access)
-        write("priority", priority)
-        write("hold", hold)
-        write("usable", bool(access & (Access.READ | Access.WRITE)))
+        write("terms", terms)
+        write("usable", bool(terms.access & (Access.READ | Access.WRITE)))
         write("reason", None)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -92,24 +94,14 @@ class Registrations:
     def __iter__(self) -> Iterator[Registration]:
         return iter(tuple(self.live.values()))
 
-    def issue(
-        self,
-        behavior: str,
-        resource: str,
-        access: Access,
-        *,
-        priority: int = 0,
-        hold: float | None = None,
-    ) -> Registration:
+    def issue(self, terms: Terms) -> Registration:
         """Enter a new registration; the caller has checked that it is allowed."""
         if len(self.live) >= LIMIT:
             raise BusyError("resources", "number of registrations", LIMIT)
-        registration = Registration(
-            next(self._numbers), behavior, resource, access, priority, hold
-        )
+        registration = Registration(next(self._numbers), terms)
         self.live[registration.number] = registration
         if self.journal.heard:
-            self.journal.publish(Kind.REGISTERED, behavior, resource, access)
+            self.journal.publish(Kind.REGISTERED, *terms[:3])
         return registration
 
     def revoke(
@@ -120,33 +112,12 @@ class Registrations:
         del self.live[registration.number]
         registration.end(reason)
         if self.journal.heard:
-            self.journal.publish(
-                Kind.REVOKED,
-                registration.behavior,
-                registration.resource,
-                registration.access,
-            )
+            self.journal.publish(Kind.REVOKED, *registration.terms[:3])
         return True
 
-    def find(
-        self,
-        behavior: str,
-        resource: str,
-        access: Access,
-        priority: int,
-        hold: float | None,
-    ) -> Registration | None:
+    def find(self, terms: Terms) -> Registration | None:
         """Return the registration with exactly these terms, if there is one."""
-        for registration in self.live.values():
-            if (
-                registration.behavior == behavior
-                and registration.resource == resource
-                and registration.access == access
-                and registration.priority == priority
-                and registration.hold == hold
-            ):
-                return registration
-        return None
+        return next((r for r in self.live.values() if r.terms == terms), None)
 
     def of_resource(self, resource: str) -> list[Registration]:
         return [r for r in self.live.values() if r.resource == resource]

@@ -8,7 +8,7 @@ import math
 from collections.abc import Awaitable
 from typing import Any, Protocol
 
-from esair.connections._device import Terms
+from esair.connections._device import OfRobot
 from esair.connections._driver import translate_call
 from esair.connections._listening import Listening
 from esair.connections._reading_check import FrozenCheck, ReadingCheck, measured_at
@@ -83,7 +83,7 @@ class SensorChannel(SensorDevice):
         "sequence",
     )
 
-    def __init__(self, sensor: Sensor[Any], terms: Terms) -> None:
+    def __init__(self, sensor: Sensor[Any], robot: OfRobot) -> None:
         self.newest: Reading[Any] | None = None
         self.bad = 0
         """How many readings were of a wrong type, not finite, or outside the limits."""
@@ -96,7 +96,7 @@ class SensorChannel(SensorDevice):
         loop = asyncio.get_running_loop()
         self._scheduler = Scheduler.of(loop)
         self._polled_in = 0
-        super().__init__(sensor, terms)
+        super().__init__(sensor, robot)
         self._listening = Listening(self, loop, self._heard)
 
     def attach(self, sensor: Sensor[Any]) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.connections._call import Call, End
-from esair.connections._device import Device, Terms
+from esair.connections._device import Device, OfRobot
 from esair.connections._driver import Method
 from esair.connections._operations import Operating
 from esair.connections._waiting_readers import WaitingReaders
@@ -39,7 +39,7 @@ class SensorDevice(Device):
     _silent: Callable[[float], StaleReadingError]
     publish: Callable[[Any, float], None]
 
-    def __init__(self, sensor: Sensor[Any], terms: Terms) -> None:
+    def __init__(self, sensor: Sensor[Any], robot: OfRobot) -> None:
         loop = asyncio.get_running_loop()
         self.transactions = 0  # how many times the device was asked
         self.awaited_in = 0
@@ -53,7 +53,7 @@ class SensorDevice(Device):
         self._asks: asyncio.Handle | None = None
         """Asks the device in the next turn, for all who have asked in this one."""
         self._waiting = WaitingReaders(sensor.name, loop, self._silent)
-        super().__init__(sensor, terms)
+        super().__init__(sensor, robot)
 
     def attach(self, sensor: Sensor[Any]) -> None:
         self.sensor = sensor

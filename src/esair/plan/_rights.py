@@ -60,8 +60,7 @@ def denied(
     policy = plan.policy_of.get(need.provider)
     if policy is None:
         return
-    priority = 0 if isinstance(need, Reads) else need.priority
-    if refusal := denial(policy, user, need.access, priority):
+    if refusal := denial(policy, user, need.access, need.priority):
         field, error = refusal
         yield _against(policy, field, error)
     elif policy.exclusive and isinstance(need, Writes):

@@ -12,6 +12,7 @@ from esair.connections import (
     Registration,
     Registrations,
     SensorConnection,
+    Terms,
 )
 from esair.exceptions import (
     AccessDeniedError,
@@ -56,45 +57,28 @@ class ControlPath:
         self._actuators = actuators
         self.closed = False  # the robot stops: nobody gets a right any more
 
-    def grant(
-        self,
-        behavior: str,
-        resource: str,
-        access: Access,
-        *,
-        priority: int = 0,
-        hold: float | None = None,
-        instead_of: str | None = None,
-    ) -> Registration:
+    def grant(self, terms: Terms, *, instead_of: str | None = None) -> Registration:
         """Register a behavior, in one step without an await."""
-        check_name("behavior", behavior)
+        check_name("behavior", terms.behavior)
+        resource = terms.resource
         provider = self._provider(resource)
         self._check_there(resource, provider)
-        _check_terms(behavior, resource, access, priority, hold)
+        _check_terms(terms)
         self.rules.check(
-            behavior,
-            resource,
-            access,
-            priority,
+            terms,
             is_actuator=resource in self._actuators.channels,
             instead_of=instead_of,
             provider=provider,
         )
         if provider != resource:
             self._tell_applied(provider)
-        known = None
-        if instead_of is None:
-            known = self.registrations.find(behavior, resource, access, priority, hold)
-        return known or self.registrations.issue(
-            behavior, resource, access, priority=priority, hold=hold
-        )
+        known = self.registrations.find(terms) if instead_of is None else None
+        return known or self.registrations.issue(terms)
 
-    def admit(
-        self, principal: str, resource: str, access: Access, *, priority: int = 0
-    ) -> Registration:
+    def admit(self, terms: Terms) -> Registration:
         """Register somebody who is no component: people rank above the rules."""
-        self._check_there(resource, resource)
-        return self.registrations.issue(principal, resource, access, priority=priority)
+        self._check_there(terms.resource, terms.resource)
+        return self.registrations.issue(terms)
 
     def _provider(self, resource: str) -> str:
         """Return the actuator if a name is that of its last command."""
@@ -211,20 +195,14 @@ class ControlPath:
             )
 
 
-def _check_terms(
-    behavior: str, resource: str, access: Access, priority: int, hold: float | None
-) -> None:
+def _check_terms(terms: Terms) -> None:
+    behavior, resource, access, priority, hold = terms
     if not isinstance(access, Access):
-        raise ConfigError(
-            behavior, resource, f"expected an esair.Access, not {access!r:.80}"
-        )
+        told = f"expected an esair.Access, not {access!r:.80}"
+        raise ConfigError(behavior, resource, told)
     if type(priority) is not int:
-        raise ConfigError(
-            behavior,
-            f"{resource}.priority",
-            f"expected a whole number, not {priority!r:.80}",
-        )
+        told = f"expected a whole number, not {priority!r:.80}"
+        raise ConfigError(behavior, f"{resource}.priority", told)
     if hold is not None and not is_positive(hold):
-        raise ConfigError(
-            behavior, f"{resource}.hold", f"expected seconds > 0, not {hold!r:.80}"
-        )
+        told = f"expected seconds > 0, not {hold!r:.80}"
+        raise ConfigError(behavior, f"{resource}.hold", told)

@@ -7,7 +7,13 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from esair.actions import Derivation, Derived
-from esair.connections import DerivedChannel, Registration, SensorConnection, Source
+from esair.connections import (
+    DerivedChannel,
+    Registration,
+    SensorConnection,
+    Source,
+    Terms,
+)
 from esair.exceptions import DeviceLostError, EsairError
 from esair.loop import Owner, Stream
 from esair.messages import Restart
@@ -83,7 +89,9 @@ class DerivedLife(ResourceLife):
                 continue  # it gets None for it
             if misfit := unmet(plan, self._derived, attribute, need):
                 raise misfit.error()
-            right = resources.control.grant(self.name, need.resource, need.access)
+            right = resources.control.grant(
+                Terms(self.name, need.resource, need.access)
+            )
             self._rights.append(right)
             channel = resources.sensors.channel(need.resource)
             found[attribute] = Source(channel, right, need.max_age, need.optional)

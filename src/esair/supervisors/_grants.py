@@ -15,15 +15,13 @@ from esair.actions import (
     Need,
     Reaction,
     ReactionRunner,
-    Reads,
     RequestPort,
     SensorPort,
     Takes,
     ThreadBehavior,
-    Writes,
     blocking,
 )
-from esair.connections import ActuatorChannel, Registration, SensorChannel
+from esair.connections import ActuatorChannel, Registration, SensorChannel, Terms
 from esair.exceptions import EsairError, describe
 from esair.loop import Portal
 from esair.messages import Access
@@ -66,33 +64,21 @@ class Grants:
         Never one of another member with the same name, which is about to give its
         place to this one and takes its registrations along.
         """
-        terms = (resource, access, priority, hold)
+        terms = Terms(self._name, resource, access, priority, hold)
         for known in tuple(self.registrations):
-            if terms == (known.resource, known.access, known.priority, known.hold):
+            if terms == known.terms:
                 if known.usable:
                     return known
                 self.registrations.remove(known)  # void: its resource was removed
-        registration = self._crew.resources.control.grant(
-            self._name,
-            resource,
-            access,
-            priority=priority,
-            hold=hold,
-            instead_of=self._name,
-        )
+        control = self._crew.resources.control
+        registration = control.grant(terms, instead_of=self._name)
         (self.registrations if owned is None else owned).append(registration)
         return registration
 
     def of_need(
         self, need: Need, owned: list[Registration] | None = None
     ) -> Registration:
-        return self.grant(
-            need.resource,
-            need.access,
-            0 if isinstance(need, Reads) else need.priority,
-            need.hold if isinstance(need, Writes) else None,
-            owned,
-        )
+        return self.grant(need.resource, need.access, need.priority, need.hold, owned)
 
     def is_there(self, need: Need) -> bool:
         """Tell whether what an action declares was added, and not removed."""
@@ -109,7 +95,7 @@ class Grants:
         return resources.actuators.port(registration)
 
     def declare(self, attribute: str, need: Need) -> Port:
-        port = self._ports[attribute] = self.port(self.of_need(need), age_limit(need))
+        port = self._ports[attribute] = self.port(self.of_need(need), need.max_age)
         return port
 
     def revive(self, needs: Mapping[str, Need], resource: str) -> None:
@@ -141,14 +127,14 @@ def bind(
     guarded: ActuatorChannel | None = None
     uses: list[Registration] = []
     for attribute, need in reaction.needs.items():
-        if dispensable(need) and not grants.is_there(need):
+        if need.optional and not grants.is_there(need):
             continue  # it gets None for it
         registration = grants.of_need(need, owned)
-        if not dispensable(need):
+        if not need.optional:
             uses.append(registration)
         channel = grants.channel(need.resource)
         if isinstance(channel, SensorChannel):
-            limit = age_limit(need)
+            limit = need.max_age
             inputs[attribute] = (channel, registration, limit)
             reaction.__dict__[attribute] = grants.port(registration, limit)
         elif isinstance(need, Guards):
@@ -161,16 +147,6 @@ def bind(
     else:
         runner.start(inputs, outputs)
     return uses
-
-
-def dispensable(need: Need) -> bool:
-    """Tell whether a reaction decides without it as well."""
-    return isinstance(need, Reads) and need.optional
-
-
-def age_limit(need: Need) -> float | None:
-    """Return the greatest age that a port declares, in seconds; None if none."""
-    return need.max_age if isinstance(need, Reads) else None
 
 
 def fill(

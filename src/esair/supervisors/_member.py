@@ -38,7 +38,7 @@ from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._absence import absent, absent_for
 from esair.supervisors._crew import Crew
 from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
-from esair.supervisors._grants import Grants, bind, dispensable, empty, fill
+from esair.supervisors._grants import Grants, bind, empty, fill
 from esair.supervisors._life import Life, RestartBudget, safe_to_raise
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._perform import Steps, runner_for
@@ -421,7 +421,7 @@ class Member(Life, Mailbox):
         missing = [
             need.resource
             for need in reaction.needs.values()
-            if need.provider not in self.crew.resources.lives and not dispensable(need)
+            if need.provider not in self.crew.resources.lives and not need.optional
         ]
         if missing:
             self._runs(False, f"{', '.join(missing)} was removed")
@@ -438,7 +438,7 @@ class Member(Life, Mailbox):
             return  # it will be bound anew in any case
         is_gone = resource not in self.crew.resources.lives
         needs = (n for n in self.action.needs.values() if n.provider == resource)
-        if all(is_gone and dispensable(need) for need in needs):
+        if all(is_gone and need.optional for need in needs):
             return  # it does not use it, or has had None for it since it went
         misfit = self.crew.misfit(self.action, resource)
         if not isinstance(self.action, Reaction):

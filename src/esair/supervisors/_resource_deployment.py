@@ -15,10 +15,10 @@ from esair.connections import (
     Call,
     DerivedChannel,
     LastCommand,
+    OfRobot,
     Registrations,
     SensorChannel,
     SensorConnection,
-    Terms,
 )
 from esair.exceptions import (
     DeviceLostError,
@@ -150,15 +150,15 @@ class ResourceDeployment:
         if resource.bus is not None and resource.bus not in self.buses:
             self.buses.append(resource.bus)
         if channel is None:
-            terms = Terms(self.registrations, on_error, self.left)
+            robot = OfRobot(self.registrations, on_error, self.left)
             if isinstance(resource, Actuator):
-                channel = ActuatorChannel(resource, terms)
+                channel = ActuatorChannel(resource, robot)
                 self.actuators.channels[resource.name] = channel
                 self.actuators.protections.appear(resource.name)
             else:
                 assert isinstance(resource, Sensor)
                 kind = DerivedChannel if resource.is_computed else SensorChannel
-                channel = kind(resource, terms)
+                channel = kind(resource, robot)
                 self.sensors.channels[resource.name] = channel
         policy = restart if isinstance(restart, Restart) else Restart()
         life: ResourceLife

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, overload
 
 from esair import abc, minimal
-from esair.connections import Call, Registration
+from esair.connections import Call, Registration, Terms
 from esair.exceptions import EsairError
 from esair.loop import Budget
 from esair.messages import Access, ResourceStatus, SupervisorPhase, Why
@@ -260,7 +260,7 @@ class ResourceSupervisor(abc.Supervisor):
         await Budget.spend()
         user = behavior.name if isinstance(behavior, abc.Component) else behavior
         used = resource.name if isinstance(resource, abc.Component) else resource
-        return self._control.grant(user, used, access, priority=priority, hold=hold)
+        return self._control.grant(Terms(user, used, access, priority, hold))
 
     def revoke(
         self, registration: Registration, reason: Callable[[], EsairError] | None = None
@@ -336,4 +336,4 @@ def admit(
 ) -> Registration:
     """Register somebody who is no component: people rank above the rules."""
     control = resources._control  # noqa: SLF001 - not a verb of the architecture
-    return control.admit(principal, resource, access, priority=priority)
+    return control.admit(Terms(principal, resource, access, priority))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from esair.connections import Registrations
+from esair.connections import Registrations, Terms
 from esair.exceptions import AccessDeniedError
 from esair.messages import Access, Policy
 from esair.plan import denial, not_alone
@@ -31,16 +31,14 @@ class Rules:
 
     def check(
         self,
-        behavior: str,
-        resource: str,
-        access: Access,
-        priority: int,
+        terms: Terms,
         *,
         is_actuator: bool,
-        instead_of: str | None = None,
-        provider: str | None = None,
+        instead_of: str | None,
+        provider: str,
     ) -> None:
         """Pass if a behavior may have what it asks for."""
+        behavior, resource, access, priority, _ = terms
         if not access:
             raise AccessDeniedError(
                 behavior, resource, "nothing", "ask for some access"
@@ -49,7 +47,7 @@ class Rules:
         if wrong:
             kind = "an actuator is written" if is_actuator else "a sensor is read"
             raise AccessDeniedError(behavior, resource, str(wrong), kind)
-        policy = self.policies.get(provider or resource)
+        policy = self.policies.get(provider)
         if policy is None:
             allowed = self._declared(behavior, resource) | Access.READ
             if access not in allowed:

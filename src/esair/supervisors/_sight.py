@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 
-from esair.actions import Behavior, Guards, Need, Reads, Writes
+from esair.actions import Behavior, Guards, Need
 from esair.actions import ProfiledAction as Action
 from esair.connections import UNDECIDED, Protection, Protections
 from esair.exceptions import AccessDeniedError, BadValueError
@@ -121,18 +121,13 @@ class Sight:
 
 
 def _entry(action: Action, need: Need, component: str, label: str) -> Protection:
-    assert not isinstance(need, Reads)
-    if isinstance(need, Writes):
-        own = isinstance(action, Behavior)
-        return Protection(
-            component, need.resource, need.priority, label=label, is_own=own
-        )
-    assert isinstance(need, Guards)
+    guards = isinstance(need, Guards)
     return Protection(
         component,
         need.resource,
         need.priority,
         label=label,
-        guards=True,
+        guards=guards,
         latch=need.latch,
+        is_own=not guards and isinstance(action, Behavior),
     )
