@@ -32,11 +32,7 @@ class GuardRunner(ReactionRunner):
     __slots__ = ("_channel", "_port", "_protection", "_sight")
 
     def __init__(
-        self,
-        reaction: Reaction,
-        port: str,
-        protection: Protection,
-        **hooks: Any,
+        self, reaction: Reaction, port: str, protection: Protection, **hooks: Any
     ) -> None:
         super().__init__(reaction, **hooks)
         self._port = port

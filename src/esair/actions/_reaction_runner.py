@@ -16,16 +16,7 @@ from esair.actions._step_clock import StepClock
 from esair.actions._step_time import step_time
 from esair.connections import ActuatorChannel, Decision, Registration, SensorChannel
 from esair.exceptions import BadValueError, EsairError, StaleReadingError
-from esair.loop import (
-    Job,
-    OneShot,
-    Order,
-    Owner,
-    Scheduler,
-    Step,
-    Stepping,
-    clock_of,
-)
+from esair.loop import Job, OneShot, Order, Owner, Scheduler, Step, Stepping, clock_of
 
 _EARLY = 1e-6  # timers may fire a hair early
 

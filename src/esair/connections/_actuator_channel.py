@@ -17,11 +17,7 @@ from esair.connections._driver import Guard
 from esair.connections._held_device import BeingReplacedError, HeldDevice
 from esair.connections._registrations import Registration
 from esair.connections._waiting_writes import Sent, WaitingWrites
-from esair.exceptions import (
-    DeviceLostError,
-    EsairError,
-    StoppingError,
-)
+from esair.exceptions import DeviceLostError, EsairError, StoppingError
 from esair.journal import Kind
 from esair.loop import CallRefused
 from esair.messages import Answer, Refused, ResourceState, Written

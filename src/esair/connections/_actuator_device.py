@@ -14,12 +14,7 @@ from esair.connections._call import Call, End
 from esair.connections._device import Device, OfRobot
 from esair.connections._driver import Method, translate_call
 from esair.connections._halt import LastCommand
-from esair.exceptions import (
-    DeviceLostError,
-    DriverStuckError,
-    EsairError,
-    describe,
-)
+from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
 from esair.journal import Kind
 from esair.loop import REACHED, Deadlines, spawn, wake
 from esair.messages import Refused, ResourceState, Written

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import (
-    AsyncGenerator,
-    AsyncIterator,
-    Awaitable,
-    Generator,
-)
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Generator
 from typing import Any, ClassVar, Generic, TypeVar
 
 from esair.abc import Connection

@@ -22,11 +22,7 @@ from esair.exceptions import (
     StaleReadingError,
 )
 from esair.journal import Kind
-from esair.loop import (
-    Job,
-    Order,
-    Scheduler,
-)
+from esair.loop import Job, Order, Scheduler
 from esair.messages import Reading, ResourceState, Stamped, StampedReading
 from esair.resources import Sensor
 from esair.values import passes_as

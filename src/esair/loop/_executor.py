@@ -114,13 +114,7 @@ class Executor:
         future: asyncio.Future[T] = loop.create_future()
         outside = timeout == math.inf
         self.submit(
-            loop,
-            future,
-            function,
-            *args,
-            guard=guard,
-            bounded=bounded,
-            outside=outside,
+            loop, future, function, *args, guard=guard, bounded=bounded, outside=outside
         )
         if outside:
             return await future
@@ -216,10 +210,7 @@ class Executor:
         return self._jobs
 
     def _expire(
-        self,
-        future: asyncio.Future[Any],
-        function: Callable[..., Any],
-        timeout: float,
+        self, future: asyncio.Future[Any], function: Callable[..., Any], timeout: float
     ) -> None:
         if future.done():
             return

@@ -85,10 +85,7 @@ class News:
     """What is told from outside, in the loop or in a thread: kept, and told again."""
 
     def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        tag: Tag,
-        function: Callable[..., object],
+        self, loop: asyncio.AbstractEventLoop, tag: Tag, function: Callable[..., object]
     ) -> None:
         self._loop = loop
         self._door = Door.of(loop)

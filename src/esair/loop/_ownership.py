@@ -19,15 +19,7 @@ T = TypeVar("T")
 class Owner:
     """Holds every task that a component has started and that still runs."""
 
-    __slots__ = (
-        "_first",
-        "_others",
-        "context",
-        "over",
-        "stream",
-        "threads",
-        "told",
-    )
+    __slots__ = ("_first", "_others", "context", "over", "stream", "threads", "told")
 
     def __init__(self, context: contextvars.Context | None = None) -> None:
         self.context = context

@@ -25,12 +25,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
 
-from esair.loop._ending import (
-    Ending,
-    Kicks,
-    break_out,
-    leave_at_once,
-)
+from esair.loop._ending import Ending, Kicks, break_out, leave_at_once
 from esair.loop._overseer import overseer
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -315,10 +310,7 @@ class ProcessWatch:
         # Asyncio keeps its own handlers apart; without the attribute they go unseen.
         handlers = getattr(self._loop, "_signal_handlers", {})
         found: dict[str, object] = {
-            f"the handler of {number.name}": (
-                getsignal(number),
-                handlers.get(number),
-            )
+            f"the handler of {number.name}": (getsignal(number), handlers.get(number))
             for number in ENDING
         }
         found["the task factory of the event loop"] = self._loop.get_task_factory()

@@ -1,11 +1,7 @@
 """What the hardware is: sensors, actuators, and their settings."""
 
 from esair.resources._actuator import APPLIED, HOLD, Actuator
-from esair.resources._from_minimal import (
-    MinimalActuator,
-    MinimalSensor,
-    adapt_resource,
-)
+from esair.resources._from_minimal import MinimalActuator, MinimalSensor, adapt_resource
 from esair.resources._operation import (
     Operation,
     Parameter,

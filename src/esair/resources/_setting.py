@@ -79,9 +79,7 @@ class Setting:
                 value = wanted(value)
         if self.default is not None and type(value) is not wanted:
             raise BadValueError(
-                component,
-                self.name,
-                f"expected {self._in_words()}, not {value!r:.80}",
+                component, self.name, f"expected {self._in_words()}, not {value!r:.80}"
             )
         if isinstance(value, float) and not math.isfinite(value):
             raise BadValueError(

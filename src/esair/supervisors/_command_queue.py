@@ -42,11 +42,7 @@ class CommandQueue:
         return self._phase
 
     async def run(
-        self,
-        work: Callable[[], Coroutine[Any, Any, T]],
-        *,
-        name: str,
-        undo: bool,
+        self, work: Callable[[], Coroutine[Any, Any, T]], *, name: str, undo: bool
     ) -> T:
         """Do a command of the user when its turn has come."""
         await Budget.spend(VERB_COST)

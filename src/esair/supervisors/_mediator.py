@@ -433,12 +433,7 @@ class Mediator:
             fail(request.future, error)
 
     def record(
-        self,
-        kind: str,
-        sender: str,
-        receiver: str,
-        outcome: Outcome,
-        data: Any = None,
+        self, kind: str, sender: str, receiver: str, outcome: Outcome, data: Any = None
     ) -> None:
         """Write the outcome of a request into the ledger."""
         self.ledger.append((kind, sender, receiver, outcome))

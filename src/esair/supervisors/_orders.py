@@ -9,12 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import Request, taken
-from esair.exceptions import (
-    BehaviorFailedError,
-    EsairError,
-    RefusedError,
-    describe,
-)
+from esair.exceptions import BehaviorFailedError, EsairError, RefusedError, describe
 from esair.loop import wake
 from esair.supervisors._requests import Link, Outcome
 

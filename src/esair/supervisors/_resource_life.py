@@ -18,12 +18,7 @@ from esair.connections import (
     is_loss,
     translate,
 )
-from esair.exceptions import (
-    DeviceLostError,
-    DriverStuckError,
-    EsairError,
-    describe,
-)
+from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
 from esair.journal import Kind
 from esair.loop import (
     Deadline,

@@ -30,12 +30,7 @@ class Rules:
         self._declared = declared
 
     def check(
-        self,
-        terms: Terms,
-        *,
-        is_actuator: bool,
-        instead_of: str | None,
-        provider: str,
+        self, terms: Terms, *, is_actuator: bool, instead_of: str | None, provider: str
     ) -> None:
         """Pass if a behavior may have what it asks for."""
         behavior, resource, access, priority, _ = terms
