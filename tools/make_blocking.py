@@ -197,7 +197,7 @@ def method(node: ast.FunctionDef | ast.AsyncFunctionDef, cls: str) -> str:
 
 def made() -> dict[str, str]:
     """Return the text of each module, by its name."""
-    ports = [PORTS, BASE, *port_methods("_port.py", "Port")]
+    ports = [PORTS, BASE, *port_methods("_ports.py", "Port")]
     ports += [PORT.format(cls="SensorPort"), *port_methods("_ports.py", "SensorPort")]
     ports += [ITERATION, PORT.format(cls="ActuatorPort")]
     ports += port_methods("_ports.py", "ActuatorPort")

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, TypeVar
 
 import attrs
 
-from esair.actions._needs import Reads
+from esair.actions._needs import Reads, attributes_of
 from esair.actions._reaction import Reaction
 from esair.actions._reaction_ports import FOR_EVER, Input
 from esair.actions._reaction_runner import ReactionRunner
@@ -67,14 +67,11 @@ class Derived(Sensor[T]):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        found: dict[str, Reads[Any]] = {}
-        for each in reversed(cls.__mro__):
-            for attribute, value in vars(each).items():
-                if isinstance(value, Reads):
-                    found[attribute] = value
-                else:
-                    found.pop(attribute, None)
-        cls._declared = found
+        cls._declared = {
+            name: value
+            for name, value in attributes_of(cls).items()
+            if isinstance(value, Reads)
+        }
 
     @property
     def inputs(self) -> dict[str, Reads[Any]]:

@@ -38,6 +38,12 @@ def not_bound(instance: object, resource: str) -> NotRegisteredError:
     return NotRegisteredError(name, resource, "it is not in a running robot")
 
 
+def attributes_of(cls: type) -> dict[str, Any]:
+    """Return what a class says under each name, or what its bases say."""
+    classes = reversed(cls.__mro__)
+    return {name: value for each in classes for name, value in vars(each).items()}
+
+
 class Unbound:
     """An attribute that a running robot puts into the instance."""
 
@@ -86,14 +92,7 @@ class _Declared(Generic[T]):
 class Reads(_Declared[T]):
     """An action reads a sensor; in the running action it is a `SensorPort`.
 
-    Attributes:
-        type: The type of the readings.
-        name: The name of the sensor; that of the attribute unless given.
-        max_age: The greatest age of a reading, in seconds; the sensor's own limit
-            unless given.
-        configure: Whether the action may change the sensor's settings.
-        every: Whether a reaction runs on every single reading.
-        optional: Whether a reaction decides without it; it gets None then.
+    Its attributes are what `reads` takes.
     """
 
     right: ClassVar[Access] = Access.READ
@@ -128,15 +127,7 @@ class Reads(_Declared[T]):
 class Writes(_Declared[T]):
     """An action writes an actuator; in the running action it is an `ActuatorPort`.
 
-    Attributes:
-        type: The type of the commands.
-        name: The name of the actuator; that of the attribute unless given.
-        priority: Who moves the actuator if several want to; higher wins.
-        hold: For how long a write holds the actuator, in seconds; the actuator's
-            command timeout unless given.
-        configure: Whether the action may change the actuator's settings.
-        blind: What is done with the actuator while the action cannot see; None for
-            what is usual: "safe" for a reaction, "release" for a behavior.
+    Its attributes are what `writes` takes.
     """
 
     right: ClassVar[Access] = Access.WRITE
@@ -165,12 +156,7 @@ class Writes(_Declared[T]):
 class Guards(_Declared[T]):
     """A reaction guards an actuator: every command of everybody passes it.
 
-    Attributes:
-        type: The type of the commands.
-        name: The name of the actuator; that of the attribute unless given.
-        priority: Which guard is asked first if there are several; higher is earlier.
-        latch: Whether nothing passes any more, once it has stopped something, until
-            the user resets it.
+    Its attributes are what `guards` takes.
     """
 
     right: ClassVar[Access] = Access.GUARD
@@ -307,14 +293,11 @@ class ProfiledAction(abc.Action):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        found: dict[str, Need] = {}
-        for each in reversed(cls.__mro__):
-            for attribute, value in vars(each).items():
-                if isinstance(value, Reads | Writes | Guards):
-                    found[attribute] = value
-                else:
-                    found.pop(attribute, None)
-        cls._declared = found
+        cls._declared = {
+            name: value
+            for name, value in attributes_of(cls).items()
+            if isinstance(value, Reads | Writes | Guards)
+        }
 
     def __init__(
         self,

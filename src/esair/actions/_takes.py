@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, overload
 
 import attrs
 
-from esair.actions._needs import not_bound
+from esair.actions._needs import attributes_of, not_bound
 from esair.actions._request import Request, answer_type
 from esair.exceptions import ConfigError
 from esair.loop import Portal
@@ -201,14 +201,11 @@ def declared_requests(cls: type) -> Mapping[str, Takes[Any] | Answers | ConfigEr
 
 def _declared(cls: type) -> dict[str, Takes[Any] | Answers | ConfigError]:
     found: dict[str, Takes[Any] | Answers | ConfigError] = {}
-    for each in reversed(cls.__mro__):
-        for attribute, value in vars(each).items():
-            if isinstance(value, Takes):
-                found[attribute] = value
-            elif getattr(value, _MARK, False) is True and callable(value):
-                found[attribute] = _answers(cls, attribute, value)
-            else:
-                found.pop(attribute, None)
+    for attribute, value in attributes_of(cls).items():
+        if isinstance(value, Takes):
+            found[attribute] = value
+        elif getattr(value, _MARK, False) is True and callable(value):
+            found[attribute] = _answers(cls, attribute, value)
     return found
 
 

@@ -4,7 +4,6 @@ from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
 from esair.connections._applied_channel import Applied, AppliedChannel
 from esair.connections._call import Call, End
-from esair.connections._calls import Calls
 from esair.connections._command_check import CommandCheck, limits_by_field, part_of
 from esair.connections._decision import Decision, Sight
 from esair.connections._derived_channel import DerivedChannel, Source
@@ -12,8 +11,7 @@ from esair.connections._device import OfRobot
 from esair.connections._driver import Driver, Method, is_loss, translate
 from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
 from esair.connections._held_device import BeingReplacedError
-from esair.connections._port import Port
-from esair.connections._ports import ActuatorPort, SensorPort
+from esair.connections._ports import ActuatorPort, Port, SensorPort
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._registrations import Registration, Registrations, Terms
 from esair.connections._sensor_channel import Follower, SensorChannel
@@ -30,7 +28,6 @@ __all__ = [
     "AppliedChannel",
     "BeingReplacedError",
     "Call",
-    "Calls",
     "CommandCheck",
     "Decision",
     "DerivedChannel",

@@ -103,9 +103,7 @@ class CommandCheck:
         except BadValueError:
             raise
         except Exception as error:  # a command may be an object of any class
-            raise BadValueError(
-                self.name, "command", f"it cannot be checked: {describe(error)}"
-            ) from error
+            raise self._bad("", f"it cannot be checked: {describe(error)}") from error
 
     def slewed(self, command: Any, last: Any, seconds: float) -> Any:
         """Return the command, moved towards the last one if it changes too fast."""
@@ -114,21 +112,23 @@ class CommandCheck:
             try:
                 value, before = part_of(command, field), part_of(last, field)
             except (AttributeError, LookupError):
-                raise BadValueError(
-                    self.name, field, "its change is limited: each command must have it"
+                raise self._bad(
+                    field, "its change is limited: each command must have it"
                 ) from None
             step = slew * max(seconds, 0.0)
             try:
                 bounded = min(before + step, max(before - step, value))
             except TypeError:
-                raise BadValueError(
-                    self.name,
-                    field or "command",
+                raise self._bad(
+                    field,
                     f"its change is limited: expected a number, not {value!r:.80}",
                 ) from None
             if bounded != value:
                 changes[field] = bounded
         return changed(command, changes)
+
+    def _bad(self, field: str, told: str) -> BadValueError:
+        return BadValueError(self.name, field or "command", told)
 
     def _accept(self, command: Any, wanted: type) -> Any:
         if isinstance(command, wanted) and not (
@@ -137,27 +137,17 @@ class CommandCheck:
             return command
         if passes_as(command, wanted):
             return wanted(command)
-        raise BadValueError(
-            self.name, "command", f"expected {type_name(wanted)}, not {command!r:.80}"
-        )
+        raise self._bad("", f"expected {type_name(wanted)}, not {command!r:.80}")
 
     def _check_finite(self, field: str, value: Any, depth: int = 8) -> None:
         if isinstance(value, numbers.Number):
             if not (value - value == 0):  # type: ignore[operator]
-                raise BadValueError(
-                    self.name,
-                    field or "command",
-                    f"expected a finite number, not {value!r:.80}",
-                )
+                raise self._bad(field, f"expected a finite number, not {value!r:.80}")
             return
         if field in self._fields:
-            raise BadValueError(
-                self.name, field, f"expected a number, not {value!r:.80}"
-            )
+            raise self._bad(field, f"expected a number, not {value!r:.80}")
         if depth == 0:
-            raise BadValueError(
-                self.name, field or "command", "it is nested too deeply"
-            )
+            raise self._bad(field, "it is nested too deeply")
         for name, part in _parts(value):
             self._check_finite(
                 f"{field}.{name}" if field else str(name), part, depth - 1
@@ -175,11 +165,7 @@ class CommandCheck:
                     continue
                 raise
             if not self._clamp:
-                raise BadValueError(
-                    self.name,
-                    field or "command",
-                    f"expected {low:g} to {high:g}, not {value:g}",
-                )
+                raise self._bad(field, f"expected {low:g} to {high:g}, not {value:g}")
             changes[field] = min(
                 high, max(low, value)
             )  # value is finite: checked before

@@ -11,7 +11,7 @@ from esair.loop._end_of_loop import (
     threads_that_keep_the_process,
 )
 from esair.loop._ending import Ending
-from esair.loop._every import Every, every
+from esair.loop._every import every
 from esair.loop._executor import CallRefused, Executor
 from esair.loop._futures import fail, has_come, look_at, wake, wake_one
 from esair.loop._garbage import Gaps, collector
@@ -35,7 +35,7 @@ from esair.loop._ownership import (
 )
 from esair.loop._portal import Portal, portal
 from esair.loop._random import ComponentRandom, Stepping, Stream
-from esair.loop._rate_group import REACHED, DerivedJob, Job, OneShot, Order, Step
+from esair.loop._rate_group import REACHED, Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
 from esair.loop._signals import LateSignals, ProcessWatch, SignalWatch
 from esair.loop._stall import StallWatch
@@ -61,10 +61,8 @@ __all__ = [
     "DeadMan",
     "Deadline",
     "Deadlines",
-    "DerivedJob",
     "Door",
     "Ending",
-    "Every",
     "Executor",
     "First",
     "FirstSteps",

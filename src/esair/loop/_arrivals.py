@@ -6,9 +6,9 @@ import asyncio
 from types import TracebackType
 from typing import Any, TypeVar
 
-from esair.loop._contained import contained
 from esair.loop._light_task import LightTask
 from esair.loop._of_loop import OfLoop
+from esair.loop._rate_group import contained
 
 T = TypeVar("T")
 

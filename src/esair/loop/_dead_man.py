@@ -8,9 +8,8 @@ import itertools
 from collections.abc import Callable
 from typing import Protocol
 
-from esair.loop._contained import contained
 from esair.loop._of_loop import OfLoop
-from esair.loop._rate_group import REACHED, OneShot, Order
+from esair.loop._rate_group import REACHED, OneShot, Order, contained
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
 

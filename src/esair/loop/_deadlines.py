@@ -12,10 +12,9 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from esair.loop._contained import contained
 from esair.loop._futures import wake
 from esair.loop._of_loop import OfLoop
-from esair.loop._rate_group import REACHED, Order
+from esair.loop._rate_group import REACHED, Order, contained
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
 

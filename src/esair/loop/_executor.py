@@ -9,6 +9,8 @@ import threading
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
+import attrs
+
 from esair.exceptions import BusyError, DriverStuckError
 from esair.loop._arrivals import arrive
 from esair.loop._deadlines import Deadlines
@@ -35,23 +37,15 @@ class Outcome(Protocol):
         """Take what it raised."""
 
 
+@attrs.define(eq=False)
 class Call:
     """One call on an executor."""
 
-    __slots__ = ("args", "function", "future", "guard", "work")
-
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        args: tuple[Any, ...],
-        guard: Callable[[], bool] | None,
-        future: Outcome,
-    ) -> None:
-        self.function = function
-        self.args = args
-        self.guard = guard
-        self.future = future
-        self.work = 0
+    function: Callable[..., Any]
+    args: tuple[Any, ...]
+    guard: Callable[[], bool] | None
+    future: Outcome
+    work: int = 0
 
 
 class Executor:

@@ -7,6 +7,7 @@ are due at the same nanosecond, also after a month.
 
 from __future__ import annotations
 
+import asyncio
 import bisect
 import enum
 from collections.abc import Awaitable, Callable
@@ -56,6 +57,17 @@ class Queue(Protocol):
 
     def drop(self, group: RateGroup) -> None:
         """Call nothing of a group any more."""
+
+
+def contained(
+    loop: asyncio.AbstractEventLoop, function: Callable[..., object], *arguments: Any
+) -> None:
+    """Call a function; what it raises is told to the loop, as of any timer."""
+    try:
+        function(*arguments)
+    except Exception as error:
+        message = f"{function!r:.200} raised at its moment"
+        loop.call_exception_handler({"message": message, "exception": error})
 
 
 def idle(_now: float) -> None:

@@ -64,46 +64,31 @@ class Setting:
 
     def check(self, component: str, value: object) -> object:
         """Return the value in the type of the setting."""
-        if not self.secret:
-            return self._check(component, value)
-        try:
-            return self._check(component, value)
-        except BadValueError:
-            told = "its value is not allowed; it is secret and not shown"
-        raise BadValueError(component, self.name, told)
-
-    def _check(self, component: str, value: object) -> object:
         wanted = self.type
         if type(value) is not wanted and passes_as(value, wanted):
             with contextlib.suppress(OverflowError):  # refused below
                 value = wanted(value)
-        if self.default is not None and type(value) is not wanted:
-            raise BadValueError(
-                component, self.name, f"expected {self._in_words()}, not {value!r:.80}"
-            )
+        if wrong := self._wrong(value):
+            if self.secret:
+                wrong = "its value is not allowed; it is secret and not shown"
+            raise BadValueError(component, self.name, wrong)
+        return value
+
+    def _wrong(self, value: object) -> str:
+        """Say what is wrong with a value; nothing if it is allowed."""
+        if self.default is not None and type(value) is not self.type:
+            return f"expected {self._in_words()}, not {value!r:.80}"
         if isinstance(value, float) and not math.isfinite(value):
-            raise BadValueError(
-                component, self.name, f"expected a finite number, not {value}"
-            )
+            return f"expected a finite number, not {value}"
         if self.choices is not None and value not in self.choices:
             names = ", ".join(repr(choice) for choice in self.choices)
-            raise BadValueError(
-                component, self.name, f"expected one of {names}, not {value!r:.80}"
-            )
+            return f"expected one of {names}, not {value!r:.80}"
         number = cast("float", value)
         if self.min is not None and number < self.min:
-            raise BadValueError(
-                component,
-                self.name,
-                f"expected at least {self.min}{self._in_unit()}, not {value}",
-            )
+            return f"expected at least {self.min}{self._in_unit()}, not {value}"
         if self.max is not None and number > self.max:
-            raise BadValueError(
-                component,
-                self.name,
-                f"expected at most {self.max}{self._in_unit()}, not {value}",
-            )
-        return value
+            return f"expected at most {self.max}{self._in_unit()}, not {value}"
+        return ""
 
     def _in_words(self) -> str:
         words = _WORDS.get(self.type, self.type.__name__)

@@ -272,7 +272,7 @@ class Robot:
         if self.seed is None:
             virtual = getattr(loop, "virtual", False)
             self.seed = 0 if virtual else int.from_bytes(os.urandom(8))
-        self._behaviors.seed = self._resources.seed = self.seed
+        self._resources.seed = self.seed
         self._host = asyncio.current_task()
         try:
             self._keeping.begin(self.plan, self.journal, self.seed, self.source)

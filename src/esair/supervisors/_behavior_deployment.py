@@ -20,7 +20,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Event, Kind
-from esair.loop import ProcessWatch, now, script_context, spawn, wake
+from esair.loop import ProcessWatch, script_context, spawn, wake
 from esair.messages import Access, BehaviorsPolicy, BehaviorState, BehaviorStatus
 from esair.plan import Finding, Plan, examine_step, refuse, unmet
 from esair.supervisors._command_queue import CommandQueue
@@ -85,9 +85,6 @@ class BehaviorDeployment:
         self.zombie_count = 0
         self.undead: set[asyncio.Task[Any]] = set()
         """Tasks of zombies: the loop itself keeps only weak references."""
-        self.began = 0.0
-        """When the robot has started, on the loop's clock: the zero of ``now_ms``."""
-        self.seed = 0  # what the random numbers of its components are made from
         self.context: contextvars.Context | None = None
         """The context variables of the script; those of its behaviors begin so."""
         self.verbs: Verbs | None = None
@@ -99,8 +96,7 @@ class BehaviorDeployment:
             for manager in each.allow
         }
         self._start_patience = start_patience
-        self._halt = halt
-        self._stop = stop
+        self.halt_robot, self.stop_robot = halt, stop
         self._mediator: Mediator | None = None
         self._all_ended: asyncio.Future[None] | None = None
         self.journal.count("behaviors", self._counted)
@@ -137,12 +133,6 @@ class BehaviorDeployment:
         about = args[0] if isinstance(args[0], str) else name_of(args[0])
         self.journal.publish(Kind.OPERATOR, about, name, None, verb)
         return await getattr(self.verbs, verb)(*args)
-
-    def halt_robot(self, reason: str, by: str) -> Halting:
-        return self._halt(reason, by)
-
-    async def stop_robot(self, reason: str) -> Stopped:
-        return await self._stop(reason)
 
     def is_adding(self, member: Mailbox) -> bool:
         return member in self.coming
@@ -303,7 +293,6 @@ class BehaviorDeployment:
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
         self.context = script_context()
-        self.began = now()
         self.commands.wake()
 
     def accept(self, behaviors: Iterable[Behavior | Reaction]) -> None:

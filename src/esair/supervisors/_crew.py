@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextvars
+from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
 
 from esair.actions import Behavior, Reaction
@@ -20,17 +21,15 @@ class Crew(Protocol):
 
     resources: ResourceDeployment
     journal: Journal
-    seed: int
-    began: float
     context: contextvars.Context | None
     may_begin: asyncio.Event
+    halt_robot: Callable[[str, str], Halting]
+    stop_robot: Callable[[str], Awaitable[Stopped]]
 
     @property
     def mediator(self) -> Mediator: ...
     def query(self, name: str) -> BehaviorStatus: ...
     async def managed_by(self, name: str, verb: str, *args: Any) -> Any: ...
-    def halt_robot(self, reason: str, by: str) -> Halting: ...
-    async def stop_robot(self, reason: str) -> Stopped: ...
     def is_adding(self, member: Mailbox) -> bool: ...
     def ended(self) -> None: ...
     def refuse_step(self, reaction: Reaction, performer: str) -> None: ...

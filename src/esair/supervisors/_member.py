@@ -90,7 +90,7 @@ class Member(Life, Mailbox):
         """Nobody wants it any more: it is removed, or its place is."""
         self.crew = crew
         self.journal = crew.journal
-        self.stream = Stream(f"{crew.seed}/{name}")
+        self.stream = Stream(f"{crew.resources.seed}/{name}")
         """Its random numbers, made from the robot's seed and its name."""
         self.owner.stream = self.stream
         self.restarts = RestartBudget(action.restart)
@@ -176,7 +176,7 @@ class Member(Life, Mailbox):
                 on_state=self._runs,
                 on_crash=self._crashed,
                 on_sight=self.sight.sees,
-                began=self.crew.began,
+                began=self.crew.resources.began,
                 owner=self.owner,
             )
             self._start_runner(self.runner, self.action)

@@ -49,7 +49,13 @@ class Steps:
         table = self._crew.resources.actuators.protections
         sight = Sight(table, reaction, reaction.name, step_of=self._name)
         step = Step(
-            reaction, until, loop, sight, blind_timeout, self._crew.began, owner
+            reaction,
+            until,
+            loop,
+            sight,
+            blind_timeout,
+            self._crew.resources.began,
+            owner,
         )
         self.now = (*self.now, step)
         sight.accept()

@@ -27,7 +27,7 @@ from esair.exceptions import (
     UnknownNameError,
 )
 from esair.journal import Kind
-from esair.loop import look_at, spawn, wake
+from esair.loop import look_at, now, spawn, wake
 from esair.messages import Access, Policy, ResourceState, Restart
 from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
@@ -353,6 +353,7 @@ class ResourceDeployment:
 
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
+        self.began = now()
         self.commands.wake()
 
     async def start(self, resources: Sequence[Resource]) -> None:
@@ -360,7 +361,6 @@ class ResourceDeployment:
         there = (each.bus for each in resources)
         self.buses = list(dict.fromkeys(bus for bus in there if bus is not None))
         await open_buses(self.buses)
-        self.began = asyncio.get_running_loop().time()
         # What is computed of others comes when they are there.
         for resource in sorted(resources, key=depths(resources).__getitem__):
             self.deploy(resource)
