@@ -35,7 +35,7 @@ class SentenceError(ValueError):
 def checksum(body: bytes) -> int:
     """Return the exclusive or of all bytes between ``$`` and ``*``."""
     number = int.from_bytes(body)
-    for bits in _HALVES[max(0, len(body) - 1).bit_length()]:
+    for bits in _HALVES[len(body).bit_length()]:
         number ^= number >> bits  # the upper half onto the lower one, at once
     return number & 0xFF
 

@@ -127,11 +127,7 @@ class FixBuilder:
         if kind is None:
             return None
         self._passed = passed = self._passed + len(body) + FRAME
-        if passed < self._unseen:
-            self.bad_sentences += 1
-            return None
-        fields = body.split(b",", 7)
-        if len(fields) < 8:
+        if passed < self._unseen or len(fields := body.split(b",", 7)) < 8:
             self.bad_sentences += 1
             return None
         if not fields[1]:  # it does not know the time yet
