@@ -1,10 +1,11 @@
-"""Names of a package that are imported when they are asked for."""
+"""Imports: of names when they are asked for, and of packages that an extra brings."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 
@@ -26,3 +27,13 @@ def late(
         return found
 
     return get, lambda: sorted(homes)
+
+
+@contextlib.contextmanager
+def of_extra(extra: str) -> Iterator[None]:
+    """Say which extra of esair brings a package, where its import fails."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        error.msg += f": pip install 'esair[{extra}]'"
+        raise

@@ -25,8 +25,11 @@ the `esair.buses.CanBus` like all others, each with a deadline.
 Source: CiA 301 (object dictionary, SDO, PDO, NMT, heartbeat); CiA 306 (EDS and DCF).
 """
 
-from esair.drivers.canopen._devices import CanopenActuator, CanopenSensor
-from esair.drivers.canopen._dictionary import Mapped
-from esair.drivers.canopen._node import CanopenNetwork, Emergency
+from esair.loading import of_extra
+
+with of_extra("canopen"):
+    from esair.drivers.canopen._devices import CanopenActuator, CanopenSensor
+    from esair.drivers.canopen._dictionary import Mapped
+    from esair.drivers.canopen._node import CanopenNetwork, Emergency
 
 __all__ = ["CanopenActuator", "CanopenNetwork", "CanopenSensor", "Emergency", "Mapped"]

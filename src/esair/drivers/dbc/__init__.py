@@ -36,10 +36,13 @@ robot's alone by design is claimed::
 Source: the file itself, read by cantools (DBC; ARXML, KCD and SYM as well).
 """
 
-from esair.drivers.dbc._actuator import DbcActuator
-from esair.drivers.dbc._codec import FrameError, MessageCodec, bounds, choices_of
-from esair.drivers.dbc._file import find_message, find_signal
-from esair.drivers.dbc._sensor import DbcSensor
+from esair.loading import of_extra
+
+with of_extra("dbc"):
+    from esair.drivers.dbc._actuator import DbcActuator
+    from esair.drivers.dbc._codec import FrameError, MessageCodec, bounds, choices_of
+    from esair.drivers.dbc._file import find_message, find_signal
+    from esair.drivers.dbc._sensor import DbcSensor
 
 __all__ = [
     "DbcActuator",

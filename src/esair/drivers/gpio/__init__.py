@@ -39,6 +39,7 @@ from esair.exceptions import (
     DeviceLostError,
     did_you_mean,
 )
+from esair.loading import of_extra
 from esair.resources import Actuator, Resource, Sensor, setting
 from esair.values import check_choice, check_whole
 from esair.watchdog import Outlet, SafeFrames
@@ -289,7 +290,8 @@ def gpiod_line(request: LineRequest) -> Line:
         DeviceLostError: The chip is not there.
         DeviceFaultError: It has no such line, or somebody else has it.
     """
-    import gpiod
+    with of_extra("gpio"):
+        import gpiod
 
     try:
         with gpiod.Chip(_path_of(request)) as chip:

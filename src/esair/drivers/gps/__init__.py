@@ -27,13 +27,16 @@ from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 import attrs
-from pynmeagps import NMEAReader, exceptions  # type: ignore[import-untyped]
 
 from esair.buses import SerialBus
 from esair.drivers._on_bus import check_bus, heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Looks, Sentences
+from esair.loading import of_extra
 from esair.resources import Sensor
+
+with of_extra("gps"):
+    from pynmeagps import NMEAReader, exceptions  # type: ignore[import-untyped]
 
 __all__ = ["Fix", "FixBuilder", "Gps"]
 

@@ -35,6 +35,9 @@ to the bus, which is a `esair.buses.SerialBus`.
 Source: MODBUS Application Protocol V1.1b3.
 """
 
-from esair.drivers.modbus._devices import ModbusActuator, ModbusSensor
+from esair.loading import of_extra
+
+with of_extra("modbus"):
+    from esair.drivers.modbus._devices import ModbusActuator, ModbusSensor
 
 __all__ = ["ModbusActuator", "ModbusSensor"]

@@ -21,24 +21,27 @@ The bus is one of its own kind, because master and servos take turns on one wire
 A servo goes on to the goal that it has when this computer dies, and holds it.
 """
 
-from esair.drivers.servo._bus import HARDWARE_ERROR, ServoBus, hardware_errors
-from esair.drivers.servo._line import ServoLink
-from esair.drivers.servo._servo import (
-    CENTER,
-    GOAL_CURRENT,
-    GOAL_POSITION,
-    GOAL_VELOCITY,
-    OPERATING_MODE,
-    PRESENT_POSITION,
-    PROFILE_VELOCITY,
-    TORQUE_ENABLE,
-    Goal,
-    Mode,
-    Servo,
-    ServoPosition,
-    to_angle,
-    to_steps,
-)
+from esair.loading import of_extra
+
+with of_extra("servo"):
+    from esair.drivers.servo._bus import HARDWARE_ERROR, ServoBus, hardware_errors
+    from esair.drivers.servo._line import ServoLink
+    from esair.drivers.servo._servo import (
+        CENTER,
+        GOAL_CURRENT,
+        GOAL_POSITION,
+        GOAL_VELOCITY,
+        OPERATING_MODE,
+        PRESENT_POSITION,
+        PROFILE_VELOCITY,
+        TORQUE_ENABLE,
+        Goal,
+        Mode,
+        Servo,
+        ServoPosition,
+        to_angle,
+        to_steps,
+    )
 
 __all__ = [
     "CENTER",
