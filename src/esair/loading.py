@@ -16,8 +16,9 @@ def late(
 
     Args:
         package: Its name.
-        homes: The module that has a name, without the package, by the name.
+        homes: The names that a module has, by the module, without the package.
     """
+    homes = {name: home for home, names in homes.items() for name in names.split()}
 
     def get(name: str) -> Any:
         if name not in homes:

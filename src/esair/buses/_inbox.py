@@ -110,11 +110,7 @@ class Inbox(Generic[T]):
 
 
 async def within(future: asyncio.Future[T], seconds: float | None) -> T:
-    """Wait for a future, without a task or a timer of its own.
-
-    Raises:
-        TimeoutError: It was not done in time.
-    """
+    """Wait for a future, without a task or a timer of its own."""
     if seconds is None or future.done():
         return await future
     deadlines = Deadlines.beside(asyncio.get_running_loop())

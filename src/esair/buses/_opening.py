@@ -57,12 +57,7 @@ async def shut_on(
 
 
 class Opening(Generic[T]):
-    """One attempt to open something, in a thread that cannot be stopped.
-
-    Args:
-        make: Opens it; blocks.
-        shut: Closes it; may block.
-    """
+    """One attempt to open something, in a thread that cannot be stopped."""
 
     def __init__(self, make: Callable[[], T], shut: Callable[[T], object]) -> None:
         self._make = make

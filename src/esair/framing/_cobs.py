@@ -37,9 +37,7 @@ class Cobs(Delimited):
             from cobs import cobs
         except ImportError:
             raise ConfigError(
-                "framing",
-                "cobs",
-                "needs the package cobs: pip install 'esair[cobs]'",
+                "framing", "cobs", "needs the package cobs: pip install 'esair[cobs]'"
             ) from None
         super().__init__(delimiter=b"\0", max_length=max_length, max_frame=0)
         self._max_frame = cobs.max_encoded_length(max_length)

@@ -25,9 +25,7 @@ __all__ = ["LIMIT", "Outlet", "SafeFrames", "Watchdog", "can_frame"]
 __getattr__, _ = late(
     __name__,
     {
-        "Outlet": "_frames",
-        "SafeFrames": "_frames",
-        "Watchdog": "_watchdog",
-        "can_frame": "_frames",
+        "_frames": "Outlet SafeFrames can_frame",
+        "_watchdog": "Watchdog",
     },
 )

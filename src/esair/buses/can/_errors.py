@@ -107,12 +107,7 @@ _TRANSCEIVER: Final = {
 
 
 def decode_error(classes: int, data: bytes) -> ErrorFrame:
-    """Say what an error frame means.
-
-    Args:
-        classes: Its id without the flags: the classes of the error, a bit each.
-        data: Its bytes; those that are missing say nothing.
-    """
+    """Say what an error frame means."""
     lost_in, controller, protocol, location, transceiver, _, sent, received = (
         data.ljust(8, b"\0")[:8]
     )

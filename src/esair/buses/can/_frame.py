@@ -110,11 +110,7 @@ class CanWire(Wire, abc.ABC):
 
 
 def check_data(owner: str, data: bytes, *, fd: bool) -> None:
-    """Check that bytes fit into one frame.
-
-    Raises:
-        BadValueError: They are too many, or no bytes.
-    """
+    """Check that bytes fit into one frame."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise BadValueError(owner, "data", f"expected bytes, not {data!r:.80}")
     if len(data) > 8 and not fd:

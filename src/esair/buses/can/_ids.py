@@ -51,11 +51,7 @@ class Filter(NamedTuple):
 
 
 def key_of(owner: str, number: int, *, extended: bool) -> int:
-    """Return the id as listeners are kept by.
-
-    Raises:
-        BadValueError: It is no id.
-    """
+    """Return the id as listeners are kept by."""
     if isinstance(number, int) and 0 <= number < (0x2000_0000 if extended else 0x800):
         return number | EXTENDED if extended else number
     kind = "an extended CAN id below 2**29" if extended else "a CAN id below 2**11"
@@ -67,11 +63,7 @@ def key_of(owner: str, number: int, *, extended: bool) -> int:
 def filters_of(
     owner: str, ids: tuple[Ids, ...], *, extended: bool
 ) -> tuple[Filter, ...]:
-    """Return what the kernel chooses ids by.
-
-    Raises:
-        BadValueError: There is no id, or one that is none.
-    """
+    """Return what the kernel chooses ids by."""
     found: dict[Filter, None] = {}
     for each in ids:
         found.update(dict.fromkeys(_filters(owner, each, extended)))

@@ -10,17 +10,7 @@ from esair.buses.can._frame import Frame
 
 
 class FrameInbox(Inbox[Frame]):
-    """Frames in the order in which they came; the newest win.
-
-    Args:
-        limit: How many are kept.
-        forget: Called when nobody listens any more.
-        stats: Where the bus counts.
-        length: How many bytes a frame must have; any number if None.
-
-    Attributes:
-        bad_frames: How many frames had another length.
-    """
+    """Frames in the order in which they came; the newest win."""
 
     def __init__(
         self,

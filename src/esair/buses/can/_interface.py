@@ -51,11 +51,7 @@ class Interface(NamedTuple):
 
 
 def look_up(name: str) -> Interface:
-    """Ask the kernel for an interface. Blocks for some microseconds.
-
-    Raises:
-        OSError: There is none of that name.
-    """
+    """Ask the kernel for an interface. Blocks for some microseconds."""
     wanted = os.fsencode(name) + b"\0"
     attribute = _ATTRIBUTE.pack(_ATTRIBUTE.size + len(wanted), _NAME) + wanted
     body = _LINK.pack(0, 0, 0, 0, 0) + attribute.ljust(
@@ -85,11 +81,7 @@ def is_there(name: str) -> tuple[int, bool] | None:
 
 
 def decode_link(answer: bytes) -> Interface:
-    """Decode the kernel's answer.
-
-    Raises:
-        OSError: It says that there is no such interface, or is no answer at all.
-    """
+    """Decode the kernel's answer."""
     try:
         _, kind, _, _, _ = _HEADER.unpack_from(answer)
         if kind == _ERROR:

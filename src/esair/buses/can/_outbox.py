@@ -23,15 +23,7 @@ WAITING_LIMIT = 256
 
 
 class Outbox:
-    """Frames on their way to the controller; those with one id keep their order.
-
-    Args:
-        name: The name of the bus.
-        stats: Where the bus counts.
-
-    Attributes:
-        waiting: How many are on their way.
-    """
+    """Frames on their way to the controller; those with one id keep their order."""
 
     def __init__(self, name: str, stats: BusStats) -> None:
         self.waiting = 0
@@ -48,20 +40,7 @@ class Outbox:
         replaces: Hashable | None,
         is_current: Callable[[], bool],
     ) -> bool:
-        """Offer a frame until there is room; tells whether there was in time.
-
-        Args:
-            link: The node that takes it.
-            frame: It.
-            seconds: How long to try.
-            replaces: Waiting frames with its id and the same value give way to it;
-                none does if None.
-            is_current: Tells whether the node is still that of the bus.
-
-        Raises:
-            BusyError: A newer frame replaced it, or too many wait; it was not sent.
-            DeviceLostError: The bus was lost while it waited.
-        """
+        """Offer a frame until there is room; tells whether there was in time."""
         key = frame.id | EXTENDED if frame.extended else frame.id
         mine = _Waiting(replaces)
         line = self._lines.get(key)

@@ -14,16 +14,14 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final
 
+from esair.buses._opening import open_on
 from esair.buses._stats import BusStats
 from esair.buses.can import _interface as _can_interface
 from esair.buses.can._errors import CanState
 from esair.buses.can._frame import Frame, FrameLink, FrameOpener
 from esair.buses.can._socket_node import FD, SocketNode, shut_bus
 from esair.buses.can._thread_node import ThreadNode
-from esair.exceptions import (
-    ConfigError,
-    describe,
-)
+from esair.exceptions import ConfigError, describe
 from esair.loop import Executor
 
 OPEN_TIMEOUT = 5.0
@@ -62,12 +60,12 @@ def python_can(
     async def opener(
         received: Callable[[Frame], None], gone: Callable[[Exception], None]
     ) -> FrameLink:
-        opening = _Opening(executor.name, interface, channel, options)
-        try:
-            bus, state = await executor.call(opening.make, timeout=OPEN_TIMEOUT)
-        except BaseException:
-            opening.abandon()
-            raise
+        bus, state = await open_on(
+            executor,
+            _Opening(executor.name, interface, channel, options).make,
+            lambda opened: shut_bus(opened[0]),
+            timeout=OPEN_TIMEOUT,
+        )
         counts = stats or BusStats()
         try:
             if state is not None:
@@ -92,8 +90,8 @@ def python_can(
                 echoes=bool(options.get("receive_own_messages")),
                 decodes_errors=interface not in _OWN_ERRORS,
             )
-        except BaseException:
-            opening.abandon()
+        except BaseException:  # the executor may be stuck
+            threading.Thread(target=shut_bus, args=(bus,), daemon=True).start()
             raise
 
     return opener
@@ -109,35 +107,15 @@ class _Opening:
         self._interface = interface
         self._channel = channel
         self._options = options
-        self._bus: Any = None
-        self._abandoned = False
-        self._deciding = threading.Lock()
-
-    def abandon(self) -> None:
-        """Shut a bus that nobody waits for any more, also one that opens later."""
-        with self._deciding:
-            self._abandoned = True
-            bus, self._bus = self._bus, None
-        if bus is not None:  # the executor may be stuck
-            threading.Thread(target=shut_bus, args=(bus,), daemon=True).start()
 
     def make(self) -> tuple[Any, CanState | None]:
-        """Open the interface; blocks.
-
-        Returns:
-            The bus of python-can, and the state of its controller if it is SocketCAN.
-        """
+        """Open the interface, blocking; its state is that of SocketCAN, or None."""
         bus = self._open()
         try:
-            state = self._state(bus)
-            with self._deciding:
-                if self._abandoned:
-                    raise ConnectionError("it took too long")
-                self._bus = bus
+            return bus, self._state(bus)
         except BaseException:
             shut_bus(bus)
             raise
-        return bus, state
 
     def _open(self) -> Any:
         try:

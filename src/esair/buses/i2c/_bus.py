@@ -416,13 +416,7 @@ class I2CBus(LinkBus[RegisterLink]):
 
 
 class _Failure(NamedTuple):
-    """A transfer that failed, and may be tried again.
-
-    Attributes:
-        error: What its caller gets.
-        cause: What the link raised.
-        code: The error number; None if trying again cannot help.
-    """
+    """A transfer that failed; its number is None if trying again cannot help."""
 
     error: EsairError
     cause: OSError

@@ -38,16 +38,7 @@ def explained(
     seconds: float,
     owner: Path | None = None,
 ) -> EsairError:
-    """Return the error that tells what happened, with the same ``errno``.
-
-    Args:
-        name: The name of the bus.
-        error: What a call of the link raised.
-        address: The chip, if it is known.
-        there: Whether the adapter is still there; None if nobody can tell.
-        seconds: How long the transfer could have taken.
-        owner: The driver of the kernel that has the chip.
-    """
+    """Return what happened, with the same ``errno``; is the adapter there, or None?"""
     chip = _chip(address)
     code = error.errno
     if there is False or (there is None and code in GONE):

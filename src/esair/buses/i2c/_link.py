@@ -67,11 +67,7 @@ class MessageLink(RegisterLink, Protocol):
 
 
 def message_link(link: RegisterLink) -> MessageLink:
-    """Return a link as one with plain transfers.
-
-    Raises:
-        OSError: It has none (``EOPNOTSUPP``).
-    """
+    """Return a link as one with plain transfers."""
     if not hasattr(link, "i2c_rdwr"):
         raise unsupported("its link has the calls for registers only")
     return cast("MessageLink", link)

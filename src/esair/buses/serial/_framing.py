@@ -11,15 +11,7 @@ from esair.framing import FRAMINGS, Cobs, Framing, Lines
 
 
 def make_framing(owner: str, described: Framing | str | Mapping[str, Any]) -> Framing:
-    """Return a new framing: from another one, a name, or a table with parameters.
-
-    Args:
-        owner: The name of the bus, for errors.
-        described: ``"cobs"``, or ``{"type": "cobs", "max_length": 256}``.
-
-    Raises:
-        ConfigError: There is no such framing, or a parameter is wrong.
-    """
+    """Return a new framing: from another one, a name, or a table with parameters."""
     if isinstance(described, Framing):
         return described.fresh()
     table = {"type": described} if isinstance(described, str) else described

@@ -55,12 +55,7 @@ class SerialWire(Wire, abc.ABC):
 
 
 class Line(asyncio.Protocol):
-    """What a link tells: bytes, room to send, its end. Silent once it is closed.
-
-    Args:
-        received: Gets the bytes as they come.
-        gone: Is told once that the link has ended by itself, and why.
-    """
+    """What a link tells: bytes, room to send, its end. Silent once it is closed."""
 
     link: SerialLink
 

@@ -144,18 +144,7 @@ def open_port(
     options: Mapping[str, Any],
     levels: Mapping[str, bool],
 ) -> Port:
-    """Open a port, exclusively. Blocks.
-
-    Args:
-        place: Where the port is.
-        baudrate: Bits per second.
-        options: Further settings of ``serial.Serial``.
-        levels: Whether ``dtr`` and ``rts`` are raised as the port is opened.
-
-    Raises:
-        DeviceLostError: It is not there, or belongs to somebody else.
-        ConfigError: Its driver does not know the settings.
-    """
+    """Open a port, exclusively. Blocks."""
     path = place.port
     try:
         path = place.find()
@@ -218,13 +207,7 @@ async def reach_port(
 
 
 def link_of(port: Port, protocol: asyncio.Protocol, name: str) -> SerialLink:
-    """Hand an open port to the event loop.
-
-    Args:
-        port: The port.
-        protocol: Is told what comes.
-        name: Names the threads of a port that the loop cannot wait for.
-    """
+    """Hand an open port to the event loop."""
     port.failed = protocol.connection_lost
     loop = asyncio.get_running_loop()
     if port.has_descriptor:

@@ -21,12 +21,6 @@ class ThreadLink:
 
     The methods are those of a transport: nothing waits, and bytes that the line has
     not taken can be thrown away, except the piece that is being written.
-
-    Args:
-        loop: The event loop.
-        protocol: Is told what comes, when all is sent, and of the end.
-        device: The port, open, with ``read``, ``write`` and ``in_waiting``.
-        name: Names the threads.
     """
 
     def __init__(

@@ -31,14 +31,10 @@ __all__ = [
 __getattr__, __dir__ = late(
     __name__,
     {
-        "Exchange": "_fake",
-        "FakeSpi": "_fake",
-        "SpiBus": "_bus",
-        "SpiChip": "_far_end",
-        "SpiChips": "_far_end",
-        "SpiLink": "_kernel",
-        "SpiRegisters": "_far_end",
-        "devices": "_devices",
-        "toml": "_devices",
+        "_fake": "Exchange FakeSpi",
+        "_bus": "SpiBus",
+        "_far_end": "SpiChip SpiChips SpiRegisters",
+        "_kernel": "SpiLink",
+        "_devices": "devices toml",
     },
 )

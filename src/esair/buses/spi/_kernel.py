@@ -62,12 +62,7 @@ def presence(bus: int) -> tuple[tuple[str, int, int, int], ...] | None:
 
 
 def open_bus(owner: str, bus: int) -> SpiLink:
-    """Open every chip select of a bus.
-
-    Raises:
-        ConfigError: The package is not installed.
-        OSError: The bus is not there, or may not be opened.
-    """
+    """Open every chip select of a bus."""
     paths = selects(bus)
     if not paths:
         raise FileNotFoundError(
@@ -94,11 +89,7 @@ def _opened(spidev: Any, path: str) -> Any:
 
 
 class KernelLink:
-    """The open device files of one bus.
-
-    Args:
-        selected: An open ``spidev.SpiDev`` for each chip select.
-    """
+    """The open device files of one bus."""
 
     def __init__(self, selected: dict[int, Any]) -> None:
         self._selected = selected

@@ -124,12 +124,7 @@ class _Beats:
         """What the board is told; None to leave it as it is."""
 
     async def join(self, user: object, bus: SerialBus, name: str) -> None:
-        """Wait for the first beat of the board.
-
-        Raises:
-            DeviceLostError: It is silent.
-            DeviceFaultError: It speaks another version.
-        """
+        """Wait for the first beat of the board."""
         self._users.add(user)
         if self._task is None or self._task.done():
             self._heard, self._now_ms, self.version = -1.0, -1, 0
@@ -163,11 +158,7 @@ class _Beats:
                 await asyncio.gather(task, return_exceptions=True)
 
     def check(self, name: str) -> None:
-        """Raise if the board has been silent for too long, or has started anew.
-
-        Raises:
-            DeviceLostError: It is silent, or another than it was.
-        """
+        """Raise if the board has been silent for too long, or has started anew."""
         if self._now_ms == _RESTARTED:
             raise DeviceLostError(name, "the board has restarted")
         silent = asyncio.get_running_loop().time() - self._heard

@@ -22,11 +22,4 @@ Source: the kernel's ``Documentation/userspace-api/media/v4l``; OpenCV's ``Video
 from esair.drivers.camera._find import devices, find_camera, toml
 from esair.drivers.camera._sensor import Camera, CameraLink, CameraRequest
 
-__all__ = [
-    "Camera",
-    "CameraLink",
-    "CameraRequest",
-    "devices",
-    "find_camera",
-    "toml",
-]
+__all__ = ["Camera", "CameraLink", "CameraRequest", "devices", "find_camera", "toml"]

@@ -8,10 +8,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
-from canopen.objectdictionary import (
-    FLOAT_TYPES,
-    INTEGER_TYPES,
-)
+from canopen.objectdictionary import FLOAT_TYPES, INTEGER_TYPES
 from canopen.sdo.exceptions import SdoAbortedError
 
 from esair.drivers.canopen._dictionary import (
@@ -24,11 +21,7 @@ from esair.drivers.canopen._dictionary import (
 )
 from esair.drivers.canopen._node import sdo_frames
 from esair.drivers.canopen._on_node import OnNode
-from esair.exceptions import (
-    BusyError,
-    ConfigError,
-    DeviceFaultError,
-)
+from esair.exceptions import BusyError, ConfigError, DeviceFaultError
 from esair.loop import CallRefused
 from esair.resources import Actuator, Sensor
 from esair.watchdog import SafeFrames

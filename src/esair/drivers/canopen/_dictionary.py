@@ -17,11 +17,7 @@ from canopen.objectdictionary import (
     import_od,
 )
 
-from esair.exceptions import (
-    ConfigError,
-    describe,
-    did_you_mean,
-)
+from esair.exceptions import ConfigError, describe, did_you_mean
 
 BOOLEAN = 0x1
 TEXT = frozenset({0x9, 0xB})

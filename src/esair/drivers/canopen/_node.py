@@ -13,18 +13,12 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import canopen
 from canopen.emcy import EMCY_STRUCT, EmcyError
 from canopen.nmt import NmtError
-from canopen.objectdictionary import (
-    ObjectDictionary,
-)
+from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from esair.buses import CanBus, Exchanges, Frame
 from esair.drivers.canopen._sdo import LATE_LIMIT, LOOP_TIMEOUT, RemoteNode
-from esair.exceptions import (
-    DeviceFaultError,
-    DeviceLostError,
-    DriverStuckError,
-)
+from esair.exceptions import DeviceFaultError, DeviceLostError, DriverStuckError
 from esair.loop import Executor
 from esair.watchdog import can_frame
 

@@ -12,9 +12,7 @@ from cantools.database.errors import Error as CantoolsError
 
 from esair.buses.can import FD_SIZES
 from esair.drivers.dbc._j1939 import is_j1939
-from esair.exceptions import (
-    describe,
-)
+from esair.exceptions import describe
 
 NUMBERS = (int, float)
 

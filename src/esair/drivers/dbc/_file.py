@@ -10,11 +10,7 @@ import cantools.database
 from cantools.database.can import Database, Message, Signal
 
 from esair.drivers.dbc._codec import MessageCodec
-from esair.exceptions import (
-    ConfigError,
-    describe,
-    did_you_mean,
-)
+from esair.exceptions import ConfigError, describe, did_you_mean
 
 
 def find_message(component: str, database: Path | str, name: str) -> Message:

@@ -135,9 +135,7 @@ class DbcSensor(Sensor[Any]):
 
     def _frames(self) -> Inbox[Frame]:
         return self.bus.frames(
-            self._ids,
-            extended=self.codec.message.is_extended_frame,
-            limit=self.buffer,
+            self._ids, extended=self.codec.message.is_extended_frame, limit=self.buffer
         )
 
     async def stream(self) -> AsyncIterator[Any]:

@@ -245,11 +245,7 @@ class DigitalOutput(_OnLine, Actuator[bool]):
     """
 
     def __init__(
-        self,
-        *,
-        safe: bool = False,
-        drive: Drive = "push_pull",
-        **settings: Any,
+        self, *, safe: bool = False, drive: Drive = "push_pull", **settings: Any
     ) -> None:
         super().__init__(**settings)
         if type(safe) is not bool:

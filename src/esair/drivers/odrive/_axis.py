@@ -24,12 +24,7 @@ from esair.drivers.odrive._codec import (
     encode_state,
     frame_id,
 )
-from esair.exceptions import (
-    ConfigError,
-    DeviceFaultError,
-    DeviceLostError,
-    EsairError,
-)
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError, EsairError
 from esair.resources import HOLD, Actuator, Resource, Sensor
 from esair.values import check_choice, check_seconds, check_whole
 from esair.watchdog import SafeFrames, can_frame
@@ -331,8 +326,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
             return None
         if self._confirmed:
             return DeviceLostError(  # which is nothing wrong: it may have restarted
-                self.name,
-                f"it has left closed loop control for {heartbeat.state.name}",
+                self.name, f"it has left closed loop control for {heartbeat.state.name}"
             )
         if asyncio.get_running_loop().time() - self._armed_at > ARM_TIMEOUT:
             return DeviceFaultError(

@@ -116,11 +116,7 @@ class OnChannel(Actuator[T]):
         self._chip: Chip | None = None
 
     async def open(self) -> None:
-        """Set the chip up unless it is, and turn the output off.
-
-        Raises:
-            ConfigError: Another actuator uses the channel, or another frequency.
-        """
+        """Set the chip up unless it is, and turn the output off."""
         self._take_channel()
         with expected_at(self, self.address):
             found = await self.bus.transaction(

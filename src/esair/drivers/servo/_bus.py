@@ -9,11 +9,7 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeVar
 
-from dynamixel_sdk import (  # type: ignore[import-untyped]
-    COMM_RX_CORRUPT,
-    COMM_RX_TIMEOUT,
-    PacketHandler,
-)
+from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, PacketHandler  # type: ignore[import-untyped]
 
 from esair.buses import Bus, Exchanges, open_on, shut_on, wanted
 from esair.buses.serial import OPEN_TIMEOUT, Port, SerialPlace, close_port, reach_port

@@ -20,11 +20,7 @@ class Entry(NamedTuple):
     has_sign_bit: bool = False
 
     def pack(self, number: int) -> int:
-        """Return a number as the table has it.
-
-        Raises:
-            OverflowError: It is too large.
-        """
+        """Return a number as the table has it."""
         bits = 8 * self.size
         if not self.has_sign_bit:
             return number & (1 << bits) - 1

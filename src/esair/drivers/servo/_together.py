@@ -31,10 +31,6 @@ class Together:
     """Gathers requests for the same entry of several servos until their turn.
 
     What servos are told goes before what they are asked: only that has to wait for them.
-
-    Args:
-        make: Makes requests for one entry; gets what they have in common and, by servo,
-            the value to write. Returns the value, or the error, by servo.
     """
 
     def __init__(

@@ -64,10 +64,7 @@ class ServoVelocity(_Turned):
     mode = VELOCITY
 
     def __init__(
-        self,
-        *,
-        limits: tuple[float, float] = (-6.0, 6.0),
-        **keywords: Any,
+        self, *, limits: tuple[float, float] = (-6.0, 6.0), **keywords: Any
     ) -> None:
         super().__init__(**keywords)
         self.limits = limits
