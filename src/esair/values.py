@@ -69,15 +69,19 @@ def as_path(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
+_REAL = (int, float)
+_LARGEST = sys.float_info.max
+
+
 def is_positive(value: object) -> bool:
     """Tell whether a value is a time or a rate: a positive, finite int or float.
 
     NumPy's ``float64`` is a float too; a bool is no number here.
     """
     return (
-        isinstance(value, int | float)
+        isinstance(value, _REAL)
         and not isinstance(value, bool)
-        and 0 < value <= sys.float_info.max
+        and 0 < value <= _LARGEST
     )
 
 

@@ -151,7 +151,6 @@ class Mailbox:
 
     # What the mediator asks.
 
-    @property
     def has_room(self) -> bool:
         """Whether the inbox can take another piece of data."""
         if not self.receives:
@@ -161,7 +160,7 @@ class Mailbox:
     @property
     def can_receive(self) -> bool:
         """Whether a put is delivered at once."""
-        return not self.senders.count and self.has_room
+        return not self.senders.count and self.has_room()
 
     @property
     def can_provide(self) -> bool:

@@ -145,14 +145,15 @@ class Mediator:
 
     def admit(self, member: Mailbox) -> None:
         """Deliver what waits for a behavior that can receive again."""
-        while member.senders.count and member.has_room:
-            request = member.senders.pop()
-            if not request.future.done():
-                member.deliver(request.data, request.sender)
-                self.record(
-                    "put", request.sender, request.receiver, _DELIVERED, request.data
-                )
-                request.future.set_result(None)
+        senders = member.senders
+        while senders.count and member.has_room():
+            request = senders.pop()
+            future = request.future
+            if not future.done():
+                data, sender = request.data, request.sender
+                member.deliver(data, sender)
+                self.record("put", sender, request.receiver, _DELIVERED, data)
+                future.set_result(None)
 
     # Get.
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from esair.exceptions import BusyError
+from esair.loop import current_task_of
 
 if TYPE_CHECKING:
     from esair.supervisors._mailbox import Mailbox
@@ -61,7 +62,7 @@ class Link:
     def __init__(self, asker: str, peer: str) -> None:
         self.asker = asker
         self.peer = peer
-        self.task = asyncio.current_task()
+        self.task = current_task_of(asyncio.get_running_loop())
         self.parent = served()
         self.outer: Link | None = None
 
@@ -100,7 +101,10 @@ class Request(Link):
         future: asyncio.Future[Any],
         by: Mailbox | None = None,
     ) -> None:
-        super().__init__(*((sender, receiver) if kind == "put" else (receiver, sender)))
+        if kind == "put":
+            super().__init__(sender, receiver)
+        else:
+            super().__init__(receiver, sender)
         self.kind = kind
         self.sender = sender
         self.receiver = receiver
