@@ -215,10 +215,10 @@ class Derivation(ReactionRunner):
             self.job.queued = False
             self.job.function(self._time())
 
-    def _decide(self, now: float) -> None:
+    def _step(self, now: float) -> None:
         """Compute a value of the readings that there are now."""
         channel = self._channel
-        if channel.state is not ResourceState.READY:
+        if not self._sees(now) or channel.state is not ResourceState.READY:
             return
         self.steps += 1
         channel.is_current = False
@@ -226,7 +226,7 @@ class Derivation(ReactionRunner):
         stepping = self._stepping
         stepping.owner = self._owner
         try:
-            value = self._react(**self.readings())
+            value = self.reaction.react(**self.readings())
         except BaseException as error:  # contained: one component's failure
             channel.fail(error)
             return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from esair.actions._reaction import Reaction
@@ -17,6 +17,7 @@ from esair.connections import (
     SensorChannel,
     Sight,
 )
+from esair.loop import Step
 
 
 class GuardRunner(ReactionRunner):
@@ -73,7 +74,7 @@ class GuardRunner(ReactionRunner):
             self._protection.judge = None
 
     @property
-    def _turn(self) -> Callable[[float], Awaitable[object] | None]:
+    def _turn(self) -> Step:
         return self._step
 
     def _unpark(self) -> None:
@@ -81,17 +82,11 @@ class GuardRunner(ReactionRunner):
         self.blind = False
         self._on_sight()
 
-    def _step(self, now: float) -> Awaitable[object] | None:
-        if self.missing:
-            return None
-        if now >= self.stale_at:
-            self._stale(now)
-            return None
-        if self._until is not None and self._is_over():
-            return None
+    def _step(self, now: float) -> None:
+        if not self._sees(now) or (self._until is not None and self._is_over()):
+            return
         if self._channel is not None:
             self._channel.review()
-        return None
 
     def _judge(self, command: Any) -> Any:
         began = self._time()
@@ -105,7 +100,7 @@ class GuardRunner(ReactionRunner):
         stepping = self._stepping
         stepping.owner, before = self._owner, stepping.owner
         try:
-            passed = self._react(**self.readings(), **{self._port: command})
+            passed = self.reaction.react(**self.readings(), **{self._port: command})
         finally:
             stepping.owner = before
         if timed is None:

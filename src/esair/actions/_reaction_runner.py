@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import collections
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
-from esair.actions._by_name import by_name, order_of
+from esair.actions._by_name import by_name, ordered
 from esair.actions._from_minimal import MinimalReaction
 from esair.actions._reaction import EVERY_LIMIT, Reaction
 from esair.actions._reaction_ports import FOR_EVER, Input, Output
@@ -46,7 +46,6 @@ class ReactionRunner:
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
-        "_by_place",
         "_clock",
         "_inputs",
         "_is_alone",
@@ -115,6 +114,8 @@ class ReactionRunner:
         reaction.take_clock(self._clock)
         self.every: collections.deque[tuple[int, Any]] | None = None
         """The readings that wait for a step each, of ports with ``every=True``."""
+        if any(need.every for need in reaction.inputs.values()):
+            self.every = collections.deque()
         self.overflow = 0  # how many of those were dropped because too many waited
         self.skipped = 0  # how many readings were replaced by a newer one before a step
         self.blind = True  # whether it has not decided since it could not
@@ -123,7 +124,7 @@ class ReactionRunner:
         self._on_sight = on_sight
         self.on_reading = reaction.rate is None
         self._watches = reaction.rate is None or reaction.rate < _QUICK
-        self._names, self._by_place = order_of(reaction)
+        self._names, self._react = ordered(reaction)
         self.values: list[Any] = [None] * len(self._names)
         """The newest readings, in the order of the names."""
         self.missing = 0  # how many sensors have no reading that may be used
@@ -145,7 +146,6 @@ class ReactionRunner:
         """How its steps wait for their samples, if it has a rate."""
         self._polled: tuple[SensorChannel, ...] | None = None
         self._late = 0
-        self._react = reaction.react
         self._inputs: list[Input] = []
         self._outputs: dict[str, Output] = {}
         self._single: Output | None = None
@@ -196,8 +196,6 @@ class ReactionRunner:
             for name, terms in inputs.items()
         ]
         self._is_alone = len(needs) == 1
-        if any(need.every for need in needs.values()):
-            self.every = collections.deque()
         self._outputs = {
             name: Output(self, name, *terms) for name, terms in outputs.items()
         }
@@ -357,36 +355,45 @@ class ReactionRunner:
 
     @property
     def _turn(self) -> Step:
-        return self._step if self._step_time is None else self._timed_step
+        """What the scheduler calls: chosen once, so that no step has to ask."""
+        if self._step_time is not None:
+            return self._timed_step
+        return self._step if self.every is None else self._step_on_each
 
-    def _timed_step(self, now: float) -> Awaitable[object] | None:
+    def _timed_step(self, now: float) -> None:
         assert self._step_time is not None
         begin = self._step_time.begin()
-        rest = self._step(now)
+        if self.every is None:
+            self._step(now)
+        else:
+            self._step_on_each(now)
         failed = self._step_time.end(begin)
         if failed is not None and not self.stopped:
             self._crash(failed)
-        return rest
 
-    def _step(self, now: float) -> Awaitable[object] | None:
-        if self.missing:
-            return None
-        if now >= self.stale_at:
-            self._stale(now)
-            return None
-        if self.every is None:
-            self._decide(now)
-            return None
-        while not (self.missing or self.stopped):
+    def _step_on_each(self, now: float) -> None:
+        assert self.every is not None
+        while self._sees(now) and not self.stopped:
             if self.every:
                 place, value = self.every.popleft()
                 self.values[place] = value
-            self._decide(now)
+            self._step(now)
             if not self.every:
                 break
-        return None
 
-    def _decide(self, now: float) -> None:
+    def _sees(self, now: float) -> bool:
+        """Tell whether it can decide; one with a reading that is too old is parked."""
+        if self.missing:
+            return False
+        if now >= self.stale_at:
+            self._stale(now)
+            return False
+        return True
+
+    def _step(self, now: float) -> None:
+        if self.missing or now >= self.stale_at:
+            self._sees(now)
+            return
         self.steps += 1
         clock = self._clock  # `StepClock.step` in its place: each step comes here
         clock.before = clock.now
@@ -397,12 +404,8 @@ class ReactionRunner:
         stepping.owner = self._owner
         react = self._react  # by itself: see the scheduler
         try:
-            if not self._by_place:
-                result = react(**self.readings())
-            elif self._is_alone:
-                result = react(self.values[0])
-            else:
-                result = react(*self.values)
+            values = self.values
+            result = react(values[0]) if self._is_alone else react(*values)
         except BaseException as error:  # contained: one component's failure
             self._crash(error)
             return
@@ -412,9 +415,14 @@ class ReactionRunner:
             return
         output = self._single
         try:
-            if output is None or result.__class__ is dict:
+            if output is None:
                 self._decide_all(result)
-            elif result is not None or output.active:
+            elif result is None:
+                if output.active:
+                    output.decide(None)
+            elif result.__class__ is dict:
+                self._decide_all(result)
+            else:
                 output.decide(result)
         except BadValueError:  # told, and blind
             return

@@ -220,8 +220,12 @@ class ActuatorChannel(HeldDevice):
             and holder.behavior != registration.behavior
         ):
             return self._refused(registration, holder)
-        asked, checked = command, self.checked
-        command = checked(command) if ready is None else ready
+        asked = command
+        if ready is None:
+            checked = self.checked
+            command = checked(command)
+        else:
+            command = ready
         if self._busy:
             return self._when_idle(registration, command, hold)
         if self.watch is not None and not self.watch.may_move():
