@@ -36,6 +36,13 @@ class Bumper(Sensor):
         return number("bumper.txt") > 0
 
 
+class Light(Sensor):
+    rate = 10
+
+    def read(self):
+        return number("light.txt")
+
+
 class Wheels(Actuator):
     safe = (0.0, 0.0)
     command_timeout = 0.3
@@ -65,6 +72,8 @@ ROBOT = """
 [sensor.bumper]
 driver = "linked_parts:Bumper"
 rate = 50
+[sensor.light]
+driver = "linked_parts:Light"
 [actuator.wheels]
 driver = "linked_parts:Wheels"
 [behavior.avoid]
@@ -140,6 +149,7 @@ def plugged(tmp_path) -> Iterator[Plugged]:
     folder.mkdir()
     board = Plugged(program, folder)
     board.bump(False)
+    (folder / "light.txt").write_text("0.5")
     firmware.build(tmp_path / "base.toml", folder, rate=50, link=True)
     (folder / "esair" / "boards" / "stand_in.py").write_text(
         Path(stand_in.__file__).read_text()
@@ -160,16 +170,29 @@ class Explore(esair.Behavior):
             await self.wheels.write((1.0, 0.25))
 
 
-def host(board: Plugged) -> tuple[esair.Robot, Board]:
+class Follow(esair.Reaction):
+    """Drives towards a light that only this computer looks at."""
+
+    light = esair.reads(float)
+    wheels = esair.writes(tuple)
+
+    def react(self, light: float) -> tuple[float, float]:
+        return (light / 2, light / 2)
+
+
+def host(
+    board: Plugged, behavior: esair.Behavior | esair.Reaction | None = None
+) -> tuple[esair.Robot, Board]:
     bus = SerialBus(name="base", port=str(board.port), framing="cobs")
     base = Board(name="base", bus=bus)
     robot = esair.Robot(
         resources=[
             base,
             BoardSensor(name="bumper", bus=bus),
+            BoardSensor(name="light", bus=bus),
             BoardActuator(name="wheels", bus=bus, safe=(0.0, 0.0)),
         ],
-        behaviors=[Explore()],
+        behaviors=[behavior or Explore()],
     )
     return robot, base
 
@@ -230,6 +253,23 @@ async def test_how_the_board_is_can_be_read(plugged) -> None:
         await until(lambda: look.seen.faults > 0)
         assert "bumper: OSError" in look.seen.fault
         plugged.bump(False)
+
+
+async def test_a_sensor_that_fails_on_the_board_blinds_who_reads_it_here(
+    plugged,
+) -> None:
+    """It keeps no last value: nobody drives on by it, until it gives one again."""
+    robot, _ = host(plugged, Follow())
+    light = plugged.folder / "light.txt"
+    async with robot:
+        await until(lambda: last(plugged) == (0.25, 0.25))
+        light.unlink()
+        parked = esair.BehaviorState.PARKED
+        await until(lambda: robot.behaviors.query("follow").state is parked)
+        assert "no reading on the board" in str(robot.behaviors.query("follow").detail)
+        await until(lambda: last(plugged) == (0.0, 0.0))
+        light.write_text("1.0")
+        await until(lambda: last(plugged) == (0.5, 0.5), seconds=20.0)
 
 
 async def test_a_board_that_is_unplugged_comes_back(plugged) -> None:

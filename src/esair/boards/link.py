@@ -164,12 +164,18 @@ class Link:
 
     def _tell(self) -> None:
         now = self.loop.now_ms
+        beats = now >= self.next_beat
         for name, node in self.loop.inputs.items():
-            if node is self.host or node.time < 0 or node.time == self.told.get(name):
+            if node is self.host:
                 continue
-            self.told[name] = node.time
-            self._send("S" + name, [now - node.time, node.value])
-        if now >= self.next_beat:
+            age = now - max(0, node.time)
+            if node.time >= 0 and node.time != self.told.get(name):
+                self.told[name] = node.time
+                self._send("S" + name, [age, node.value])
+            elif beats and age > 3000000 // node.pace:
+                self.told.pop(name, None)
+                self._send("S" + name, [])  # it fails: after three periods, as here
+        if beats:
             self.next_beat = now + BEAT_MS
             self._beat()
 

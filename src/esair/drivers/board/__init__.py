@@ -47,7 +47,7 @@ from typing import Any, ClassVar
 import attrs
 
 from esair.boards.link import BEAT_MS, VERSION
-from esair.buses import SerialBus
+from esair.buses import Inbox, SerialBus
 from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.resources import Actuator, Sensor
 
@@ -242,32 +242,52 @@ class Board(_OnBoard, Sensor[BoardState]):
             DeviceLostError: The beats stay away.
         """
         faults = None
-        async for value in _values(self.bus, self.name, b"B\0"):
-            state = _state(value)
-            if state is None:
-                continue
-            if faults is not None and state.faults > faults:
-                _log.warning("%s: %s, fault %d", self.name, state.fault, state.faults)
-            faults = state.faults
-            yield state
+        with contextlib.closing(self.bus.frames(b"B\0")) as inbox:
+            async for value in _values(self.bus, self.name, b"B\0", inbox):
+                state = _state(value)
+                if state is None:
+                    continue
+                if faults is not None and state.faults > faults:
+                    _log.warning(
+                        "%s: %s, fault %d", self.name, state.fault, state.faults
+                    )
+                faults = state.faults
+                yield state
 
 
 class BoardSensor(_OnBoard, Sensor[Any]):
     """A sensor of the board, under the same name: its readings, as they come.
 
-    Numbers, truth values and texts come as they are, lists as tuples.
+    Numbers, truth values and texts come as they are, lists as tuples. If it has given
+    none for three of its periods, the board says so with each of its beats.
     """
 
     bus: SerialBus
+    _inbox: Inbox[bytes] | None = None
+
+    async def open(self) -> None:
+        """Wait until the board beats, and listen from now on."""
+        await super().open()
+        self._prefix = b"S" + self.name.encode() + b"\0"
+        self._inbox = self.bus.frames(self._prefix)  # beyond an error of the stream
+
+    async def close(self) -> None:
+        """Listen no more, and let the line go, with the last of the board's devices."""
+        if self._inbox is not None:
+            self._inbox.close()
+        await super().close()
 
     async def stream(self) -> AsyncIterator[Any]:
         """Yield each reading of the board.
 
         Raises:
             DeviceLostError: The board is silent.
+            DeviceFaultError: It gives no reading on the board.
         """
-        prefix = b"S" + self.name.encode() + b"\0"
-        async for value in _values(self.bus, self.name, prefix):
+        assert self._inbox is not None
+        async for value in _values(self.bus, self.name, self._prefix, self._inbox):
+            if value == []:
+                raise DeviceFaultError(self.name, "it gives no reading on the board")
             if isinstance(value, list) and len(value) == 2:
                 yield _tuples(value[1])
 
@@ -296,19 +316,20 @@ class BoardActuator(_OnBoard, Actuator[Any]):
         await self.bus.send(_signed(b"W" + self.name.encode() + b"\0" + body))
 
 
-async def _values(bus: SerialBus, name: str, prefix: bytes) -> AsyncIterator[Any]:
+async def _values(
+    bus: SerialBus, name: str, prefix: bytes, inbox: Inbox[bytes]
+) -> AsyncIterator[Any]:
     beats = _Beats.of(bus)
-    with contextlib.closing(bus.frames(prefix)) as inbox:
-        while True:
-            try:
-                frame = await inbox.take(timeout=SILENCE / 2)
-            except TimeoutError:
-                beats.check(name)
-                continue
+    while True:
+        try:
+            frame = await inbox.take(timeout=SILENCE / 2)
+        except TimeoutError:
             beats.check(name)
-            value = _value_of(frame, prefix)
-            if value is not None:
-                yield value
+            continue
+        beats.check(name)
+        value = _value_of(frame, prefix)
+        if value is not None:
+            yield value
 
 
 def _signed(payload: bytes) -> bytes:
