@@ -270,10 +270,23 @@ def reaction(
             600,
             id="the sensor is asked then",
         ),
+        pytest.param(
+            a_hold_ends_as_somebody_sees(
+                50,
+                [*[1.0] * 15, 0.6, *[1.0] * 20],  # it wants what is no number
+                reaction("Wrong", 10, 0.2, [0, 0, None, "safe", False]),
+                reaction(
+                    *("Both", 5, 0.2, [0, 3, 0.1, "safe", False]),
+                    [1, 1, None, "safe", False],
+                ),
+            ),
+            300,
+            id="somebody is blind then",
+        ),
     ],
 )
-def test_who_sees_at_the_end_of_a_hold_sees(world, moment) -> None:
-    """At that very moment: the command stands, whether a sensor is asked then or not."""
+def test_at_the_end_of_a_hold_its_command_stands(world, moment) -> None:
+    """At that very moment, whoever sees, or does not see any more, at the same one."""
     there = natural.play(world)
     stands = steps_of(there, world)["m0"]
 

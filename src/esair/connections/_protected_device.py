@@ -91,7 +91,7 @@ class ProtectedDevice(ActuatorDevice):
         if (
             mover is not None
             and mover is self._writer
-            and self.time() + _EARLY < self.until
+            and self.time() - _EARLY < self.until
             and (
                 mover.priority > blind.priority or not blind.is_against(mover.behavior)
             )
