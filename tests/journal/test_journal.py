@@ -70,6 +70,31 @@ async def test_what_a_device_does_not_take_is_told(fake_actuator):
     assert "brown-out" in told.text
 
 
+async def test_who_comes_and_who_goes_is_told(fake_sensor):
+    """Behaviors, reactions and resources; what could not be added never came."""
+
+    class Bad(Guest):
+        async def setup(self):
+            raise RuntimeError("no")
+
+    robot = esair.Robot()
+    events: list[Event] = []
+    robot.journal.listen(events.append, kinds=[Kind.ADDED, Kind.REMOVED])
+    async with robot:
+        await robot.behaviors.add(Guest())
+        with pytest.raises(esair.BehaviorFailedError):
+            await robot.behaviors.add(Bad())
+        await robot.resources.add(fake_sensor("eye", 1.0))
+        await robot.resources.remove("eye")
+        await robot.behaviors.remove("guest")
+    assert [(event.kind, event.component, event.peer) for event in events] == [
+        (Kind.ADDED, "guest", "behavior"),
+        (Kind.ADDED, "eye", "resource"),
+        (Kind.REMOVED, "eye", "resource"),
+        (Kind.REMOVED, "guest", "behavior"),
+    ]
+
+
 async def test_the_loser_of_a_turn_is_told_with_what_it_wanted(
     fake_sensor, fake_actuator
 ):

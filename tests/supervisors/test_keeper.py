@@ -210,6 +210,46 @@ async def test_without_it_a_robot_starts_halted(
         assert await user.motor.write(1.0)
 
 
+async def test_a_robot_that_ends_does_not_wait_for_a_new_watchdog(
+    fake: type[FakeWatchdog],
+) -> None:
+    """Its start is given up."""
+    robot, _, _ = robot_with(watchdog_death="alarm")
+    given_up = asyncio.Event()
+
+    async def hangs() -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            given_up.set()
+
+    async with robot:
+        (dog,) = fake.made
+        dog.start = hangs  # type: ignore[method-assign]
+        dog.die()
+        await asyncio.sleep(0.01)
+    await asyncio.wait_for(given_up.wait(), 10.0)
+    assert dog.told[-1] == "close"
+
+
+async def test_only_what_can_move_by_itself_is_watched(
+    fake: type[FakeWatchdog], fake_sensor: Any
+) -> None:
+    """Sensors and what is lost are not armed when the watchdog comes again."""
+    robot, motor, _ = robot_with(watchdog_death="alarm")
+    async with robot:
+        (dog,) = fake.made
+        await robot.resources.add(fake_sensor("eye", 1.0))
+        motor.unplug()
+        await asyncio.sleep(0.05)
+        dog.told.clear()
+        dog.die()
+        while dog.starts == 1:  # noqa: ASYNC110 - it tells nobody
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.01)
+        assert ("arm", "motor") not in dog.told
+
+
 @pytest.mark.parametrize("field", ["watchdog_policy", "watchdog_death"])
 def test_its_policies_are_words(fake: type[FakeWatchdog], field: str) -> None:
     """Another word is a mistake that names what there is."""

@@ -360,3 +360,45 @@ async def test_a_bus_that_does_not_close_is_named_and_holds_up_nothing(
     assert any(
         "bad" in r.getMessage() and "jammed" in r.getMessage() for r in caplog.records
     )
+
+
+@pytest.mark.promise("BS-5")
+async def test_nothing_is_kept_of_requests_that_are_over() -> None:
+    """Neither at who asked nor in the table of who waits for whom."""
+    a, b = Idle(name="a"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b]) as robot:
+        for n in range(3):
+            b.offer(n)
+            assert await a.get("b") == n
+            with pytest.raises(esair.BehaviorUnavailableError):
+                await a.get("b", 0.1)
+        assert not robot._behaviors.members["a"].asked
+
+
+@pytest.mark.promise("CALL-2")
+async def test_who_waits_for_a_device_leaves_nothing_at_its_call() -> None:
+    """However often it looks again."""
+    motor = FakeActuator("motor", safe=0.0, command_timeout=100.0)
+    motor.deadline = 100.0
+    user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        motor.slow(50.0)
+        writing = asyncio.create_task(user.motor.write(1.0))
+        await turns()
+        calls = robot.actuators.channels["motor"].calls
+        (call,) = calls.alive.values()
+        before = len(call.waiters)
+        for _ in range(3):
+            await calls.quiet(asyncio.get_running_loop().time() + 1.0)
+        assert len(call.waiters) == before
+        assert await writing
+
+
+@pytest.mark.promise("GRD-1")
+async def test_on_a_virtual_clock_nothing_is_watched() -> None:
+    """A process whose clock jumps would be stopped for it."""
+    motor = FakeActuator("motor", safe=0.0)
+    async with esair.Robot(resources=[motor], watchdog=True) as robot:
+        assert robot._resources.watchdog is None
+        assert robot._resources.lives["motor"].watch is None
+    assert motor.commands == [0.0, 0.0]

@@ -44,7 +44,7 @@ class ReadingCheck:
         """Return what is wrong with a value, in words; None if nothing is."""
         if self._wanted is float and not self._limits:
             self.wrong = self._number
-        elif self._wanted is float and bounded and len(self._limits) == 1:
+        elif self._wanted is float and bounded:
             self.wrong = self._number_in_limits
 
     def _number(self, value: Any) -> str | None:
