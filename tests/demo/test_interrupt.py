@@ -49,9 +49,9 @@ def test_a_signal_stops_the_wheels(
     """Each wheel's last command is the stop; the exit code tells of the signal."""
     record = tmp_path / "can.log"
     program = (
-        "import sys; from pathlib import Path; from esair.demo._show import show; "
+        "import sys; from pathlib import Path; from esair.demo import demo; "
         f"file = open({str(record)!r}, 'w', buffering=1, encoding='ascii'); "
-        "sys.exit(show(fast=False, seed=0, duration=36.0, "
+        "sys.exit(demo(fast=False, seed=0, duration=36.0, "
         f"out=Path({str(tmp_path / 'd.png')!r}), on_frame=lambda time, frame: "
         "print(f'{time:.6f} {frame.id:03X}#{frame.data.hex()}', file=file)))"
     )

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from esair.demo._drawing import Drawing, draw_map
+from esair.demo._drawing import Drawing
 from esair.demo._map import FloorMap
 from esair.demo._screen import Screen
 from esair.demo._show import Ending, perform
@@ -30,7 +30,7 @@ def test_the_map_has_north_at_the_top() -> None:
     row, column = floor.cell_of(0.55, 0.95)
     floor.odds[row - 1 : row + 2, column - 1 : column + 2] = 3.0
 
-    text = draw_map(floor, (), (0.05, 0.05))
+    text = Drawing(floor, (), (0.05, 0.05))(floor.odds.shape[1] // 2, 1000)
 
     lines = text.split("\n")
     occupied = [

@@ -249,9 +249,9 @@ def digest(folder: Path, hash_seed: str) -> str:
     """Run the show in another process; return what was on the CAN bus, as a digest."""
     record, out = folder / f"{hash_seed}.log", folder / f"{hash_seed}.png"
     code = (
-        "from pathlib import Path; from esair.demo._show import show; "
+        "from pathlib import Path; from esair.demo import demo; "
         f"file = open({str(record)!r}, 'w', encoding='ascii'); "
-        "raise SystemExit(show(fast=True, seed=5, duration=20.0, "
+        "raise SystemExit(demo(fast=True, seed=5, duration=20.0, "
         f"out=Path({str(out)!r}), on_frame=lambda time, frame: "
         "print(f'{time:.6f} {frame.id:03X} {frame.data.hex()}', file=file)))"
     )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
+from typing import ClassVar, TypeVar
 
 import attrs
 
@@ -23,6 +25,8 @@ from esair.drivers.wheel_motor import (
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.framing import SentenceError, decode_sentence, encode_sentence
 from esair.resources import Actuator, Sensor, setting
+
+T = TypeVar("T")
 
 IDENTITY_TIMEOUT = 0.5  # How long a part may take to say who it is, in seconds
 
@@ -51,6 +55,16 @@ class _SerialSensor:
 
     name: str
     bus: object
+    talker: ClassVar[str]
+    model: ClassVar[str]
+    bad_lines = 0  # How many sentences were damaged on their way
+
+    async def open(self) -> None:
+        """Make sure that it is this part and not something else."""
+        fields = await self._ask(f"{self.talker}IAM", f"{self.talker}WHO")
+        if fields[1:2] != [self.model]:
+            told = f"expected a {self.model}, found {fields[1:]}"
+            raise DeviceFaultError(self.name, told)
 
     @property
     def _line(self) -> SerialBus:
@@ -64,34 +78,36 @@ class _SerialSensor:
         inbox = self._line.frames(b"$" + answer.encode(), limit=4)
         try:
             await self._line.write(encode_sentence(*question))
-            fields = decode_sentence(await inbox.take(timeout=IDENTITY_TIMEOUT))
+            return decode_sentence(await inbox.take(timeout=IDENTITY_TIMEOUT))
         except SentenceError as error:
             raise DeviceFaultError(self.name, str(error)) from error
         except TimeoutError as error:
             raise DeviceLostError(self.name, f"no answer to {question[0]}") from error
         finally:
             inbox.close()
-        return fields
+
+    async def _told(
+        self, what: str, read: Callable[[list[str]], T]
+    ) -> AsyncGenerator[T, None]:
+        """Yield what each sentence says that arrives whole."""
+        inbox = self._line.frames(f"${self.talker}{what}".encode(), limit=4)
+        try:
+            async for line in inbox:
+                try:
+                    value = read(decode_sentence(line))
+                except ValueError:  # a SentenceError, or a field that is no number
+                    self.bad_lines += 1
+                else:
+                    yield value
+        finally:
+            inbox.close()
 
 
 class RangeFinder(_SerialSensor, Sensor[Scan]):
-    """A range finder with a fan of beams, on a serial line.
+    """A range finder with a fan of beams, on a serial line."""
 
-    Attributes:
-        bad_lines: How many sweeps were damaged on their way.
-    """
-
+    talker, model = "RF", "fan41"
     rate = setting(10.0, unit="Hz", min=1.0, max=20.0, doc="how often it sweeps")
-
-    def __init__(self, **options: object) -> None:
-        super().__init__(**options)  # type: ignore[arg-type]
-        self.bad_lines = 0
-
-    async def open(self) -> None:
-        """Make sure that it is a range finder and not something else."""
-        fields = await self._ask("RFIAM", "RFWHO")
-        if fields[1:2] != ["fan41"]:
-            raise DeviceFaultError(self.name, f"expected a fan41, found {fields[1:]}")
 
     async def apply(self, *, rate: float, **_: object) -> None:
         """Tell it how often to sweep."""
@@ -101,57 +117,36 @@ class RangeFinder(_SerialSensor, Sensor[Scan]):
 
     async def stream(self) -> AsyncIterator[Scan]:
         """Yield every sweep that arrives whole."""
-        inbox = self._line.frames(b"$RFSWP", limit=4)
-        try:
-            async for line in inbox:
-                scan = _scan(line)
-                if scan is None:
-                    self.bad_lines += 1
-                else:
-                    yield scan
-        finally:
-            inbox.close()
+        async with contextlib.aclosing(self._told("SWP", _scan)) as scans:
+            async for scan in scans:
+                yield scan
 
 
-def _scan(line: bytes) -> Scan | None:
-    try:
-        _, _, first, step, *distances = decode_sentence(line)
-        millimetres = [int(distance) for distance in distances]
-        return Scan(
-            math.radians(int(first) / 100),
-            math.radians(int(step) / 100),
-            tuple(value / 1000 if value > 0 else math.inf for value in millimetres),
-        )
-    except ValueError:  # a SentenceError, or a field that is no number
-        return None
+def _scan(fields: list[str]) -> Scan:
+    _, _, first, step, *distances = fields
+    millimetres = [int(distance) for distance in distances]
+    return Scan(
+        math.radians(int(first) / 100),
+        math.radians(int(step) / 100),
+        tuple(value / 1000 if value > 0 else math.inf for value in millimetres),
+    )
 
 
 class Bumper(_SerialSensor, Sensor[Touch]):
     """A bumper with two switches, on a serial line."""
 
-    def __init__(self, **options: object) -> None:
-        super().__init__(**options)  # type: ignore[arg-type]
-        self.bad_lines = 0
-
-    async def open(self) -> None:
-        """Make sure that it is a bumper and not something else."""
-        fields = await self._ask("BMIAM", "BMWHO")
-        if fields[1:2] != ["skirt2"]:
-            raise DeviceFaultError(self.name, f"expected a skirt2, found {fields[1:]}")
+    talker, model = "BM", "skirt2"
 
     async def stream(self) -> AsyncIterator[Touch]:
         """Yield what it feels, at each touch and ten times a second."""
-        inbox = self._line.frames(b"$BMSTA", limit=4)
-        try:
-            async for line in inbox:
-                try:
-                    _, _, left, right = decode_sentence(line)
-                except ValueError:
-                    self.bad_lines += 1
-                else:
-                    yield Touch(left == "1", right == "1")
-        finally:
-            inbox.close()
+        async with contextlib.aclosing(self._told("STA", _touch)) as touches:
+            async for touch in touches:
+                yield touch
+
+
+def _touch(fields: list[str]) -> Touch:
+    _, _, left, right = fields
+    return Touch(left == "1", right == "1")
 
 
 def _drive(name: str, bus: object) -> CanBus:
@@ -163,23 +158,18 @@ def _drive(name: str, bus: object) -> CanBus:
 class Wheels(Actuator[Twist]):
     """Two driven wheels, each with a motor controller on the CAN bus.
 
-    Args:
+    Attributes:
         wheel_radius: In metres.
         wheel_base: Between the wheels, in metres.
     """
 
+    wheel_radius = 0.05
+    wheel_base = 0.26
     safe = Twist(0.0, 0.0)
     command_timeout = 0.2
     limits = {"linear": (-0.6, 0.6), "angular": (-2.5, 2.5)}  # noqa: RUF012 - the base says so
     own_timeout = OWN_TIMEOUT
-
-    def __init__(
-        self, *, wheel_radius: float = 0.05, wheel_base: float = 0.26, **options: object
-    ) -> None:
-        super().__init__(**options)  # type: ignore[arg-type]
-        self.wheel_radius = wheel_radius
-        self.wheel_base = wheel_base
-        self._sequence = 0
+    _sequence = 0
 
     async def write(self, command: Twist) -> Twist:
         """Tell both motors their speed; a stop takes their power away."""
@@ -199,18 +189,14 @@ class Wheels(Actuator[Twist]):
 class Odometry(Sensor[Travel]):
     """How far the wheels have gone, from what the motor controllers tell.
 
-    Args:
+    Attributes:
         wheel_radius: In metres.
         wheel_base: Between the wheels, in metres.
     """
 
-    def __init__(
-        self, *, wheel_radius: float = 0.05, wheel_base: float = 0.26, **options: object
-    ) -> None:
-        super().__init__(**options)  # type: ignore[arg-type]
-        self.wheel_radius = wheel_radius
-        self.wheel_base = wheel_base
-        self.bad_frames = 0
+    wheel_radius = Wheels.wheel_radius
+    wheel_base = Wheels.wheel_base
+    bad_frames = 0
 
     async def stream(self) -> AsyncIterator[Travel]:
         """Yield how far it is, each time both wheels have told."""

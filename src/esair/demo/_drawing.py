@@ -27,38 +27,28 @@ class Drawing:
         """Draw it on so many columns and lines: as fine as there is room."""
         rows, columns = self.floor.odds.shape
         factor = max(2, math.ceil(columns / width), math.ceil(rows / (2 * height)))
-        return draw_map(self.floor, self.track, self.place, factor)
-
-
-def draw_map(
-    floor: FloorMap,
-    track: tuple[tuple[float, float], ...],
-    place: tuple[float, float],
-    factor: int = 2,
-) -> Text:
-    """Draw a map."""
-    height, width = (length // factor * factor for length in floor.odds.shape)
-    cut = floor.odds[:height, :width]
-    blocks = cut.reshape(height // factor, factor, width // factor, factor)
-    most = blocks.max(axis=(1, 3))
-    mean = blocks.mean(axis=(1, 3))
-    colors = np.full(most.shape, 0)
-    colors[mean < -0.2] = 1
-    colors[most > 0.6] = 2
-    rows, columns = colors.shape
-    for color, places in ((3, track), (4, (place,))):
-        for x, y in places:
-            row, column = floor.cell_of(x, y)
-            colors[min(row // factor, rows - 1), min(column // factor, columns - 1)] = (
-                color
-            )
-    if len(colors) % 2:
-        colors = np.vstack([colors, np.zeros((1, colors.shape[1]), colors.dtype)])
-    lines: list[Text] = []
-    for upper, lower in zip(colors[-1::-2], colors[-2::-2], strict=True):
-        line = Text(no_wrap=True)
-        # Runs of the same colors are one piece: there are ten times fewer of them.
-        for (above, below), run in itertools.groupby(zip(upper, lower, strict=True)):
-            line.append("▀" * len(list(run)), f"{COLORS[above]} on {COLORS[below]}")
-        lines.append(line)
-    return Text("\n", no_wrap=True).join(lines)
+        # How many cells of the map, across and along, are one point.
+        tall, wide = (length // factor for length in self.floor.odds.shape)
+        cut = self.floor.odds[: tall * factor, : wide * factor]
+        blocks = cut.reshape(tall, factor, wide, factor)
+        colors = np.zeros((tall, wide), int)
+        colors[blocks.mean(axis=(1, 3)) < -0.2] = 1
+        colors[blocks.max(axis=(1, 3)) > 0.6] = 2
+        for color, places in ((3, self.track), (4, (self.place,))):
+            for x, y in places:
+                row, column = self.floor.cell_of(x, y)
+                colors[
+                    min(row // factor, tall - 1), min(column // factor, wide - 1)
+                ] = color
+        if tall % 2:
+            colors = np.vstack([colors, np.zeros((1, wide), int)])
+        lines: list[Text] = []
+        for upper, lower in zip(colors[-1::-2], colors[-2::-2], strict=True):
+            line = Text(no_wrap=True)
+            # Runs of the same colors are one piece: there are ten times fewer of them.
+            for (above, below), run in itertools.groupby(
+                zip(upper, lower, strict=True)
+            ):
+                line.append("▀" * len(list(run)), f"{COLORS[above]} on {COLORS[below]}")
+            lines.append(line)
+        return Text("\n", no_wrap=True).join(lines)

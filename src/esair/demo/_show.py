@@ -18,6 +18,7 @@ from esair.buses import Frame
 from esair.config import Description, build, load
 from esair.demo._drawing import Drawing
 from esair.demo._journeys import Explore
+from esair.demo._kill import kill as show_deaths
 from esair.demo._mapper import Mapper
 from esair.demo._reactions import Bump
 from esair.demo._samples import Witness
@@ -51,26 +52,36 @@ class Ending:
     frames: list[tuple[float, Frame]] = attrs.field(factory=list)
 
 
-def show(
+def demo(
     *,
-    fast: bool,
-    seed: int,
-    out: Path,
-    duration: float,
+    fast: bool = False,
+    seed: int = 0,
+    out: Path | None = None,
+    duration: float = 36.0,
     record: Path | None = None,
+    kill: bool = False,
     on_frame: OnFrame | None = None,
 ) -> int:
-    """Run the show; see `esair.demo.demo`.
+    """Let the rover explore an arena while things go wrong on purpose.
 
     Args:
         fast: Run on a virtual clock, with the wires in memory.
-        seed: Decides all noise.
-        out: Where the picture goes.
-        duration: How long it may take, in seconds.
-        record: Where the recording goes; None for none.
+        seed: The same number gives the same run (with ``fast``, to the last command).
+        out: Where the picture of the run goes (PNG); ``demo.png`` if None.
+        duration: When the rover is called home at last, in seconds.
+        record: Where the recording goes (MCAP); needs ``esair[record]``.
+        kill: Instead of all that, kill a robot's process while it drives, and show when
+            its wheels had their safe frame.
         on_frame: Called with the time and each frame on the CAN bus.
+
+    Returns:
+        The exit code: 0, 1 if something did not happen as it should, or 130 after
+        Ctrl-C.
     """
     console = Console(highlight=False)
+    if kill:
+        return show_deaths(console)
+    out = out or Path("demo.png")
     for path in (out, record):
         if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
             return _unusable(path, "expected a file in a folder that is there")
@@ -145,7 +156,7 @@ async def perform(
 
 
 def repeat(recorded: Replay, *, seed: int, duration: float) -> Outcome:
-    """Repeat a recorded show: the same story; of a fast one the world, too.
+    """Repeat a show that was recorded, for ``esair replay``; a fast one with its world.
 
     Args:
         recorded: The recording.

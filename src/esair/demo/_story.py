@@ -10,6 +10,7 @@ import attrs
 
 from esair.actions import Behavior, writes
 from esair.demo._journeys import Explore, Home
+from esair.demo._plan import Point
 from esair.demo._samples import Witness
 from esair.demo._values import Twist
 from esair.drivers.wheel_motor import LEFT, RIGHT, command_id, decode_command
@@ -134,15 +135,13 @@ class Story:
             "avoid takes the wheels",
             lambda: self._robot.resources.why("wheels").holder == "avoid",
         )
-        self._tell(
-            Event(
-                at - self._begin,
-                "person",
-                "somebody steps in the way",
-                f"the guard brake lets {told:.2f} of {asked:.2f} m/s pass after "
-                f"{_ms(slowed)}; nearer still, avoid takes the wheels and turns away",
-                place,
-            )
+        self._happened(
+            "person",
+            at,
+            place,
+            "somebody steps in the way",
+            f"the guard brake lets {told:.2f} of {asked:.2f} m/s pass after "
+            f"{_ms(slowed)}; nearer still, avoid takes the wheels and turns away",
         )
         await asyncio.sleep(0.6)
         goes()
@@ -172,15 +171,13 @@ class Story:
         lost = self._witness.turns.get(("ranges", Kind.DOWN), at) - at
         stopped = self._stopped_since(unplugged)
         safe = safe if stopped is None else stopped - unplugged
-        self._tell(
-            Event(
-                at - self._begin,
-                "unplug",
-                "the range finder is unplugged",
-                f"noticed after {_ms(lost)}, both wheels stopped after {_ms(safe)}; "
-                f"the rover stands still because {reason}",
-                place,
-            )
+        self._happened(
+            "unplug",
+            at,
+            place,
+            "the range finder is unplugged",
+            f"noticed after {_ms(lost)}, both wheels stopped after {_ms(safe)}; "
+            f"the rover stands still because {reason}",
         )
         await self._until(at - self._begin + OUTAGE)
         moved_blind = self._moving_since(unplugged + safe)
@@ -199,15 +196,13 @@ class Story:
         moved = (self._moving_since(plugged) or plugged) - plugged
         back = min(back, moved)  # who moves has seen already, whenever it was looked
         holder = robot.resources.why("wheels").holder
-        self._tell(
-            Event(
-                at - self._begin,
-                "plug",
-                "the range finder is plugged in again",
-                f"back after {_ms(back)}, all resume; nothing moved before a fresh "
-                f"command of {holder} after {_ms(moved)}",
-                place,
-            )
+        self._happened(
+            "plug",
+            at,
+            place,
+            "the range finder is plugged in again",
+            f"back after {_ms(back)}, all resume; nothing moved before a fresh "
+            f"command of {holder} after {_ms(moved)}",
         )
         missed = self.explore.blind - blind_before
         self.faults.append(
@@ -231,15 +226,12 @@ class Story:
         await self._robot.behaviors.remove("passenger")
         answer = passenger.answer
         if answer is not None:
-            self._tell(
-                Event(
-                    at - self._begin,
-                    "refuse",
-                    "a passenger of priority -10 wants the wheels",
-                    f"refused: {answer.holder} holds them with "
-                    f"priority {answer.priority}",
-                    place,
-                )
+            self._happened(
+                "refuse",
+                at,
+                place,
+                "a passenger of priority -10 wants the wheels",
+                f"refused: {answer.holder} holds them with priority {answer.priority}",
             )
 
     async def _send_home(self) -> None:
@@ -249,14 +241,12 @@ class Story:
         await self._robot.behaviors.replace("explore", home)
         self.home = home
         took = self._loop.time() - at
-        self._tell(
-            Event(
-                at - self._begin,
-                "swap",
-                "the user replaces explore by a way home",
-                f"done in {_ms(took)}, everything else kept running",
-                place,
-            )
+        self._happened(
+            "swap",
+            at,
+            place,
+            "the user replaces explore by a way home",
+            f"done in {_ms(took)}, everything else kept running",
         )
         await self._happens(
             "the rover is at home",
@@ -266,19 +256,22 @@ class Story:
         )
         await asyncio.sleep(0.5)
         where = "is home" if home.arrived else "is on its way home"
-        self._tell(
-            Event(
-                self._loop.time() - self._begin,
-                "end",
-                f"the rover {where}",
-                "the robot stops; the wheels get their safe command last of all",
-                self._place(),
-            )
+        self._happened(
+            "end",
+            self._loop.time(),
+            self._place(),
+            f"the rover {where}",
+            "the robot stops; the wheels get their safe command last of all",
         )
+
+    def _happened(
+        self, kind: str, at: float, place: Point, text: str, detail: str
+    ) -> None:
+        self._tell(Event(at - self._begin, kind, text, detail, place))
 
     # What can be seen.
 
-    def _place(self) -> tuple[float, float]:
+    def _place(self) -> Point:
         pose = self._simulation.world.pose
         return pose.x, pose.y
 
