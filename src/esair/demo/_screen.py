@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections
 import logging
-from types import TracebackType
 from typing import Any
 
 from rich.console import Console, RenderableType
@@ -64,12 +63,7 @@ class Screen(logging.Handler):
             self._drawing.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._drawing is not None:
             self._drawing.stop()
             self._drawing = None

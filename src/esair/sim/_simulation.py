@@ -12,7 +12,6 @@ import tempfile
 import weakref
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 from esair.buses import Frame
 from esair.buses.can import MemoryCan, VirtualCan
@@ -97,12 +96,7 @@ class Simulation:
         await self.start()
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.stop()
 
     @property
