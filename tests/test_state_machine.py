@@ -90,14 +90,14 @@ class Wheels(FakeActuator[float]):
     @property
     def can_be_told(self) -> bool:
         faults = self._faults
-        return faults.plugged and faults._go.is_set() and not self.is_odd
+        return faults.plugged and faults.go.is_set() and not self.is_odd
 
     @property
     def answers(self) -> bool:
         """Whether each call ends well, and before its deadline."""
         faults = self._faults
         in_time = faults.delay + faults.ack < self.deadline
-        return faults.plugged and faults._go.is_set() and in_time
+        return faults.plugged and faults.go.is_set() and in_time
 
     @property
     def is_odd(self) -> bool:

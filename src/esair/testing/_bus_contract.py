@@ -49,19 +49,19 @@ class BusContract(abc.ABC):
 
     async def unplug(self, bus: Any) -> None:
         """Take the wire away, as a cable that is pulled; skips unless overridden."""
-        await _do(bus, "unplug")
+        await tell(getattr(bus, "unplug", None), "unplug")
 
     async def plug(self, bus: Any) -> None:
         """Bring the wire back; skips unless overridden."""
-        await _do(bus, "plug")
+        await tell(getattr(bus, "plug", None), "plug")
 
     async def stall(self, bus: Any) -> None:
         """Let the other end take and give nothing; skips unless overridden."""
-        await _do(bus, "stall")
+        await tell(getattr(bus, "stall", None), "stall")
 
     async def resume(self, bus: Any) -> None:
         """Let the other end go on; skips unless overridden."""
-        await _do(bus, "resume")
+        await tell(getattr(bus, "resume", None), "resume")
 
     async def ask(self, bus: Any, number: int) -> int:
         """Ask for a number and return the one that was answered; skips unless overridden.
@@ -184,8 +184,8 @@ class BusContract(abc.ABC):
             await self.use(bus)
 
 
-async def _do(bus: Any, what: str) -> None:
-    method = getattr(bus, what, None)
+async def tell(method: Any, what: str) -> None:
+    """Call what a test needs of a device or bus; skip where there is none."""
     if method is None:
         pytest.skip(f"override {what}() to test this")
     result = method()

@@ -15,7 +15,6 @@ from __future__ import annotations
 import abc
 import asyncio
 import functools
-import inspect
 from typing import Any, ClassVar
 
 import pytest
@@ -31,10 +30,8 @@ from esair.messages import Access, Policy, ResourceState
 from esair.plan import Plan, errors_in, examine_resource
 from esair.resources import Actuator, Resource, Sensor, settings_of
 from esair.standard import Robot
+from esair.testing._bus_contract import PATIENCE, tell
 from esair.values import checked_class
-
-PATIENCE = 5.0
-"""How long a suite waits for a device that has to give a value, in seconds."""
 
 LONGEST_PAUSE = 8.0
 """How long a device may take to be found once it has power, in seconds."""
@@ -71,19 +68,19 @@ class ResourceContract(abc.ABC):
         This and the next three call what the device, or its bus, has of that name, as
         those of the fakes do; override them for others, or their tests are skipped.
         """
-        await _tell(device, "unplug")
+        await tell(_told_by(device, "unplug"), "unplug")
 
     async def silence(self, device: Any) -> None:
         """Take the device's power away, not its cable."""
-        await _tell(device, "silence")
+        await tell(_told_by(device, "silence"), "silence")
 
     async def speak(self, device: Any) -> None:
         """Give the device its power back."""
-        await _tell(device, "speak")
+        await tell(_told_by(device, "speak"), "speak")
 
     async def power_cycle(self, device: Any) -> None:
         """Take its power away for a moment, unnoticed."""
-        await _tell(device, "power_cycle")
+        await tell(_told_by(device, "power_cycle"), "power_cycle")
 
     async def use(self, driver: Driver) -> Any:
         """Use the open device once."""
@@ -182,15 +179,6 @@ class ResourceContract(abc.ABC):
             await session.open()
             async with asyncio.timeout(device.deadline):
                 await self.use(session.driver)
-
-
-async def _tell(device: Any, what: str) -> None:
-    method = _told_by(device, what)
-    if method is None:
-        pytest.skip(f"override {what}() to test this")
-    result = method()
-    if inspect.isawaitable(result):
-        await result
 
 
 def _told_by(device: Any, what: str) -> Any:

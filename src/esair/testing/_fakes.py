@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import contextlib
 import copy
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any, Generic, TypeVar
 
 from esair.exceptions import DeviceLostError
@@ -23,46 +24,32 @@ class _Faults:
         self.name = name
         self.plugged = True
         self.silent = False
-        self._go = asyncio.Event()
-        self._go.set()
-        self._error: BaseException | None = None
-        self._after = 0
-        self._times: int | None = 0
+        self.go = asyncio.Event()
+        self.go.set()
+        self.error: BaseException | None = None
+        self.after = 0
+        self.times: int | None = 0
         self.delay = 0.0
         self.ack = 0.0
         self.deaf = 0
 
-    def fail(self, error: BaseException, after: int, times: int | None) -> None:
-        self._error, self._after, self._times = error, after, times
-
-    def stall(self) -> None:
-        self._go.clear()
-
-    def resume(self) -> None:
-        self._go.set()
-
     async def call(self) -> None:
         """One call of the device: wait, be gone, or fail, as told."""
-        while not self._go.is_set():
-            try:
-                await self._go.wait()
-            except asyncio.CancelledError:
-                if self.deaf <= 0:
-                    raise
-                self.deaf -= 1
-        if self.delay:
-            await self.wait(self.delay)
+        while not self.go.is_set():
+            with self._deaf():
+                await self.go.wait()
+        await self.wait(self.delay)
         self.check()
-        if self._error is None:
+        if self.error is None:
             return
-        if self._after > 0:
-            self._after -= 1
+        if self.after > 0:
+            self.after -= 1
             return
-        error = self._error
-        if self._times is not None:
-            self._times -= 1
-            if self._times <= 0:
-                self._error = None
+        error = self.error
+        if self.times is not None:
+            self.times -= 1
+            if self.times <= 0:
+                self.error = None
         raise error
 
     async def wait(self, seconds: float) -> None:
@@ -70,12 +57,17 @@ class _Faults:
         loop = asyncio.get_running_loop()
         until = loop.time() + seconds
         while (left := until - loop.time()) > 1e-9:
-            try:
+            with self._deaf():
                 await asyncio.sleep(left)
-            except asyncio.CancelledError:
-                if self.deaf <= 0:
-                    raise
-                self.deaf -= 1
+
+    @contextlib.contextmanager
+    def _deaf(self) -> Iterator[None]:
+        try:
+            yield
+        except asyncio.CancelledError:
+            if self.deaf <= 0:
+                raise
+            self.deaf -= 1
 
     def check(self) -> None:
         if not self.plugged:
@@ -161,15 +153,16 @@ class _Fake(Resource):
             after: How many calls go well before.
             times: How many calls fail; None for all from then on.
         """
-        self._faults.fail(error, after, times)
+        faults = self._faults
+        faults.error, faults.after, faults.times = error, after, times
 
     def stall(self) -> None:
         """Answer no call until `resume`."""
-        self._faults.stall()
+        self._faults.go.clear()
 
     def resume(self) -> None:
         """Answer again, also the calls that waited."""
-        self._faults.resume()
+        self._faults.go.set()
 
 
 class FakeSensor(_Fake, Sensor[T], Generic[T]):
