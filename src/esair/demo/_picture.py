@@ -43,6 +43,25 @@ KINDS = {
 KEPT_BACK = "#9bb0d9"
 """What the guard has kept back of what was asked for."""
 
+STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8,
+    "text.color": INK,
+    "axes.facecolor": FLOOR,
+    "axes.edgecolor": PALE,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.spines.bottom": False,
+    "xtick.color": INK,
+    "xtick.labelsize": 8,
+    "xtick.major.size": 2,
+    "ytick.color": INK,
+    "ytick.labelsize": 8,
+    "ytick.major.size": 2,
+}
+
 HOLDERS = {
     "explore": "#9ecae1",
     "home": "#0077b6",
@@ -54,7 +73,7 @@ HOLDERS = {
 
 def draw(run: Run, path: Path) -> None:
     """Write the picture."""
-    with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 9}):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 8.6), dpi=130, facecolor=PAPER)
         FigureCanvasAgg(figure)
         grid = figure.add_gridspec(
@@ -69,7 +88,7 @@ def draw(run: Run, path: Path) -> None:
             hspace=0.2,
             wspace=0.03,
         )
-        figure.text(0.05, 0.955, "esair demo", size=19, weight="bold", color=INK)
+        figure.text(0.05, 0.955, "esair demo", size=19, weight="bold")
         figure.text(0.05, 0.918, run.headline, size=10.5, color=PALE)
         _draw_floor(figure.add_subplot(grid[0, 0]), run)
         _draw_story(figure.add_subplot(grid[0, 1]), run)
@@ -89,8 +108,8 @@ def _draw_floor(axes: Axes, run: Run) -> None:
         _colors(floor),
         origin="lower",
         extent=extent,
-        interpolation="bilinear",
         zorder=0,
+        interpolation="bilinear",
     )
     _draw_arena(axes, run.arena)
     _draw_track(axes, run.samples)
@@ -98,34 +117,23 @@ def _draw_floor(axes: Axes, run: Run) -> None:
         _mark(axes, event, number)
     for event in run.events:
         if event.kind == "bump":
-            axes.plot(
-                *event.place, marker="x", ms=7, mew=2, color=KINDS["bump"], zorder=6
-            )
+            axes.plot(*event.place, "x", ms=7, mew=2, color=KINDS["bump"], zorder=6)
     x, y, _ = run.arena.start
     axes.plot(x, y, marker="o", ms=11, mfc="none", mec=INK, mew=1.4, zorder=5)
-    axes.annotate(
-        "start",
-        (x, y),
-        (-24, -3),
-        textcoords="offset points",
-        ha="center",
-        size=8,
-        color=INK,
-    )
+    axes.annotate("start", (x, y), (-24, -3), textcoords="offset points", ha="center")
     axes.set_xlim(-0.12, run.arena.size[0] + 0.12)
     axes.set_ylim(-0.24, run.arena.size[1] + 0.12)
     axes.set_aspect("equal")
     axes.set_axis_off()
     # A metre, to see how large all this is.
-    axes.plot(
-        [0.0, 1.0],
-        [-0.17, -0.17],
-        color=INK,
-        lw=2,
-        solid_capstyle="butt",
-        clip_on=False,
-    )
-    axes.text(1.06, -0.17, "1 m", size=8, va="center", color=INK)
+    line: dict[str, Any] = {
+        "color": INK,
+        "lw": 2,
+        "solid_capstyle": "butt",
+        "clip_on": False,
+    }
+    axes.plot([0.0, 1.0], [-0.17, -0.17], **line)
+    axes.text(1.06, -0.17, "1 m", va="center")
 
 
 def _colors(floor: FloorMap) -> Any:
@@ -169,16 +177,12 @@ def _draw_track(axes: Axes, samples: Sequence[Sample]) -> None:
     if len(points) < 2:
         return
     segments = np.stack([points[:-1], points[1:]], axis=1)
-    axes.add_collection(
-        LineCollection(
-            list(segments), colors="white", linewidths=4.5, alpha=0.8, zorder=3
-        )
-    )
-    track = LineCollection(
-        list(segments), cmap=TRACK, linewidths=2.3, zorder=4, capstyle="round"
-    )
+    pieces = list(segments)
+    below = LineCollection(pieces, colors="white", lw=4.5, alpha=0.8, zorder=3)
+    track = LineCollection(pieces, cmap=TRACK, lw=2.3, zorder=4, capstyle="round")
     track.set_array(times[:-1])
-    axes.add_collection(track)
+    for each in (below, track):
+        axes.add_collection(each)
     sample = samples[-1]
     x, y = sample.place
     axes.add_patch(Circle((x, y), 0.16, fc=PAPER, ec=INK, lw=1.4, zorder=5))
@@ -219,16 +223,14 @@ def _draw_story(axes: Axes, run: Run) -> None:
             ha="center", va="center",
             bbox={"boxstyle": "circle,pad=0.28", "fc": KINDS[event.kind], "ec": "none"},
         )  # fmt: skip
-        axes.text(0.12, y, f"{event.time:.1f} s", size=8, color=PALE, va="center")
-        for text, weight, color in (
-            (event.text, "bold", INK),
-            (event.detail, "normal", INK),
+        axes.text(0.12, y, f"{event.time:.1f} s", color=PALE, va="center")
+        for text, weight, width in (
+            (event.text, "bold", 39),
+            (event.detail, "normal", 44),
         ):
-            for line in _wrapped(text, 39 if weight == "bold" else 44):
+            for line in textwrap.wrap(text, width):
                 y -= 0.034
-                axes.text(
-                    0.12, y, line, size=8.4, weight=weight, color=color, va="center"
-                )
+                axes.text(0.12, y, line, size=8.4, weight=weight, va="center")
         y -= 0.052
 
 
@@ -244,21 +246,15 @@ def _draw_key(axes: Axes) -> None:
     )
     column = 0.0
     for text, marker, style in keys:
-        axes.plot(
-            column, 1.3, marker=marker, ms=8, ls="none", clip_on=False,
-            transform=axes.transAxes, **style,
-        )  # fmt: skip
-        axes.text(
-            column + 0.01, 1.3, text, size=8, color=INK, va="center",
-            transform=axes.transAxes,
-        )  # fmt: skip
+        where: dict[str, Any] = {"transform": axes.transAxes}
+        axes.plot(column, 1.3, marker, ms=8, clip_on=False, **where, **style)
+        axes.text(column + 0.01, 1.3, text, va="center", **where)
         column += 0.035 + 0.0063 * len(text)
 
 
 def _draw_speed(axes: Axes, run: Run) -> None:
     times = [sample.time for sample in run.samples]
     linear = [sample.linear for sample in run.samples]
-    axes.set_facecolor(FLOOR)
     _shade_outages(axes, run.samples)
     asked = [sample.asked for sample in run.samples]
     axes.fill_between(times, asked, linear, step="post", color=KEPT_BACK, lw=0)
@@ -269,16 +265,15 @@ def _draw_speed(axes: Axes, run: Run) -> None:
     axes.set_ylim(min([-0.1, *linear]) * 1.15, top)
     for number, event in enumerate(_numbered(run.events), 1):
         axes.axvline(event.time, color=KINDS[event.kind], lw=1.2)
-        axes.text(
-            event.time, top, f" {number}", size=8, weight="bold",
-            color=KINDS[event.kind], va="top",
-        )  # fmt: skip
+        style: dict[str, Any] = {
+            "weight": "bold",
+            "color": KINDS[event.kind],
+            "va": "top",
+        }
+        axes.text(event.time, top, f" {number}", **style)
     axes.set_xlim(0, times[-1] + 0.35 if times else 1.0)
-    axes.set_ylabel("told the wheels\nm/s", size=8, color=INK)
-    axes.tick_params(labelsize=8, colors=INK, labelbottom=False, length=2)
-    for side in ("top", "right", "bottom"):
-        axes.spines[side].set_visible(False)
-    axes.spines["left"].set_color(PALE)
+    axes.set_ylabel("told the wheels\nm/s")
+    axes.tick_params(labelbottom=False)
 
 
 def _shade_outages(axes: Axes, samples: Sequence[Sample]) -> None:
@@ -288,10 +283,8 @@ def _shade_outages(axes: Axes, samples: Sequence[Sample]) -> None:
             begin = sample.time
         if sample.sees and begin is not None:
             axes.axvspan(begin, sample.time, color="#c1121f", alpha=0.09, lw=0)
-            axes.text(
-                (begin + sample.time) / 2, 0.04, "range finder\naway", size=8,
-                ha="center", color="#c1121f",
-            )  # fmt: skip
+            middle = (begin + sample.time) / 2
+            axes.text(middle, 0.04, "range finder\naway", ha="center", color="#c1121f")
             begin = None
 
 
@@ -311,25 +304,15 @@ def _draw_holders(axes: Axes, run: Run) -> None:
         axes.add_patch(Rectangle((begin, 0), end - begin, 1, color=color, lw=0))
     axes.set_ylim(0, 1)
     axes.set_yticks([])
-    axes.set_ylabel("who", size=8, color=INK, rotation=0, ha="right", va="center")
-    axes.set_xlabel("seconds", size=8, color=INK, loc="right")
-    axes.tick_params(labelsize=8, colors=INK, length=2)
-    for side in ("top", "right", "left", "bottom"):
-        axes.spines[side].set_visible(False)
+    axes.set_ylabel("who", rotation=0, ha="right", va="center")
+    axes.set_xlabel("seconds", loc="right")
+    axes.spines["left"].set_visible(False)
+    where: dict[str, Any] = {"transform": axes.transAxes, "clip_on": False}
     for index, (name, color) in enumerate(HOLDERS.items()):
-        axes.text(
-            0.005 + 0.085 * index, -1.35, f"  {name or 'nobody'}", size=8, color=INK,
-            transform=axes.transAxes, va="center",
-        )  # fmt: skip
-        axes.plot(
-            [0.005 + 0.085 * index], [-1.35], marker="s", ms=7, color=color,
-            transform=axes.transAxes, clip_on=False,
-        )  # fmt: skip
+        x = 0.005 + 0.085 * index
+        axes.text(x, -1.35, f"  {name or 'nobody'}", va="center", **where)
+        axes.plot(x, -1.35, "s", ms=7, color=color, **where)
 
 
 def _numbered(events: Sequence[Event]) -> list[Event]:
     return [event for event in events if event.kind != "bump"]
-
-
-def _wrapped(text: str, width: int) -> list[str]:
-    return textwrap.wrap(text, width)
