@@ -4,7 +4,7 @@ One table of acts serves the control socket, ``robot.behaviors.command`` and the
 The operator is a principal with rights of its own; what it does is in the journal.
 """
 
-from esair.seat._acts import ACTS, Act, check_rights
+from esair.seat._acts import ACTS, Act, act_of, check_rights, value_of
 from esair.seat._client import Client, NoRobotError, RefusedActError, connect
 from esair.seat._operator import Console, Session
 from esair.seat._place import robots
@@ -12,7 +12,6 @@ from esair.seat._seat import Seat
 from esair.seat._socket import CLIENTS, Socket
 from esair.seat._status import Status
 from esair.seat._wire import LIMIT, VERSION
-from esair.seat._words import act_of, value_of
 
 __all__ = [
     "ACTS",

@@ -6,10 +6,10 @@ import logging
 from typing import TYPE_CHECKING
 
 from esair.exceptions import ConfigError, StoppingError, describe
+from esair.seat._acts import act_of
 from esair.seat._operator import Console, Session
 from esair.seat._place import Place
 from esair.seat._socket import Socket
-from esair.seat._words import act_of
 
 if TYPE_CHECKING:
     from esair.messages import Page

@@ -7,8 +7,12 @@ import contextlib
 import signal
 import sys
 import threading
+import time
+from collections.abc import Iterator
 from types import FrameType
 from typing import Any
+
+from esair.testing import VirtualLoop
 
 PATIENCE = 10.0
 """How long virtual time may stand still at most, in seconds of real time."""
@@ -80,3 +84,26 @@ def _held_in(frame: FrameType | None, seconds: float) -> HeldError:
                 return HeldError(each.f_code.co_name, text)
             each = each.f_back
     return HeldError("robot", f"time stood still for {seconds:g} s of real time")
+
+
+@contextlib.contextmanager
+def virtual_sleep(loop: VirtualLoop) -> Iterator[None]:
+    """Have `time.sleep` take virtual time: of all of them in the loop, else of one thread."""
+    real = time.sleep
+    home = threading.current_thread()
+
+    def sleep(seconds: float) -> None:
+        current = threading.current_thread()
+        if current is home and asyncio._get_running_loop() is loop:  # noqa: SLF001
+            loop.advance(max(0.0, seconds))
+        elif current.name.startswith("esair-"):
+            loop.wait_in_thread(seconds)
+        else:
+            real(seconds)
+
+    patched: Any = sleep
+    time.sleep = patched
+    try:
+        yield
+    finally:
+        time.sleep = real

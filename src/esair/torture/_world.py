@@ -22,8 +22,7 @@ from esair.torture._gate import Gate
 from esair.torture._judge import SLACK, Judge, Violation, protected_in
 from esair.torture._kinds import KINDS, NotNowError
 from esair.torture._lever import Lever
-from esair.torture._patience import HeldError, Patience, abandon
-from esair.torture._sleep import virtual_sleep
+from esair.torture._patience import HeldError, Patience, abandon, virtual_sleep
 from esair.torture._story import Step, Story
 from esair.torture._target import Target
 
