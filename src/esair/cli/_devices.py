@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Protocol
+from typing import Annotated, Any, Final, Literal
 
 import attrs
 from cyclopts import Parameter
@@ -82,7 +82,7 @@ def devices(
     if mistake:
         tell(mistake)
         return CANNOT_USE
-    show: _Screen = _Json() if as_json else _Words(only_toml=as_toml)
+    show: _Json | _Words = _Json() if as_json else _Words(only_toml=as_toml)
     try:
         if watch:
             return _watch(root, show, seconds)
@@ -139,7 +139,7 @@ def _mistake(verbs: dict[str, bool], *, as_json: bool, seconds: float | None) ->
     return ""
 
 
-def _list(root: Path, show: _Screen, *, scan: bool) -> int:
+def _list(root: Path, show: _Json | _Words, *, scan: bool) -> int:
     found = discovery.devices(root)
     chips: Chips = {}
     buses = [device for device in found if scan and device.kind == "i2c"]
@@ -165,7 +165,7 @@ async def _scan(device: Device) -> dict[int, str]:
         await bus.close()
 
 
-def _watch(root: Path, show: _Screen, seconds: float | None) -> int:
+def _watch(root: Path, show: _Json | _Words, seconds: float | None) -> int:
     with Wakes() as wakes:
         wakes.listen()
         plugs = Plugs(root)
@@ -180,7 +180,7 @@ def _watch(root: Path, show: _Screen, seconds: float | None) -> int:
     return 0
 
 
-def _find(root: Path, show: _Screen, seconds: float | None) -> int:
+def _find(root: Path, show: _Json | _Words, seconds: float | None) -> int:
     with Wakes() as wakes:
         wakes.listen()
         plugs = Plugs(root)
@@ -201,19 +201,6 @@ def _rounds(wakes: Wakes, seconds: float | None) -> Iterator[None]:
     while (left := end - time.monotonic()) > 0:
         wakes.wait(min(left, GLANCE))
         yield
-
-
-class _Screen(Protocol):
-    """Where the answers go."""
-
-    def listed(self, found: list[Device], chips: Chips) -> None:
-        """Show all that is plugged in."""
-
-    def change(self, event: Event, device: Device) -> None:
-        """Show one that is there, was plugged in, or was unplugged."""
-
-    def found(self, gone: list[Device]) -> None:
-        """Show which were unplugged."""
 
 
 class _Json:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from esair.firmware import Built, Trial, run_folder
+from esair.firmware import Built, run_folder
 from esair.firmware import build as build_files
 from esair.firmware import deploy as deploy_files
 from esair.firmware import monitor as monitor_board
@@ -49,8 +49,7 @@ def build(
     built = build_files(
         file, out, board=board, rate=rate, watchdog=watchdog, arm=arm, link=link
     )
-    console = Console(highlight=False)
-    console.print(_files(built))
+    Console(highlight=False).print(_files(built))
     compiled = "; compiled files are in compiled/" if built.compiled else ""
     told = [f"{built.folder} is ready: {built.rate:g} steps per second{compiled}"]
     if built.trial is None:
@@ -61,7 +60,7 @@ def build(
             f"it ran in MicroPython; on a {built.board.name} it takes about {used}"
         )
     for line in told:
-        console.print(Text(line), soft_wrap=True)
+        _say(line)
     return 0
 
 
@@ -76,9 +75,12 @@ def run(folder: Path, /, *, seconds: float = 5.0) -> int:
         seconds: How long it runs.
     """
     trial = run_folder(folder, seconds=seconds, show=True)
-    console = Console(highlight=False)
-    for line in _seen(trial):
-        console.print(Text(line), soft_wrap=True)
+    told = [*trial.faults]
+    if trial.late:
+        told.append(f"{trial.late} steps came too late on this computer")
+    told.append(f"{trial.steps} steps, {trial.refused} commands refused")
+    for line in told:
+        _say(line)
     return 1 if trial.mistakes else 0
 
 
@@ -93,14 +95,9 @@ def deploy(folder: Path, /, *, port: str = "auto", seconds: float = 20.0) -> int
         port: The board's serial port, a path or usb:...; the only one at USB if not said.
         seconds: How long to wait for the board after its reset.
     """
-    console = Console(highlight=False)
-
-    def say(line: str) -> None:
-        console.print(Text(line), soft_wrap=True)
-
-    done = deploy_files(folder, port=port, seconds=seconds, say=say)
+    done = deploy_files(folder, port=port, seconds=seconds, say=_say)
     size = sum(done.files.values()) / 1000
-    say(f"{len(done.files)} files, {size:.1f} KB, are on the board: {done.ready}")
+    _say(f"{len(done.files)} files, {size:.1f} KB, are on the board: {done.ready}")
     return 0
 
 
@@ -112,21 +109,12 @@ def monitor(*, port: str = "auto", seconds: float | None = None) -> int:
         port: The board's serial port, a path or usb:...; the only one at USB if not said.
         seconds: How long; until Ctrl-C if not said.
     """
-    console = Console(highlight=False)
-    monitor_board(
-        port,
-        lambda line: console.print(Text(str(line)), soft_wrap=True),
-        seconds=seconds,
-    )
+    monitor_board(port, _say, seconds=seconds)
     return 0
 
 
-def _seen(trial: Trial) -> list[str]:
-    told = [*trial.faults]
-    if trial.late:
-        told.append(f"{trial.late} steps came too late on this computer")
-    told.append(f"{trial.steps} steps, {trial.refused} commands refused")
-    return told
+def _say(line: object) -> None:
+    Console(highlight=False).print(Text(str(line)), soft_wrap=True)
 
 
 def _files(built: Built) -> Table:
