@@ -38,4 +38,4 @@ __all__ = [
 ]
 
 # What draws and prints is loaded by who looks.
-__getattr__, _ = late(__name__, {"demo": "_show", "repeat": "_show"})
+__getattr__, _ = late(__name__, {"_show": "demo repeat"})
