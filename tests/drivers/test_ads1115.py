@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.drivers.parts import OnChip
 
 from esair.drivers.ads1115 import (
     CHANNELS,
@@ -62,20 +63,11 @@ def test_what_is_at_the_inputs_is_what_is_read(
     assert volts == pytest.approx(limited, abs=full_scale / 32768)
 
 
-class TestAds1115(SensorContract):
+class TestAds1115(OnChip, SensorContract):
     """What every sensor must do."""
 
     def make(self) -> Ads1115:
         return Ads1115(channel=2, bus=FakeI2c(chips={0x48: FakeAds1115(0, 0, 1.5)}))
-
-    async def silence(self, device: Any) -> None:
-        device.bus.silent(0x48)
-
-    async def speak(self, device: Any) -> None:
-        device.bus.silent(0x48, silent=False)
-
-    async def power_cycle(self, device: Any) -> None:
-        device.bus.chips[0x48].power_cycle()
 
     keeps_nothing = "each conversion says all that the chip needs"
 

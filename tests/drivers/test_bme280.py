@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.drivers.parts import OnChip
 
 from esair.drivers.bme280 import (
     Bme280,
@@ -119,20 +120,11 @@ def test_no_registers_give_a_value_that_is_none(data, first, second) -> None:
     assert 0.0 <= climate.humidity <= 1.0
 
 
-class TestBme280(SensorContract):
+class TestBme280(OnChip, SensorContract):
     """What every sensor must do."""
 
     def make(self) -> Bme280:
         return Bme280(bus=FakeI2c(chips={0x76: FakeBme280()}))
-
-    async def silence(self, device: Any) -> None:
-        device.bus.silent(0x76)
-
-    async def speak(self, device: Any) -> None:
-        device.bus.silent(0x76, silent=False)
-
-    async def power_cycle(self, device: Any) -> None:
-        device.bus.chips[0x76].power_cycle()
 
 
 async def sensor_on(chip: FakeBme280, **settings: Any) -> Bme280:

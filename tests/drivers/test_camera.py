@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.drivers.parts import Powered
 
 import esair
 from esair import discovery
@@ -35,22 +36,13 @@ def picture(shade: int = 0, height: int = 4, width: int = 6) -> Any:
     return made
 
 
-class TestCamera(SensorContract):
+class TestCamera(Powered, SensorContract):
     def make(self) -> Camera:
         self.far = FakeCamera([picture(1), picture(2)])
         return Camera(opener=self.far.open, width=6, height=4)
 
     async def unplug(self, _device: Any) -> None:
         self.far.unplug()
-
-    async def silence(self, _device: Any) -> None:
-        self.far.silent = True
-
-    async def speak(self, _device: Any) -> None:
-        self.far.silent = False
-
-    async def power_cycle(self, _device: Any) -> None:
-        self.far.power_cycle()
 
     keeps_nothing = "the kernel gives it a new device, which is opened again"
 

@@ -7,7 +7,6 @@ import contextlib
 import os
 import struct
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,6 +14,7 @@ import pytest
 from canopen.objectdictionary import import_od
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.drivers.parts import opened
 
 import esair
 from esair.buses import CanBus
@@ -72,20 +72,6 @@ def actuator(wire: Any, object_: Any = "Target velocity", **keywords: Any) -> An
             **keywords,
         },
     )
-
-
-@asynccontextmanager
-async def opened(*devices: Any) -> AsyncIterator[None]:
-    """Open devices and their bus, and close all of them."""
-    await devices[0].bus.open()
-    try:
-        for device in devices:
-            await device.open()
-        yield
-    finally:
-        for device in devices:
-            await device.close()
-        await devices[0].bus.close()
 
 
 class Wired:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
-from contextlib import aclosing, asynccontextmanager
+from contextlib import aclosing
 from typing import Any
 
 import pytest
+from tests.drivers.parts import opened
 
 import esair
 from esair.drivers.canopen.drive import Drive, DriveState, State
@@ -25,19 +26,6 @@ pytestmark = pytest.mark.virtual_clock
 
 def made(kind: Any, wire: Any, **keywords: Any) -> Any:
     return kind(bus=wire, **{"node": 5, "sdo_timeout": PATIENCE, **keywords})
-
-
-@asynccontextmanager
-async def opened(*devices: Any) -> AsyncIterator[None]:
-    await devices[0].bus.open()
-    try:
-        for device in devices:
-            await device.open()
-        yield
-    finally:
-        for device in devices:
-            await device.close()
-        await devices[0].bus.close()
 
 
 def state_of(far: FakeDrive) -> State:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from contextlib import aclosing, asynccontextmanager, suppress
+from collections.abc import Callable
+from contextlib import aclosing, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.drivers.parts import opened
 
 import esair
 from esair.buses import CanBus, Frame
@@ -29,18 +30,6 @@ from esair.testing import ActuatorContract, SensorContract
 ROVER = Path(__file__).parent / "rover.dbc"
 
 pytestmark = pytest.mark.virtual_clock
-
-
-@asynccontextmanager
-async def opened(device: Any) -> AsyncIterator[Any]:
-    """Open a device and its bus, and close both."""
-    await device.bus.open()
-    await device.open()
-    try:
-        yield device
-    finally:
-        await device.close()
-        await device.bus.close()
 
 
 def driven(device: esair.Resource) -> esair.Robot:

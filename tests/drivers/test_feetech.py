@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 pytest.importorskip("scservo_sdk", reason="the extra 'feetech' is not installed")
 
+from tests.drivers.parts import OnServos
+
 from esair.drivers.servo import Goal, Mode, Servo, ServoPosition
 from esair.drivers.servo._tables import Entry
 from esair.drivers.servo.fake import SYNC_READ, SYNC_WRITE
@@ -27,29 +29,10 @@ pytestmark = pytest.mark.virtual_clock
 RELEASE = Goal(mode=Mode.RELEASE)
 
 
-class OnLine:
-    fakes: FakeFeetechServos
-
+class OnLine(OnServos):
     def make_bus(self) -> FeetechBus:
         self.fakes = FakeFeetechServos([1, 2])
         return FeetechBus(name="arm", opener=self.fakes.open)
-
-    async def unplug(self, _device: Any) -> None:
-        self.fakes.unplug()
-
-    async def plug(self, _device: Any) -> None:
-        self.fakes.plug()
-
-    async def silence(self, _device: Any) -> None:
-        self.fakes.stall()
-
-    async def speak(self, _device: Any) -> None:
-        self.fakes.resume()
-
-    stall, resume = silence, speak
-
-    async def power_cycle(self, _device: Any) -> None:
-        self.fakes.power_cycle()
 
 
 class TestFeetechBus(OnLine, BusContract):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.drivers.parts import Plugged
 
 import esair
 from esair import discovery
@@ -20,22 +21,10 @@ from esair.testing import SensorContract
 pytestmark = pytest.mark.virtual_clock
 
 
-class TestGamepad(SensorContract):
+class TestGamepad(Plugged, SensorContract):
     def make(self) -> Gamepad:
         self.far = FakeGamepad()
         return Gamepad(opener=self.far.open)
-
-    async def unplug(self, _device: Any) -> None:
-        self.far.unplug()
-
-    async def silence(self, _device: Any) -> None:
-        self.far.unplug()
-
-    async def speak(self, _device: Any) -> None:
-        self.far.plug()
-
-    async def power_cycle(self, _device: Any) -> None:
-        self.far.power_cycle()
 
     keeps_nothing = "the kernel gives it a new device, which is opened again"
 

@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
+from tests.drivers.parts import Plugged
 
 import esair
 from esair.drivers.gpio import DigitalInput, DigitalOutput
@@ -18,34 +19,16 @@ from esair.testing import ActuatorContract, SensorContract
 pytestmark = pytest.mark.virtual_clock
 
 
-class OnChip:
-    """How a chip is pulled, and what it is without power."""
-
-    chip: FakeGpioChip
-
-    async def unplug(self, _device: Any) -> None:
-        self.chip.unplug()
-
-    async def silence(self, _device: Any) -> None:
-        self.chip.unplug()
-
-    async def speak(self, _device: Any) -> None:
-        self.chip.plug()
-
-    async def power_cycle(self, _device: Any) -> None:
-        self.chip.power_cycle()
-
-
-class TestInput(OnChip, SensorContract):
+class TestInput(Plugged, SensorContract):
     def make(self) -> DigitalInput:
-        self.chip = FakeGpioChip()
-        return DigitalInput(chip="fake", line=3, opener=self.chip.request)
+        self.far = FakeGpioChip()
+        return DigitalInput(chip="fake", line=3, opener=self.far.request)
 
 
-class TestOutput(OnChip, ActuatorContract):
+class TestOutput(Plugged, ActuatorContract):
     def make(self) -> DigitalOutput:
-        self.chip = FakeGpioChip()
-        return DigitalOutput(chip="fake", line=4, opener=self.chip.request)
+        self.far = FakeGpioChip()
+        return DigitalOutput(chip="fake", line=4, opener=self.far.request)
 
     def commands(self) -> list[Any]:
         return [True, False, True]

@@ -13,6 +13,7 @@ import hypothesis
 import pytest
 from hypothesis import strategies as st
 from pynmeagps import NMEAReader  # type: ignore[import-untyped]
+from tests.drivers.parts import Powered
 
 import esair
 from esair.buses import SerialBus
@@ -51,19 +52,10 @@ def make(**options: Any) -> tuple[Gps, FakeSerial, FakeGps]:
     return Gps(bus=line, **options), line, part
 
 
-class TestGps(SensorContract):
+class TestGps(Powered, SensorContract):
     def make(self) -> Gps:
-        device, _, self.part = make()
+        device, _, self.far = make()
         return device
-
-    async def silence(self, device: Gps) -> None:
-        self.part.silent = True
-
-    async def speak(self, device: Gps) -> None:
-        self.part.silent = False
-
-    async def power_cycle(self, device: Gps) -> None:
-        self.part.power_cycle()
 
     keeps_nothing = "it is told nothing"
 

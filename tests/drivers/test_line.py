@@ -9,6 +9,7 @@ from collections.abc import Callable
 import hypothesis
 import pytest
 from hypothesis import strategies as st
+from tests.drivers.parts import Powered
 
 import esair
 from esair.drivers.line import (
@@ -28,42 +29,29 @@ def line(fake_serial: Callable[..., FakeSerial]) -> FakeSerial:
     return fake_serial("front")
 
 
-class Powered:
-    """A board that may have no power."""
-
-    board: FakeBoard
-
-    async def silence(self, _device: object) -> None:
-        self.board.silent = True
-
-    async def speak(self, _device: object) -> None:
-        self.board.silent = False
-
-    async def power_cycle(self, _device: object) -> None:
-        self.board.power_cycle()
-
+class OnBoard(Powered):
     keeps_nothing = "each line says all that the board needs"
 
 
-class TestPushed(Powered, SensorContract):
+class TestPushed(OnBoard, SensorContract):
     """A sensor whose board tells its value ten times a second."""
 
     def make(self) -> LineSensor:
         line = FakeSerial("front")
-        self.board = FakeBoard(line, {"range": 1.25}, period=0.1)
+        self.far = FakeBoard(line, {"range": 1.25}, period=0.1)
         return LineSensor(name="range", silent_after=0.5, bus=line)
 
 
-class TestAsked(Powered, SensorContract):
+class TestAsked(OnBoard, SensorContract):
     """A sensor whose board is asked for each value."""
 
     def make(self) -> LineSensor:
         line = FakeSerial("front")
-        self.board = FakeBoard(line, {"range": 1.25})
+        self.far = FakeBoard(line, {"range": 1.25})
         return LineSensor(name="range", ask=True, bus=line)
 
 
-class TestTold(Powered, ActuatorContract):
+class TestTold(OnBoard, ActuatorContract):
     """An actuator whose board confirms nothing."""
 
     ack = False
@@ -71,7 +59,7 @@ class TestTold(Powered, ActuatorContract):
 
     def make(self) -> LineActuator:
         line = FakeSerial("front")
-        self.board = FakeBoard(line, commands={"speed": 0.0}, ack=self.ack)
+        self.far = FakeBoard(line, commands={"speed": 0.0}, ack=self.ack)
         return LineActuator(
             name="speed", safe=0.0, ack=self.ack, limits=(-1.0, 1.0), bus=line
         )

@@ -20,6 +20,8 @@ from esair.testing import ActuatorContract, BusContract, FakeSerial, SensorContr
 
 pytest.importorskip("pymodbus", reason="the extra 'modbus' is not installed")
 
+from tests.drivers.parts import Powered
+
 from esair.drivers.modbus import ModbusActuator, ModbusSensor
 from esair.drivers.modbus.fake import FakeModbus
 
@@ -41,39 +43,29 @@ def make(framing: str = RTU) -> tuple[FakeSerial, FakeModbus]:
     return line, unit
 
 
-class Powered:
+class OnUnit(Powered):
     framing = RTU
-    unit: FakeModbus
 
     def wire(self) -> FakeSerial:
-        line, self.unit = make(self.framing)
+        line, self.far = make(self.framing)
         return line
-
-    async def silence(self, _device: Any) -> None:
-        self.unit.silent = True
-
-    async def speak(self, _device: Any) -> None:
-        self.unit.silent = False
-
-    async def power_cycle(self, _device: Any) -> None:
-        self.unit.power_cycle()
 
     keeps_nothing = "each request says all that the unit needs"
 
 
-class TestSensor(Powered, SensorContract):
+class TestSensor(OnUnit, SensorContract):
     def make(self) -> Any:
         return ModbusSensor(unit=3, register=20, type="float32", bus=self.wire())
 
 
-class TestBit(Powered, SensorContract):
+class TestBit(OnUnit, SensorContract):
     framing = TCP
 
     def make(self) -> Any:
         return ModbusSensor(unit=3, register=4, table="discrete", bus=self.wire())
 
 
-class TestActuator(Powered, ActuatorContract):
+class TestActuator(OnUnit, ActuatorContract):
     def make(self) -> Any:
         return ModbusActuator(
             unit=3, register=8, type="int32", factor=0.1, safe=0.0, bus=self.wire()
@@ -83,7 +75,7 @@ class TestActuator(Powered, ActuatorContract):
         return [12.5, -1000.0]
 
 
-class TestCoil(Powered, ActuatorContract):
+class TestCoil(OnUnit, ActuatorContract):
     framing = TCP
 
     def make(self) -> Any:
@@ -101,9 +93,9 @@ class TestLine(BusContract):
     framing = RTU
 
     def make(self) -> FakeSerial:
-        line, self.unit = make(self.framing)
+        line, self.far = make(self.framing)
         line.late_limit = 0.2
-        self.unit.inputs = {n: n for n in range(256)}
+        self.far.inputs = {n: n for n in range(256)}
         return line
 
     async def use(self, bus: Any) -> None:
@@ -119,7 +111,7 @@ class TestLine(BusContract):
         loop = asyncio.get_running_loop()
 
         def answer(message: bytes) -> None:
-            said = self.unit.hear(message)
+            said = self.far.hear(message)
             assert said is not None
             loop.call_later(seconds, bus.say, said)
 
@@ -218,7 +210,7 @@ class Server:
     def __init__(self) -> None:
         self.socket = socket.create_server(("127.0.0.1", 0))
         self.port = self.socket.getsockname()[1]
-        _, self.unit = make(TCP)
+        _, self.far = make(TCP)
         threading.Thread(target=self.serve, daemon=True).start()
 
     def serve(self) -> None:
@@ -230,7 +222,7 @@ class Server:
             framing = ModbusTcp()
             while data := connection.recv(4096):
                 for message in framing.feed(data):
-                    answer = self.unit.hear(message)
+                    answer = self.far.hear(message)
                     assert answer is not None
                     connection.sendall(framing.encode(answer))
             connection.close()

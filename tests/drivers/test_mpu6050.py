@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+from tests.drivers.parts import OnChip
 
 from esair.drivers.mpu6050 import (
     GRAVITY,
@@ -60,20 +61,11 @@ async def sensor_on(chip: FakeMpu6050, **settings: Any) -> Mpu6050:
     return Mpu6050(bus=bus, **settings)
 
 
-class TestMpu6050(SensorContract):
+class TestMpu6050(OnChip, SensorContract):
     """What every sensor must do."""
 
     def make(self) -> Mpu6050:
         return Mpu6050(bus=FakeI2c(chips={0x68: FakeMpu6050()}))
-
-    async def silence(self, device: Any) -> None:
-        device.bus.silent(0x68)
-
-    async def speak(self, device: Any) -> None:
-        device.bus.silent(0x68, silent=False)
-
-    async def power_cycle(self, device: Any) -> None:
-        device.bus.chips[0x68].power_cycle()
 
 
 @pytest.mark.virtual_clock

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.drivers.parts import OnChip
 
 import esair
 from esair.drivers.pca9685 import PwmChannel
@@ -28,39 +29,21 @@ def bus_with(chip: FakePca9685 | None = None) -> FakeI2c:
     return FakeI2c(chips={0x40: chip or FakePca9685()})
 
 
-class TestPwmChannel(ActuatorContract):
+class TestPwmChannel(OnChip, ActuatorContract):
     """What every actuator must do."""
 
     def make(self) -> PwmChannel:
         return PwmChannel(channel=3, bus=bus_with())
 
-    async def silence(self, device: Any) -> None:
-        device.bus.silent(0x40)
-
-    async def speak(self, device: Any) -> None:
-        device.bus.silent(0x40, silent=False)
-
-    async def power_cycle(self, device: Any) -> None:
-        device.bus.chips[0x40].power_cycle()
-
     def commands(self) -> list[float]:
         return [0.0, 0.5, 1.0, 1e-9]
 
 
-class TestPwmServo(ActuatorContract):
+class TestPwmServo(OnChip, ActuatorContract):
     """What every actuator must do."""
 
     def make(self) -> PwmServo:
         return PwmServo(channel=15, bus=bus_with())
-
-    async def silence(self, device: Any) -> None:
-        device.bus.silent(0x40)
-
-    async def speak(self, device: Any) -> None:
-        device.bus.silent(0x40, silent=False)
-
-    async def power_cycle(self, device: Any) -> None:
-        device.bus.chips[0x40].power_cycle()
 
     def commands(self) -> list[ServoPosition]:
         return [ServoPosition(math.pi / 4), ServoPosition(-math.pi / 4)]

@@ -10,6 +10,7 @@ from typing import Any
 import hypothesis
 import pytest
 from hypothesis import strategies as st
+from tests.drivers.parts import Powered
 
 import esair
 from esair.drivers.rplidar import (
@@ -53,19 +54,10 @@ def make(**options: Any) -> tuple[RpLidar, FakeSerial, FakeRpLidar]:
     return RpLidar(bus=line, **options), line, part
 
 
-class TestRpLidar(SensorContract):
+class TestRpLidar(Powered, SensorContract):
     def make(self) -> RpLidar:
-        lidar, _, self.part = make()
+        lidar, _, self.far = make()
         return lidar
-
-    async def silence(self, device: RpLidar) -> None:
-        self.part.silent = True
-
-    async def speak(self, device: RpLidar) -> None:
-        self.part.silent = False
-
-    async def power_cycle(self, device: RpLidar) -> None:
-        self.part.power_cycle()
 
     keeps_nothing = "a lidar that does not scan is silent: it is lost, and told to scan"
 

@@ -13,10 +13,11 @@ import struct
 import termios
 import threading
 import tty
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
 import pytest
+from tests.drivers.parts import OnServos
 
 import esair
 from esair.buses.serial import _port as _serial_port
@@ -60,10 +61,8 @@ RELEASE = Goal(mode=Mode.RELEASE)
 HOLD = Goal(mode=Mode.HOLD)
 
 
-class Memory:
+class Memory(OnServos):
     """What the suites need to reach the fakes behind a bus."""
-
-    fakes: FakeServos
 
     def make_bus(self) -> ServoBus:
         self.fakes = FakeServos([1, 2])
@@ -76,18 +75,6 @@ class TestServoBus(Memory, BusContract):
 
     async def use(self, bus: Any) -> None:
         assert await bus.ping(1) == 1060
-
-    async def unplug(self, bus: Any) -> None:
-        self.fakes.unplug()
-
-    async def plug(self, bus: Any) -> None:
-        self.fakes.plug()
-
-    async def stall(self, bus: Any) -> None:
-        self.fakes.stall()
-
-    async def resume(self, bus: Any) -> None:
-        self.fakes.resume()
 
     async def ask(self, bus: Any, number: int) -> int:
         self.fakes.servos[1].table[:62] = bytes(range(62))
@@ -103,19 +90,7 @@ class TestServoPosition(Memory, SensorContract):
     def make(self) -> ServoPosition:
         return ServoPosition(id=2, bus=self.make_bus())
 
-    async def silence(self, device: Any) -> None:
-        self.fakes.stall()
-
-    async def speak(self, device: Any) -> None:
-        self.fakes.resume()
-
-    async def power_cycle(self, device: Any) -> None:
-        self.fakes.power_cycle()
-
     keeps_nothing = "an answer of one that has restarted says so, and it is lost"
-
-    async def unplug(self, device: ServoPosition) -> None:
-        self.fakes.unplug()
 
 
 class TestServo(Memory, ActuatorContract):
@@ -126,18 +101,6 @@ class TestServo(Memory, ActuatorContract):
 
     def commands(self) -> list[Goal]:
         return [Goal(0.5), Goal(-1.0), HOLD, RELEASE]
-
-    async def silence(self, device: Any) -> None:
-        self.fakes.stall()
-
-    async def speak(self, device: Any) -> None:
-        self.fakes.resume()
-
-    async def power_cycle(self, device: Any) -> None:
-        self.fakes.power_cycle()
-
-    async def unplug(self, device: Servo) -> None:
-        self.fakes.unplug()
 
 
 class TestServoThatHolds(TestServo):
@@ -163,8 +126,10 @@ def fakes() -> FakeServos:
 
 
 @pytest.fixture
-def bus(fakes: FakeServos) -> ServoBus:
-    return ServoBus(name="arm", opener=fakes.open)
+async def bus(fakes: FakeServos) -> AsyncIterator[ServoBus]:
+    made = ServoBus(name="arm", opener=fakes.open)
+    yield made
+    await made.close()
 
 
 # Together.
@@ -341,7 +306,6 @@ async def test_a_table_is_read_and_written(bus: ServoBus, fakes: FakeServos) -> 
     assert fakes.servos[1].get(GOAL_POSITION) == -5
     assert fakes.servos[2].get(GOAL_POSITION) == CENTER
     assert bus.stats.sent == bus.stats.received == 6
-    await bus.close()
 
 
 @pytest.mark.virtual_clock
@@ -355,7 +319,6 @@ async def test_a_servo_that_is_not_there(bus: ServoBus) -> None:
 
     assert await bus.ping(1) == 1060
     assert bus.stats.errors == 1
-    await bus.close()
 
 
 @pytest.mark.virtual_clock
@@ -370,7 +333,6 @@ async def test_a_damaged_answer_is_a_fault(bus: ServoBus, fakes: FakeServos) -> 
 
     assert bus.stats.bad_frames == 1
     assert await bus.read(1, 132, 4) == CENTER
-    await bus.close()
 
 
 @pytest.mark.virtual_clock
@@ -381,8 +343,6 @@ async def test_what_a_servo_refuses_is_told_in_its_words(bus: ServoBus) -> None:
 
     with pytest.raises(DeviceFaultError, match="not available to target address"):
         await bus.write(1, 251, 4, 0)
-
-    await bus.close()
 
 
 @pytest.mark.virtual_clock
@@ -395,8 +355,6 @@ async def test_a_servo_that_has_shut_down_says_why(
 
     with pytest.raises(DeviceFaultError, match="servo 1 has shut down: overload"):
         await bus.read(1, 132, 4)
-
-    await bus.close()
 
 
 @pytest.mark.virtual_clock
@@ -414,7 +372,6 @@ async def test_requests_of_many_never_overlap(bus: ServoBus) -> None:
     )
 
     assert found == [1001, 1002] * 10
-    await bus.close()
 
 
 # The actuator.
@@ -439,7 +396,6 @@ async def test_a_goal_goes_before_the_torque(bus: ServoBus, fakes: FakeServos) -
     assert writes[:2] == [(GOAL_POSITION, 3072), (TORQUE_ENABLE, 1)]
     assert fakes.servos[1].get(GOAL_POSITION) == CENTER
     assert [address for address, _ in writes].count(TORQUE_ENABLE) == 1
-    await bus.close()
 
 
 @pytest.mark.virtual_clock
@@ -457,7 +413,6 @@ async def test_hold_and_release(bus: ServoBus, fakes: FakeServos) -> None:
 
     assert fakes.servos[1].torque
     assert fakes.servos[1].get(GOAL_POSITION) == 2500
-    await bus.close()
 
 
 @pytest.mark.virtual_clock
@@ -469,8 +424,6 @@ async def test_its_speed_is_a_setting(bus: ServoBus, fakes: FakeServos) -> None:
     for speed, units in ((0.0, 0), (0.001, 1), (1.0, 42)):
         await servo.apply(speed=speed)
         assert fakes.servos[1].get(PROFILE_VELOCITY) == units
-
-    await bus.close()
 
 
 @pytest.mark.virtual_clock
@@ -775,4 +728,3 @@ async def test_a_goal_for_a_servo_that_has_restarted_is_not_done(
     await servo.open()
     await servo.write(Goal(0.7))
     assert fakes.servos[1].torque
-    await bus.close()

@@ -8,7 +8,7 @@ import errno
 import itertools
 import re
 import tracemalloc
-from collections.abc import Callable, Collection
+from collections.abc import AsyncIterator, Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -78,8 +78,10 @@ def link() -> Link:
 
 
 @pytest.fixture
-def bus(link: Link) -> CanBus:
-    return CanBus(name="drive", wire=link)
+async def bus(link: Link) -> AsyncIterator[CanBus]:
+    made = CanBus(name="drive", wire=link)
+    yield made
+    await made.close()
 
 
 async def test_each_listener_gets_the_frames_with_its_ids(
@@ -99,7 +101,6 @@ async def test_each_listener_gets_the_frames_with_its_ids(
     link.received(Frame(2, b""))
     assert bus.stats.unheard == 2
     assert bus.stats.received == 4
-    await bus.close()
 
 
 async def test_a_node_is_told_which_ids_somebody_listens_to(
@@ -115,7 +116,6 @@ async def test_a_node_is_told_which_ids_somebody_listens_to(
 
     extended = 2 | 1 << 31
     assert link.heard == [{1, 2}, {1, 2, extended}, {extended}, set()]
-    await bus.close()
 
 
 @hypothesis.given(
@@ -194,7 +194,6 @@ async def test_who_listens_to_an_id_may_change_at_any_time(
 
     assert (len(every), len(one)) == (2, 3)
     assert len(bus._routes) <= 4096
-    await bus.close()
 
 
 async def test_the_newest_frame_of_each_id_of_a_mask(link: Link, bus: CanBus) -> None:
@@ -207,7 +206,6 @@ async def test_the_newest_frame_of_each_id_of_a_mask(link: Link, bus: CanBus) ->
 
     assert [(await inbox.take()).data for _ in range(2)] == [b"e", b"d"]
     assert (len(inbox), inbox.dropped) == (0, 3)
-    await bus.close()
 
 
 @pytest.mark.fault("C10")
@@ -221,7 +219,6 @@ async def test_an_extended_id_is_another_id(link: Link, bus: CanBus) -> None:
 
     assert (len(standard), (await standard.take()).data) == (1, b"s")
     assert (len(extended), (await extended.take()).data) == (1, b"e")
-    await bus.close()
 
 
 @pytest.mark.fault("C10")
@@ -241,7 +238,6 @@ async def test_a_frame_of_the_wrong_length_is_counted(link: Link, bus: CanBus) -
     assert (len(newest), (await newest.take()).data) == (1, b"ab")
     assert len(any_length) == 4
     assert (exact.bad_frames, newest.bad_frames, bus.stats.bad_frames) == (3, 3, 6)
-    await bus.close()
 
 
 @pytest.mark.fault("C10")
@@ -256,7 +252,6 @@ async def test_an_id_that_is_named_twice_gives_each_frame_once(
     assert len(inbox) == 1
     link.received(Frame(1, b""))
     assert len(inbox) == 2
-    await bus.close()
 
 
 FRAMES = st.lists(
@@ -339,7 +334,6 @@ async def test_frames_that_nobody_takes_give_way_to_newer_ones(
     assert bus.stats.dropped == 999_996 + 999_999
     assert [(await inbox.take()).data[0] for _ in range(4)] == [96, 97, 98, 99]
     assert (await newest.take()).data[0] == 99
-    await bus.close()
 
 
 @pytest.mark.fault("C07")
@@ -361,7 +355,6 @@ async def test_a_fast_id_does_not_push_out_a_slow_one(link: Link, bus: CanBus) -
     ]
     with pytest.raises(TimeoutError):
         await inbox.take(timeout=1)
-    await bus.close()
 
 
 async def test_a_waiting_listener_is_woken_by_either_inbox(
@@ -378,7 +371,6 @@ async def test_a_waiting_listener_is_woken_by_either_inbox(
     link.gone(ConnectionError("gone"))
     with pytest.raises(DeviceLostError):
         await inbox.take()
-    await bus.close()
 
 
 @pytest.mark.parametrize("ids", [(), (0x800,), (-1,), ("1",)])
@@ -387,7 +379,6 @@ async def test_nobody_listens_to_what_is_no_id(bus: CanBus, ids: Any) -> None:
     await bus.open()
     with pytest.raises(BadValueError, match=r"drive: ids?:"):
         bus.frames(*ids)
-    await bus.close()
 
 
 @pytest.mark.fault("C04", "C09")
@@ -412,7 +403,6 @@ async def test_a_full_queue_is_tried_again_until_the_deadline(
     assert bus.stats.retries > 3
     assert (bus.stats.sent, bus.stats.discarded, bus.stats.errors) == (1, 1, 1)
     assert bus.waiting == 0
-    await bus.close()
 
 
 @pytest.mark.fault("C04")
@@ -427,7 +417,6 @@ async def test_a_bus_that_is_only_busy_is_no_fault(link: Link, bus: CanBus) -> N
 
     with pytest.raises(DriverStuckError, match=r"0\.1 s"):
         await sending
-    await bus.close()
 
 
 @pytest.mark.fault("C05")
@@ -469,7 +458,6 @@ async def test_a_frame_from_another_node_ends_the_suspicion(
 
     with pytest.raises(DriverStuckError):
         await sending
-    await bus.close()
 
 
 @pytest.mark.promise("BUS-4")
@@ -502,7 +490,6 @@ async def test_a_newer_frame_makes_a_waiting_one_obsolete_if_declared(
         await older
     assert [frame.data for frame in link.sent] == [b"new"]
     assert (bus.stats.refused, bus.stats.sent) == (1, 4)
-    await bus.close()
 
 
 @pytest.mark.promise("BUS-4")
@@ -522,7 +509,6 @@ async def test_a_frame_replaces_only_what_is_about_the_same(
     assert [type(each) for each in done if each is not None] == [BusyError, BusyError]
     assert isinstance(done[0], BusyError), "each sender knows what became of its frame"
     assert bus.waiting == 0
-    await bus.close()
 
 
 async def test_frames_of_one_id_keep_their_order(link: Link, bus: CanBus) -> None:
@@ -535,7 +521,6 @@ async def test_frames_of_one_id_keep_their_order(link: Link, bus: CanBus) -> Non
             await asyncio.sleep(0.0005)
 
     assert [frame.data[0] for frame in link.sent] == list(range(20))
-    await bus.close()
 
 
 async def test_a_frame_that_found_no_room_does_not_follow_a_newer_one(
@@ -559,7 +544,6 @@ async def test_a_frame_that_found_no_room_does_not_follow_a_newer_one(
     with pytest.raises(BusyError):
         await older
     assert [frame.data for frame in link.sent] == [b"new"]
-    await bus.close()
 
 
 async def test_only_so_many_frames_wait(link: Link, bus: CanBus) -> None:
@@ -575,7 +559,6 @@ async def test_only_so_many_frames_wait(link: Link, bus: CanBus) -> None:
     link.full = 0
     await asyncio.gather(*waiting)
     assert len(link.sent) == 256
-    await bus.close()
 
 
 async def test_a_cancelled_send_is_forgotten(link: Link, bus: CanBus) -> None:
@@ -590,7 +573,6 @@ async def test_a_cancelled_send_is_forgotten(link: Link, bus: CanBus) -> None:
     await asyncio.sleep(1)
 
     assert (bus.waiting, link.sent) == (0, [])
-    await bus.close()
 
 
 @pytest.mark.parametrize(
@@ -702,7 +684,6 @@ async def test_a_frame_does_not_wait_for_a_bus_that_was_lost(
         await sending
     assert (link.sent, other.sent) == ([], [])
     assert bus.is_open
-    await bus.close()
 
 
 async def test_what_a_former_opening_reports_is_ignored(
@@ -718,7 +699,6 @@ async def test_what_a_former_opening_reports_is_ignored(
 
     assert bus.is_open
     assert link.closed == 1
-    await bus.close()
 
 
 async def test_a_bus_that_is_lost_while_it_opens_does_not_open(
@@ -736,7 +716,6 @@ async def test_a_bus_that_is_lost_while_it_opens_does_not_open(
     link.on_open = lambda: None
     await bus.open()
     await bus.send(1, b"")
-    await bus.close()
 
 
 async def test_a_link_that_cannot_choose_or_close_is_a_loss_and_no_more(
@@ -763,7 +742,6 @@ async def test_a_link_that_cannot_choose_or_close_is_a_loss_and_no_more(
     assert bus.stats.lost == 1
     await bus.open()
     await bus.send(1, b"")
-    await bus.close()
 
 
 @pytest.mark.fault("C02")

@@ -8,7 +8,7 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 
 import can
@@ -84,8 +84,10 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Scripted]]:
 
 
 @pytest.fixture
-def bus() -> CanBus:
-    return CanBus(name="drive", interface="scripted", channel="x")
+async def bus() -> AsyncIterator[CanBus]:
+    made = CanBus(name="drive", interface="scripted", channel="x")
+    yield made
+    await made.close()
 
 
 def message(number: int, data: bytes = b"", **more: Any) -> can.Message:
@@ -178,7 +180,6 @@ async def test_every_kind_of_frame_is_counted(
         1,
     )
     assert bus.state is CanState.WARNING
-    await bus.close()
 
 
 @pytest.mark.parametrize(
@@ -237,7 +238,6 @@ async def test_frames_that_come_faster_than_the_loop_turns_are_counted(
     assert bus.stats.dropped >= 3000 - 1024 - 1
     taken = [await inbox.take() for _ in range(len(inbox))]
     assert taken[-1].data == (2999).to_bytes(2, "big")
-    await bus.close()
 
 
 @pytest.mark.fault("C06")
@@ -266,7 +266,6 @@ async def test_a_reader_that_dies_is_a_loss(
     assert len(told) == 1
     await bus.open()
     assert len(made) == 2
-    await bus.close()
 
 
 @pytest.mark.fault("C06")
@@ -284,7 +283,6 @@ async def test_a_reader_that_hangs_is_a_loss(
     with pytest.raises(DeviceLostError, match="does not come back"):
         await inbox.take(timeout=PATIENCE)
     hang.set()
-    await bus.close()
 
 
 @pytest.mark.fault("C06")
@@ -298,7 +296,6 @@ async def test_a_quiet_bus_is_no_dead_reader(
     await asyncio.sleep(1.5)
 
     assert bus.is_open
-    await bus.close()
 
 
 @pytest.mark.fault("C09")
@@ -349,7 +346,6 @@ async def test_a_send_that_blocks_keeps_only_its_sender(
     made[0].go_on.set()
     await bus.send(1, b"third", timeout=PATIENCE)
     assert [bytes(each.data) for each in made[0].sent] == [b"first", b"third"]
-    await bus.close()
 
 
 @pytest.mark.fault("C04")
@@ -367,7 +363,6 @@ async def test_a_full_queue_is_tried_again(
     await sending
 
     assert len(made[0].sent) == 1
-    await bus.close()
 
 
 async def test_a_send_that_fails_otherwise_is_a_loss(
@@ -381,7 +376,6 @@ async def test_a_send_that_fails_otherwise_is_a_loss(
         await bus.send(1, b"x", timeout=PATIENCE)
 
     assert not bus.is_open
-    await bus.close()
 
 
 async def test_an_interface_that_opens_too_late_is_shut_again(
@@ -396,7 +390,6 @@ async def test_an_interface_that_opens_too_late_is_shut_again(
     Scripted.opening.set()
 
     await until(lambda: made and made[0].shut.is_set())
-    await bus.close()
 
 
 async def test_options_reach_python_can(made: list[Scripted]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 
@@ -20,8 +20,10 @@ Make = Callable[..., FakeSerial]
 
 
 @pytest.fixture
-def line(fake_serial: Make) -> FakeSerial:
-    return fake_serial("front")
+async def line(fake_serial: Make) -> AsyncIterator[FakeSerial]:
+    made = fake_serial("front")
+    yield made
+    await made.close()
 
 
 async def test_send_frames_and_write_does_not(line: FakeSerial) -> None:
@@ -34,7 +36,6 @@ async def test_send_frames_and_write_does_not(line: FakeSerial) -> None:
 
     assert line.written == b"one\ntwo\nthree\n"
     assert list(line.sent) == [b"one", b"two", b"three"]
-    await line.close()
 
 
 @pytest.mark.parametrize(
@@ -75,7 +76,6 @@ async def test_each_opening_begins_with_a_clean_decoder(line: FakeSerial) -> Non
     line.feed(b"whole\n")
 
     assert await inbox.take() == b"whole"
-    await line.close()
 
 
 # Exchanges.
@@ -98,7 +98,6 @@ async def test_exchanges_never_overlap(line: FakeSerial) -> None:
     assert answers == [b"re 0", b"re 1", b"re 2"]
     assert [message for _, message in times] == [b"0", b"1", b"2"]
     assert [time for time, _ in times] == pytest.approx([0.0, 0.1, 0.2], abs=1e-6)
-    await line.close()
 
 
 async def test_the_deadline_includes_the_wait_for_the_turn(line: FakeSerial) -> None:
@@ -115,7 +114,6 @@ async def test_the_deadline_includes_the_wait_for_the_turn(line: FakeSerial) -> 
     assert list(line.sent) == [b"slow"]
     line.say(b"at last")
     assert await slow == b"at last"
-    await line.close()
 
 
 async def test_a_turn_that_nobody_wants_any_more_is_passed_on(line: FakeSerial) -> None:
@@ -138,7 +136,6 @@ async def test_a_turn_that_nobody_wants_any_more_is_passed_on(line: FakeSerial) 
     ]  # fmt: skip
     assert list(line.sent) == [b"first", b"last"]
     assert await line.ask(b"last") == b"fine"
-    await line.close()
 
 
 @pytest.mark.fault("X07")
@@ -169,7 +166,6 @@ async def test_cancelled_in_the_tick_its_turn_comes(
     assert await first == b"one"
     assert second.cancelled()
     assert (b"second" in line.sent) == (when == "after")
-    await line.close()
 
 
 @pytest.mark.fault("X01", "X07")
@@ -198,7 +194,6 @@ async def test_cancelled_at_any_step(
     assert await line.ask(b"two", prefix=b"s") == b"second"
     assert line._exchanges.waiting == 0
     assert line._inboxes == []
-    await line.close()
 
 
 async def test_requests_that_wait_are_bounded(line: FakeSerial) -> None:
@@ -213,7 +208,6 @@ async def test_requests_that_wait_are_bounded(line: FakeSerial) -> None:
     assert line.stats.refused == 1
     await asyncio.wait(asking)
     assert all(isinstance(each.exception(), DriverStuckError) for each in asking)
-    await line.close()
 
 
 async def test_what_came_before_the_request_is_no_answer(line: FakeSerial) -> None:
@@ -227,7 +221,6 @@ async def test_what_came_before_the_request_is_no_answer(line: FakeSerial) -> No
 
     assert await line.ask(b"range?") == b"range=2"
     assert (line.stats.unheard, line.stats.late) == (1, 1)
-    await line.close()
 
 
 async def test_a_sequence_number_tells_late_answers_apart(line: FakeSerial) -> None:
@@ -245,7 +238,6 @@ async def test_a_sequence_number_tells_late_answers_apart(line: FakeSerial) -> N
     answer = await line.ask(b"get 2", answers=lambda message: message[:1] == b"2")
 
     assert answer == b"2 right"
-    await line.close()
 
 
 async def test_a_loss_ends_every_exchange(line: FakeSerial) -> None:
@@ -258,7 +250,6 @@ async def test_a_loss_ends_every_exchange(line: FakeSerial) -> None:
 
     await asyncio.wait(asking, timeout=0.1)
     assert [type(each.exception()) for each in asking] == [DeviceLostError] * 3
-    await line.close()
 
 
 # Faults.
@@ -282,7 +273,6 @@ async def test_unplugged_in_the_middle_of_a_write(line: FakeSerial, taken: int) 
     await line.open()
     await asyncio.sleep(1.0)
     assert line.written == b"forward 1.0\n"[:taken]
-    await line.close()
 
 
 @pytest.mark.fault("D16")
@@ -301,7 +291,6 @@ async def test_what_waits_when_the_deadline_passes_is_never_sent(
     line.resume()
     await asyncio.sleep(1.0)
     assert line.written == b"for"
-    await line.close()
 
 
 @pytest.mark.fault("D16", "D02")
@@ -353,7 +342,6 @@ async def test_a_write_that_is_cancelled_is_taken_back(line: FakeSerial) -> None
     await line.write(b"stop\n")
     await line.until(b"stop")
     assert line.written == b"stop\n"
-    await line.close()
 
 
 @pytest.mark.fault("D16", "X01")
@@ -374,7 +362,6 @@ async def test_a_cancelled_write_takes_nobody_elses_bytes_back(
     await two
     await line.until(b"two")
     assert line.written == b"one\ntwo\n"
-    await line.close()
 
 
 @pytest.mark.fault("D16")
@@ -393,7 +380,6 @@ async def test_a_request_that_cannot_be_sent_waits_no_longer_than_it_may(
     line.resume()
     await asyncio.sleep(1.0)
     assert line.written == b""
-    await line.close()
 
 
 @pytest.mark.fault("D08")
@@ -408,7 +394,6 @@ async def test_pieces_make_no_difference(line: FakeSerial, size: int) -> None:
 
     got = [await inbox.take(timeout=1) for _ in range(4)]
     assert got == [b"one", b"two two", b"", b"four"]
-    await line.close()
 
 
 @pytest.mark.fault("D09")
@@ -479,7 +464,6 @@ async def test_a_flood_is_cut_to_the_newest(line: FakeSerial) -> None:
     assert len(inbox) == 8
     assert line.stats.dropped == 1_000_001 - 8
     assert (await rest(inbox))[-1] == b"newest"
-    await line.close()
 
 
 @pytest.mark.fault("D11")
@@ -497,7 +481,6 @@ async def test_a_stream_without_an_end_takes_no_memory(line: FakeSerial) -> None
     assert await inbox.take(timeout=1) == b"whole"
     assert line.stats.received == 100_000_007
     assert line.framing.discarded >= 99_000_000
-    await line.close()
 
 
 @pytest.mark.fault("D14")
@@ -512,7 +495,6 @@ async def test_a_silent_device_costs_its_asker_the_deadline(line: FakeSerial) ->
     assert await line.ask(b"b?") == b"b=1"
     assert line.is_open
     assert line.stats.errors == 1
-    await line.close()
 
 
 @pytest.mark.fault("D23")
@@ -532,7 +514,6 @@ async def test_a_write_that_fails_once(line: FakeSerial, after: int) -> None:
     await line.send(b"good again")
     await line.until(b"good again")
     assert b"bad" not in line.sent
-    await line.close()
 
 
 @pytest.mark.fault("D01")
@@ -551,7 +532,6 @@ async def test_unplugged_at_each_byte_of_a_message(
     with pytest.raises(DeviceLostError):
         await waiting
     assert asyncio.get_running_loop().time() == pytest.approx(0.1)
-    await line.close()
 
 
 async def rest(inbox: Inbox[bytes]) -> list[bytes]:
@@ -599,7 +579,6 @@ async def test_the_error_of_a_lost_line_does_not_grow(line: FakeSerial) -> None:
         depths.append(len(caught.traceback))
 
     assert depths[1:] == depths[1:2] * 19
-    await line.close()
 
 
 async def test_each_message_of_a_read_is_counted_once(line: FakeSerial) -> None:
@@ -615,4 +594,3 @@ async def test_each_message_of_a_read_is_counted_once(line: FakeSerial) -> None:
     assert [await loud.take() for _ in range(2)] == [b"x=2", b"x=3"]
     assert await quiet.take() == b"y=1"
     assert (line.stats.dropped, line.stats.unheard) == (1, 3)
-    await line.close()
