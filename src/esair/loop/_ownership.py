@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextvars
+import itertools
 import threading
-from collections.abc import Callable, Coroutine, Generator, Sequence
+from collections.abc import Callable, Coroutine, Generator, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from esair.loop._of_loop import OfLoop
@@ -24,9 +25,9 @@ class Owner:
     def __init__(self, context: contextvars.Context | None = None) -> None:
         self.context = context
         """The context variables that its tasks begin with; those of the loop if None."""
-        # Most components have one task only; a set for it would be half their size.
+        # Most components have one task only; a table for it would be half their size.
         self._first: asyncio.Task[Any] | None = None
-        self._others: set[asyncio.Task[Any]] | None = None
+        self._others: dict[asyncio.Task[Any], None] | None = None
         self.threads: tuple[threading.Thread, ...] = ()
         """The threads that run its plain functions."""
         self.stream: Callable[[], Random] | None = None  # gives its random numbers
@@ -40,17 +41,18 @@ class Owner:
         if self._first is None or self._first.done():
             self._first = task
             return
-        if self._others is None:
-            self._others = set()
-        self._others.add(task)
-        task.add_done_callback(self._others.discard)
+        others = self._others
+        if others is None:
+            others = self._others = {}
+        others[task] = None
+        task.add_done_callback(lambda done: others.pop(done, None))
 
     def living(self) -> list[asyncio.Task[Any]]:
-        """Return the tasks that are not done, in the order of their names."""
-        tasks = set(self._others or ())
+        """Return the tasks that are not done, as they were made; the first one last."""
+        tasks = list(self._others or ())
         if self._first is not None and not self._first.done():
-            tasks.add(self._first)
-        return sorted(tasks, key=lambda task: task.get_name())
+            tasks.append(self._first)
+        return tasks
 
 
 _owner: contextvars.ContextVar[Owner | None] = contextvars.ContextVar(
@@ -75,14 +77,16 @@ def spawn(
     component that happened to call. It never begins before this returns, even if the
     loop's factory makes eager tasks: esair's own records are complete then.
     """
+    tasks = OwnedTasks.of(loop)
     if context is None:
         begins = None if owner is None else owner.context
-        context = (begins or OwnedTasks.of(loop).script).copy()
-    if owner is not None:
-        context.run(_owner.set, owner)
-    task = asyncio.Task(coroutine, loop=loop, name=name, context=context)
-    if owner is not None:
-        owner.adopt(task)
+        context = (begins or tasks.script).copy()
+    if owner is None:
+        return asyncio.Task(coroutine, loop=loop, name=name, context=context)
+    context.run(_owner.set, owner)
+    number = next(tasks.numbers)
+    task = Task(number, coroutine, loop=loop, name=name, context=context)
+    owner.adopt(task)
     return task
 
 
@@ -150,6 +154,8 @@ class OwnedTasks(OfLoop):
         self._loop = loop
         self._users = 0
         self._factory: Any = None
+        self.numbers = itertools.count()
+        """Of the tasks with an owner, as they are made."""
         self.script = contextvars.Context()
         """The context variables of whoever has started the first robot."""
 
@@ -157,7 +163,7 @@ class OwnedTasks(OfLoop):
         self._users += 1
         if self._users == 1:
             self.script = script_context()
-            self._factory = _Factory(self._loop.get_task_factory())
+            self._factory = _Factory(self._loop.get_task_factory(), self.numbers)
             self._loop.set_task_factory(self._factory)
 
     def uninstall(self) -> None:
@@ -171,13 +177,31 @@ class OwnedTasks(OfLoop):
             self._factory = None
 
 
+class Task(asyncio.Task[Any]):
+    """A task with an owner.
+
+    Sets hold such tasks by their numbers, not by their addresses: a task group cancels
+    its tasks in the order of a set, and that has to repeat.
+    """
+
+    __slots__ = ("_number",)
+
+    def __init__(self, number: int, coroutine: Any, **options: Any) -> None:
+        self._number = number
+        super().__init__(coroutine, **options)
+
+    def __hash__(self) -> int:
+        return self._number
+
+
 class _Factory:
     """Makes tasks as the factory before it does, and tells their owners."""
 
-    __slots__ = ("before", "over")
+    __slots__ = ("_numbers", "before", "over")
 
-    def __init__(self, before: Any) -> None:
+    def __init__(self, before: Any, numbers: Iterator[int]) -> None:
         self.before = before
+        self._numbers = numbers
         self.over = False  # it was left in the factory of a stranger: it only hands on
 
     def __call__(
@@ -193,10 +217,12 @@ class _Factory:
         if owner is not None:
             coroutine = Contained(coroutine)
         task: asyncio.Task[Any]
-        if self.before is None:
+        if self.before is not None:
+            task = self.before(loop, coroutine, **options)
+        elif owner is None:
             task = asyncio.Task(coroutine, loop=loop, **options)
         else:
-            task = self.before(loop, coroutine, **options)
+            task = Task(next(self._numbers), coroutine, loop=loop, **options)
         if owner is not None and not task.done():
             owner.adopt(task)
         return task
