@@ -6,8 +6,9 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar, Protocol
 
+from esair.actions._reaction import Reaction
 from esair.connections import ActuatorChannel, Registration, SensorChannel, Sight
 from esair.exceptions import (
     BadValueError,
@@ -16,14 +17,38 @@ from esair.exceptions import (
     ResourceRemovedError,
     describe,
 )
+from esair.loop import Job
 from esair.messages import Reading, Refused, Written
-
-if TYPE_CHECKING:
-    from esair.actions._reaction_runner import ReactionRunner
 
 FOR_EVER = float("inf")
 
 _log = logging.getLogger("esair")
+
+
+class Runner(Protocol):
+    """What runs a reaction, as its two sides see it."""
+
+    reaction: Reaction
+    job: Job
+    grace: ClassVar[float]
+    values: list[Any]
+    settling: set[asyncio.Task[Any]]
+    on_reading: bool
+    stopped: bool
+    missing: int
+    steps: int
+    skipped: int
+    conflated: int
+    refused: int
+    rejected: int
+
+    def arrived(self) -> None: ...
+    def flawed(self, error: BadValueError) -> None: ...
+    def forget(self) -> None: ...
+    def park(self, reason: str, *, missing: int = 0) -> None: ...
+    def queue(self, place: int, value: Any) -> None: ...
+    def refresh(self, fed: Input) -> None: ...
+    def resample(self) -> None: ...
 
 
 class Input:
@@ -45,7 +70,7 @@ class Input:
 
     def __init__(
         self,
-        runner: ReactionRunner,
+        runner: Runner,
         name: str,
         place: int,
         channel: SensorChannel,
@@ -153,7 +178,7 @@ class Output:
 
     def __init__(
         self,
-        runner: ReactionRunner,
+        runner: Runner,
         name: str,
         channel: ActuatorChannel,
         registration: Registration,

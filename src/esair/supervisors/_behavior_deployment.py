@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from esair import abc
-from esair.actions import Behavior, Reaction, Reads, Writes
+from esair.actions import Behavior, Reaction
 from esair.connections import ActuatorChannel, Halting, Stopped
 from esair.exceptions import (
     AccessDeniedError,
@@ -22,9 +22,8 @@ from esair.exceptions import (
 from esair.journal import Event, Kind
 from esair.loop import ProcessWatch, script_context, spawn, wake
 from esair.messages import Access, BehaviorsPolicy, BehaviorState, BehaviorStatus
-from esair.plan import Finding, Plan, examine_step, refuse, unmet
+from esair.plan import Finding, Plan, refuse
 from esair.supervisors._command_queue import CommandQueue
-from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._member import Member
 from esair.supervisors._resource_deployment import ResourceDeployment
@@ -134,9 +133,6 @@ class BehaviorDeployment:
         self.journal.publish(Kind.OPERATOR, about, name, None, verb)
         return await getattr(self.verbs, verb)(*args)
 
-    def is_adding(self, member: Mailbox) -> bool:
-        return member in self.coming
-
     def ended(self) -> None:
         """One has finished, or failed for good, or has gone: are all at their end?"""
         if self._all_ended is None or self._all_ended.done():
@@ -145,36 +141,6 @@ class BehaviorDeployment:
         over = {BehaviorState.FINISHED, BehaviorState.FAILED, BehaviorState.REMOVED}
         if behaviors and all(member.state in over for member in behaviors):
             self._all_ended.set_result(None)
-
-    def refuse_step(self, reaction: Reaction, performer: str) -> None:
-        """Raise what is wrong with a reaction that a behavior wants to perform."""
-        found = examine_step(self.plan(), reaction, performer=performer)
-        refuse_all(found, reaction)
-
-    def check_type(
-        self,
-        action: Behavior | Reaction,
-        resource: str,
-        access: Access,
-        wanted: type | None,
-    ) -> None:
-        """Raise what is wrong with what a behavior registers for while it runs."""
-        if wanted is None:
-            return
-        kind = Reads if Access.READ in access else Writes
-        found = unmet(self.plan(), action, resource, kind(wanted, name=resource))
-        if found is not None:
-            refuse_all([found], action)
-
-    def misfit(self, action: Behavior | Reaction, resource: str) -> str:
-        """Say why a resource that is there now does not fit a port; empty if it does."""
-        plan = self.plan()
-        for attribute, need in action.needs.items():
-            if need.provider == resource and resource in plan.resource_names:
-                finding = unmet(plan, action, attribute, need)
-                if finding is not None:
-                    return finding.text
-        return ""
 
     # What is asked about them.
 

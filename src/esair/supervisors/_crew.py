@@ -7,11 +7,10 @@ import contextvars
 from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
 
-from esair.actions import Behavior, Reaction
 from esair.connections import Halting, Stopped
 from esair.journal import Journal
-from esair.messages import Access, BehaviorStatus
-from esair.supervisors._mailbox import Mailbox
+from esair.messages import BehaviorStatus
+from esair.plan import Plan
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._resource_deployment import ResourceDeployment
 
@@ -23,6 +22,7 @@ class Crew(Protocol):
     journal: Journal
     context: contextvars.Context | None
     may_begin: asyncio.Event
+    coming: list[Any]
     halt_robot: Callable[[str, str], Halting]
     stop_robot: Callable[[str], Awaitable[Stopped]]
 
@@ -30,14 +30,5 @@ class Crew(Protocol):
     def mediator(self) -> Mediator: ...
     def query(self, name: str) -> BehaviorStatus: ...
     async def managed_by(self, name: str, verb: str, *args: Any) -> Any: ...
-    def is_adding(self, member: Mailbox) -> bool: ...
     def ended(self) -> None: ...
-    def refuse_step(self, reaction: Reaction, performer: str) -> None: ...
-    def misfit(self, action: Behavior | Reaction, resource: str) -> str: ...
-    def check_type(
-        self,
-        action: Behavior | Reaction,
-        resource: str,
-        access: Access,
-        wanted: type | None,
-    ) -> None: ...
+    def plan(self) -> Plan: ...

@@ -15,19 +15,23 @@ from esair.actions import (
     Need,
     Reaction,
     ReactionRunner,
+    Reads,
     RequestPort,
     SensorPort,
     Takes,
     ThreadBehavior,
+    Writes,
     blocking,
 )
 from esair.connections import ActuatorChannel, Registration, SensorChannel, Terms
 from esair.exceptions import EsairError, describe
 from esair.loop import Portal
 from esair.messages import Access
+from esair.plan import refuse, unmet
 from esair.supervisors._crew import Crew
 from esair.supervisors._request_queue import RequestQueue
 
+Action = Behavior | Reaction
 Port = SensorPort[Any] | ActuatorPort[Any]
 
 _log = logging.getLogger("esair")
@@ -79,6 +83,25 @@ class Grants:
         self, need: Need, owned: list[Registration] | None = None
     ) -> Registration:
         return self.grant(need.resource, need.access, need.priority, need.hold, owned)
+
+    def check_type(
+        self, action: Action, resource: str, access: Access, wanted: type | None
+    ) -> None:
+        """Raise what is wrong with what a behavior registers for while it runs."""
+        if wanted is not None:
+            kind = Reads if Access.READ in access else Writes
+            need: Need = kind(wanted, name=resource)
+            if found := unmet(self._crew.plan(), action, resource, need):
+                refuse([found], f"{self._name} is described wrongly")
+
+    def misfit(self, action: Action, resource: str) -> str:
+        """Say why a resource that is there now does not fit a port; empty if it does."""
+        plan = self._crew.plan()
+        for attribute, need in action.needs.items():
+            asked = need.provider == resource and resource in plan.resource_names
+            if asked and (found := unmet(plan, action, attribute, need)):
+                return found.text
+        return ""
 
     def is_there(self, need: Need) -> bool:
         """Tell whether what an action declares was added, and not removed."""

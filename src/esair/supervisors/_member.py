@@ -124,7 +124,7 @@ class Member(Life, Mailbox):
         self.check_speaker()
         if max_age is not None:
             check_duration(self.name, f"{resource}.max_age", max_age)
-        self.crew.check_type(self.action, resource, access, wanted)
+        self.grants.check_type(self.action, resource, access, wanted)
         right = self.grants.grant(resource, access, priority, hold)
         port = self.grants.port(right, max_age)
         return port if self._portal is None else blocking(port, self._portal)
@@ -284,7 +284,7 @@ class Member(Life, Mailbox):
         self.sight.blind(f"it failed: {describe(error)}")
         self._cut_off(error)
         ready = self.ready
-        if ready is not None and not ready.done() and self.crew.is_adding(self):
+        if ready is not None and not ready.done() and self in self.crew.coming:
             self.state = BehaviorState.FAILED
             fail(ready, safe_to_raise(error))
             return
@@ -440,7 +440,7 @@ class Member(Life, Mailbox):
         needs = (n for n in self.action.needs.values() if n.provider == resource)
         if all(is_gone and need.optional for need in needs):
             return  # it does not use it, or has had None for it since it went
-        misfit = self.crew.misfit(self.action, resource)
+        misfit = self.grants.misfit(self.action, resource)
         if not isinstance(self.action, Reaction):
             if not misfit:
                 self.grants.revive(self.action.needs, resource)

@@ -10,6 +10,7 @@ from esair.actions import GuardRunner, Reaction, ReactionRunner
 from esair.connections import Registration
 from esair.exceptions import ConfigError
 from esair.loop import Owner, fail
+from esair.plan import examine_step, refuse
 from esair.supervisors._crew import Crew
 from esair.supervisors._grants import Grants, bind
 from esair.supervisors._life import safe_to_raise
@@ -44,7 +45,8 @@ class Steps:
                 "perform",
                 f"expected an esair.Reaction, not {reaction!r:.80}",
             )
-        self._crew.refuse_step(reaction, self._name)
+        found = examine_step(self._crew.plan(), reaction, performer=self._name)
+        refuse(found, f"what {self._name} performs is described wrongly")
         loop = asyncio.get_running_loop()
         table = self._crew.resources.actuators.protections
         sight = Sight(table, reaction, reaction.name, step_of=self._name)
