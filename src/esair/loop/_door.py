@@ -148,21 +148,22 @@ class Door(OfLoop):
             self.number += 1
             entry = Entry(self.number, self._time(), work, tag, function, arguments)
             divert = self.divert
-        if divert is None:
-            self.bring(entry)
-        elif tag[0] == "thread":
+            if divert is None or (work and tag[0] != "thread"):
+                self._add(entry)
+                return
+        if tag[0] == "thread":
             divert(entry)
-        elif work:
-            self.bring(entry)
         # Else it is news from outside: in a replay they come from the tape.
 
     def bring(self, entry: Entry) -> None:
         with self._lock:
-            self._entries.append(entry)
-            if self._wakes:
-                return
+            self._add(entry)
+
+    def _add(self, entry: Entry) -> None:
+        self._entries.append(entry)
+        if not self._wakes:
             self._wakes = True
-        self._loop.call_soon_threadsafe(self._woken)
+            self._loop.call_soon_threadsafe(self._woken)
 
     def tell(self, tag: Tag, function: Callable[..., object], *arguments: Any) -> None:
         """Bring in news that are the end of no work, from any thread."""
