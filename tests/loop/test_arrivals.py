@@ -73,7 +73,7 @@ async def test_it_goes_on_when_all_that_came_is_there() -> None:
 
 
 async def test_a_task_goes_on_in_the_next_turn() -> None:
-    """One of asyncio cannot be stepped; and nothing is stepped while one runs."""
+    """It may be anybody's; and nothing is stepped while one runs."""
     wire = Wire()
 
     async def waits() -> None:
@@ -91,6 +91,44 @@ async def test_a_task_goes_on_in_the_next_turn() -> None:
     assert wire.told == ["came 2", "over"]
     await asyncio.sleep(0)
     assert wire.told == ["came 2", "over", "driver 2"]
+
+
+async def test_a_reader_goes_on_when_all_that_was_made_of_it_is_there() -> None:
+    """In the callback that has brought the driver its answer, after the driver."""
+    wire = Wire()
+    reading: asyncio.Future[str] = wire.loop.create_future()
+
+    async def reader() -> None:
+        wire.told.append(await reading)
+
+    async def driver() -> None:
+        arrive(reading, f"reads {await wire.waiting}", read=True)
+        wire.told.append("published")
+
+    task = asyncio.create_task(reader())
+    await asyncio.sleep(0)
+    light = LightTask(wire.loop, "driver")
+    assert light.begin(driver()) is WAITS
+    light.then(lambda _value, _error: None)
+    await in_callback(wire.bring, 1)
+    assert wire.told == ["came 1", "published", "reads 1", "over"]
+    await task
+
+
+async def test_what_came_before_others_began_to_come_is_not_lost() -> None:
+    """One callback may bring what several parts of it bring by themselves."""
+    wire = Wire()
+    wire.drive()
+
+    def bring_more() -> None:
+        with Arrivals.of(wire.loop):
+            arrive(wire.waiting, 1)
+            with Arrivals.of(wire.loop):
+                wire.told.append("more")
+        wire.told.append("over")
+
+    await in_callback(bring_more)
+    assert wire.told == ["more", "driver 1", "over"]
 
 
 async def test_who_was_cancelled_meanwhile_is_left_alone() -> None:

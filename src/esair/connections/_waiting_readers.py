@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.exceptions import BusyError, EsairError
-from esair.loop import Deadlines
+from esair.loop import Deadlines, arrive
 from esair.messages import Reading
 
 WAITING_LIMIT = 1024  # how many readers may wait for one sensor at a time
@@ -61,7 +61,7 @@ class WaitingReaders:
             if need > number:
                 self.readers.append(waiter)
             elif isinstance(answer, Reading):
-                future.set_result(answer)
+                arrive(future, answer, read=True)
             else:
                 future.set_exception(answer)
 

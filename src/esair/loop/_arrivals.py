@@ -1,4 +1,4 @@
-"""What comes from outside, and calls of drivers that go on as soon as it is there."""
+"""What comes from outside, and who goes on as soon as it is there."""
 
 from __future__ import annotations
 
@@ -13,12 +13,17 @@ from esair.loop._rate_group import contained
 T = TypeVar("T")
 
 
+_Arrived = list[tuple[asyncio.Future[Any], Any, tuple[type, ...]]]
+"""What somebody waits for, the value, and which tasks go on at once."""
+
+
 class Arrivals(OfLoop):
     """All that one callback of the loop brings from outside.
 
-    A call of a driver that waits for some of it goes on in that very callback, and needs
-    no turn of the loop for that; but only when all of it is there, so that nothing that
-    came before the driver went on is taken for what came after it.
+    A call of a driver that waits for some of it, and a reader who waits for what the driver
+    makes of it, go on in that very callback, and need no turn of the loop for that; but only
+    when all of it is there, so that nothing that came before they went on is taken for what
+    came after it. Where turns have a border, which is within the selector, readers do not.
 
     Example:
         >>> with Arrivals.of(loop):
@@ -28,11 +33,15 @@ class Arrivals(OfLoop):
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self.so_far: list[tuple[asyncio.Future[Any], Any]] | None = None
+        has_border = getattr(loop, "wakes_scheduler", False)
+        self.readers = (LightTask,) if has_border else (LightTask, asyncio.Task)
+        self._depth = 0
+        self.so_far: _Arrived | None = None
         """What has arrived; None where a task runs, as no other can go on in it."""
 
     def __enter__(self) -> None:
-        if asyncio.current_task(self._loop) is None:
+        self._depth += 1
+        if self._depth == 1 and asyncio.current_task(self._loop) is None:
             self.so_far = []
 
     def __exit__(
@@ -41,28 +50,45 @@ class Arrivals(OfLoop):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        so_far, self.so_far = self.so_far, None
-        for future, value in so_far or ():
-            if not future.done():
-                contained(self._loop, _go_on, future, value)
+        so_far = self.so_far
+        try:
+            if self._depth == 1 and so_far is not None:
+                self.so_far = made_of_it = _Arrived()
+                self._go_on(so_far)
+                self.so_far = None  # else who is answered at once would never give way
+                self._go_on(made_of_it)
+        finally:
+            self._depth -= 1
+            if not self._depth:
+                self.so_far = None
+
+    def _go_on(self, arrived: _Arrived) -> None:
+        for future, value, kinds in arrived:
+            if future.done():
+                continue
+            callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
+            if callbacks:
+                step, context = callbacks[0]
+                if isinstance(getattr(step, "__self__", None), kinds):
+                    future.remove_done_callback(step)
+                    future.set_result(value)
+                    contained(self._loop, context.run, step, future)
+                    continue
+            future.set_result(value)
 
 
-def arrive(future: asyncio.Future[T], value: T) -> None:
-    """Bring what a future waits for; fine if nobody wants it any more."""
-    if future.done():
-        return
-    callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
-    if callbacks and type(getattr(callbacks[0][0], "__self__", None)) is LightTask:
-        so_far = Arrivals.of(future.get_loop()).so_far
-        if so_far is not None:
-            so_far.append((future, value))
-            return
-    future.set_result(value)  # a task of asyncio goes on in the next turn
+def arrive(future: asyncio.Future[T], value: T, *, read: bool = False) -> None:
+    """Bring what a future waits for; fine if nobody wants it any more.
 
-
-def _go_on(future: asyncio.Future[T], value: T) -> None:
-    callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
-    go_on, context = callbacks[0]
-    future.remove_done_callback(go_on)
-    future.set_result(value)
-    context.run(go_on, future)
+    Args:
+        future: What waits.
+        value: What it waits for.
+        read: It is a reading: then who waits may be any task.
+    """
+    if not future.done():
+        arrivals = Arrivals.of(future.get_loop())
+        if arrivals.so_far is None:
+            future.set_result(value)
+        else:
+            kinds = arrivals.readers if read else (LightTask,)
+            arrivals.so_far.append((future, value, kinds))
