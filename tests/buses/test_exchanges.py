@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 import pytest
 
@@ -112,10 +113,6 @@ async def test_numbers_tell_answers_apart_without_waiting(line: FakeSerial) -> N
     board.lost = 1
     await line.open()
     loop = asyncio.get_running_loop()
-
-    def numbered(number: int) -> Callable[[bytes], bool]:
-        return lambda message: message == b"n=%d" % number
-
     with pytest.raises(DriverStuckError):
         await line.ask(b"n?", answers=numbered(1))
     before = loop.time()
@@ -126,6 +123,53 @@ async def test_numbers_tell_answers_apart_without_waiting(line: FakeSerial) -> N
         await line.ask(b"n?", answers=lambda _: True)
     assert await line.ask(b"n?", answers=lambda _: True, timeout=0.2) == b"n=4"
     assert line.stats.late == 1
+    await line.close()
+
+
+def numbered(number: int) -> Callable[[bytes], bool]:
+    return lambda message: message == b"n=%d" % number
+
+
+async def given_up(*asked: Coroutine[Any, Any, bytes]) -> None:
+    """Send requests, and wait for none of them."""
+    for each in asked:
+        task = asyncio.ensure_future(each)
+        await asyncio.sleep(0.001)
+        task.cancel()
+        await asyncio.wait({task})
+
+
+@pytest.mark.promise("BUS-3")
+async def test_an_answer_with_a_number_is_not_that_to_a_request_without(
+    line: FakeSerial,
+) -> None:
+    """It was taken for the one that was owed; and what was owed, for the next one's."""
+    await line.open()
+    await given_up(line.ask(b"n?", prefix=b"n="))
+    second = asyncio.ensure_future(line.ask(b"n?", prefix=b"n=", answers=numbered(2)))
+    await asyncio.sleep(0.001)
+    line.say(b"n=2")
+    line.say(b"n=1")
+    assert await second == b"n=2"
+    await asyncio.sleep(0.001)
+    assert line.stats.late == 1
+    await line.close()
+
+
+@pytest.mark.promise("BUS-3")
+async def test_who_is_owed_a_number_is_owed_no_other(line: FakeSerial) -> None:
+    """Else the answer to the oldest one would be the next one's."""
+    await line.open()
+    await given_up(
+        line.ask(b"n?", prefix=b"n="),
+        line.ask(b"n?", prefix=b"n=", answers=numbered(2)),
+    )
+    third = asyncio.ensure_future(line.ask(b"n?", prefix=b"n=", timeout=0.2))
+    for seconds, message in ((0.01, b"n=2"), (0.02, b"n=1"), (0.03, b"n=3")):
+        await asyncio.sleep(seconds)
+        line.say(message)
+    assert await third == b"n=3"
+    assert line.stats.late == 2
     await line.close()
 
 

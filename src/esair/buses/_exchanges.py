@@ -114,12 +114,17 @@ class Exchanges:
         """Take a message that came; tells whether somebody waited for it."""
         now = self._now
         mine = now is not None and now.takes(message)
-        for owed in self._owed:  # oldest first, as a device answers
-            if owed.takes(message):
-                if mine and now is not None:  # they cannot be told apart
-                    owed.answers = now.answers = None
+        if self._owed:
+            # Oldest first, as a device answers; but by its number it is no other's.
+            owed = [each for each in self._owed if each.takes(message)]
+            numbered = [each for each in owed if each.answers is not None]
+            if mine and now is not None and now.answers is not None:
+                owed = numbered
+                if owed:  # they cannot be told apart
+                    now.answers = None
+            if owed:
                 self._bus.stats.late += 1
-                self._forget(owed)
+                self._forget((numbered or owed)[0])
                 return False
         if mine and now is not None:
             now.settle(message)
