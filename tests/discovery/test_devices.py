@@ -9,8 +9,7 @@ import pytest
 
 from esair.buses.can import CanState, _interfaces
 from esair.buses.can._interface import Interface
-from esair.buses.finding import _permission
-from esair.buses.finding._permission import who_may
+from esair.buses.finding import _device, who_may
 from esair.config import check
 from esair.discovery import devices, toml
 from esair.drivers.gpio import _find
@@ -228,7 +227,7 @@ def test_what_may_not_be_opened_is_told(monkeypatch, tree) -> None:
     tree.tty("ttyAMA0", tree.root / "sys/devices/platform/uart")
     tree.i2c(1, "bcm2835 (i2c@7e804000)")
     allowed = {each.state for each in devices(tree.root)}
-    monkeypatch.setattr(_permission.os, "access", lambda *_: False)
+    monkeypatch.setattr(_device.os, "access", lambda *_: False)
     refused = [each.state for each in devices(tree.root)]
 
     assert allowed == {""}

@@ -5,8 +5,9 @@ from __future__ import annotations
 import abc
 import asyncio
 import contextlib
+import random
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar, cast
 
 from esair.buses._bus import Bus, Wire, wanted
 from esair.buses._opening import open_on, shut_on
@@ -25,6 +26,12 @@ T = TypeVar("T")
 OPEN_TIMEOUT = 2.0
 """How long opening a bus may take, in seconds."""
 
+RETRIES = 3
+"""How often a transfer is tried again that may be."""
+
+RETRY_PERIOD = 0.001
+"""The first pause before that, in seconds; it doubles, and varies by half."""
+
 
 class Closable(Protocol):
     """What is open while a bus is."""
@@ -34,6 +41,14 @@ class Closable(Protocol):
 
 
 L = TypeVar("L", bound=Closable)
+
+
+class Failure(NamedTuple):
+    """A transfer that failed; its number is None if trying again cannot help."""
+
+    error: EsairError
+    cause: OSError
+    code: int | None
 
 
 class LinkBus(Bus, Generic[L]):
@@ -57,6 +72,7 @@ class LinkBus(Bus, Generic[L]):
         self.path = ""
         """The path of the kernel's bus while it is open."""
         self._link: L | None = None
+        self._jitter = random.Random(name)
         self._inline = False
         self._loop: asyncio.AbstractEventLoop | None = None
         self._letting_go: asyncio.Task[None] | None = None
@@ -114,6 +130,52 @@ class LinkBus(Bus, Generic[L]):
     def stuck_since(self) -> float | None:
         """When a transfer overran its time that has not returned; None if none has."""
         return self.executor.stuck_since
+
+    async def _turn(
+        self,
+        transfer: Callable[[L], T],
+        address: int | None,
+        timeout: float | None,
+        repeated: frozenset[int] = frozenset(),
+    ) -> T:
+        """Make a transfer in its turn; again, with growing pauses, after some errors."""
+        left = self.timeout if timeout is None else timeout
+        loop = asyncio.get_running_loop()
+        until = loop.time() + left
+        attempt = 0
+        while True:
+            outcome = await self._call(
+                self._make, transfer, address, left, timeout=left, address=address
+            )
+            if not isinstance(outcome, Failure):
+                return cast("T", outcome)
+            pause = RETRY_PERIOD * 2**attempt * self._jitter.uniform(0.5, 1.5)
+            left = until - loop.time() - pause
+            if outcome.code not in repeated or attempt == RETRIES or left <= 0:
+                raise self._told(outcome.error) from outcome.cause
+            attempt += 1
+            self.stats.retries += 1
+            await asyncio.sleep(pause)
+
+    def _make(
+        self,
+        link: L,
+        transfer: Callable[[L], T],
+        address: int | None,
+        seconds: float,
+    ) -> T | Failure:
+        """Make a transfer, on the thread, and find out what an error means."""
+        try:
+            return transfer(link)
+        except EsairError:
+            raise
+        except OSError as error:
+            reason = self._explained(error, address, seconds)
+            return Failure(reason, error, self._code(error, address))
+
+    def _code(self, error: OSError, address: int | None) -> int | None:
+        """Return the error number by which a transfer is repeated, if it may be."""
+        return error.errno
 
     async def _call(
         self,

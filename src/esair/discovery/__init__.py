@@ -5,8 +5,7 @@ Nothing here opens a device or imports pyserial, pyudev or gpiod before it needs
 
 from esair.buses.finding import Device, Wakes, watch
 from esair.buses.serial import find_port, serial_identity
-from esair.discovery._devices import devices, toml
-from esair.discovery._plugs import Plugs
+from esair.discovery._devices import Plugs, devices, toml
 
 __all__ = [
     "Device",

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import Self
 
 from esair.exceptions import ConfigError
-from esair.framing._delimited import Delimited
+from esair.framing._lines import Delimited
 from esair.framing._looks import Looks
 
 _NO_ZERO = re.compile(rb"[^\0]")
@@ -109,7 +108,3 @@ class Cobs(Delimited):
         """
         encoded: bytes = self._codec.encode(self._checked(payload))
         return encoded + b"\0"
-
-    def fresh(self) -> Self:
-        """Return a new one with the same parameters and zero counters."""
-        return type(self)(max_length=self.max_length)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import abc
 from typing import Self
 
-from esair.exceptions import BadValueError, ConfigError
+from esair.exceptions import BadValueError
+from esair.values import check_whole
 
 
 class Framing(abc.ABC):
@@ -29,13 +30,7 @@ class Framing(abc.ABC):
     """
 
     def __init__(self, *, max_length: int) -> None:
-        if type(max_length) is not int or max_length < 1:
-            raise ConfigError(
-                "framing",
-                "max_length",
-                f"expected a number of bytes from 1, not {max_length!r:.80}",
-            )
-        self.max_length = max_length
+        self.max_length = check_whole("framing", "max_length", max_length, 1)
         self.bad_frames = 0
         self.discarded = 0
         self._buffer = bytearray()
@@ -52,25 +47,26 @@ class Framing(abc.ABC):
             BadValueError: It is too long, or this framing cannot carry it.
         """
 
-    @abc.abstractmethod
     def fresh(self) -> Self:
         """Return a new one with the same parameters and zero counters."""
+        return type(self)(max_length=self.max_length)
 
     def reset(self) -> None:
         """Forget a partial frame: after an opening, or after a silence."""
         self.discarded += len(self._buffer)
         self._buffer.clear()
 
-    def _checked(self, payload: bytes) -> bytes:
+    def _checked(self, payload: bytes, least: int = 0) -> bytes:
         if not isinstance(payload, bytes | bytearray | memoryview):
             raise BadValueError(
                 "framing", "payload", f"expected bytes, not {payload!r:.80}"
             )
         payload = bytes(payload)
-        if len(payload) > self.max_length:
+        if not least <= len(payload) <= self.max_length:
+            told = f"at most {self.max_length}"
+            if len(payload) < least:
+                told = f"at least {least}"
             raise BadValueError(
-                "framing",
-                "payload",
-                f"expected at most {self.max_length} bytes, not {len(payload)}",
+                "framing", "payload", f"expected {told} bytes, not {len(payload)}"
             )
         return payload

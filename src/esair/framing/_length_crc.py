@@ -7,9 +7,10 @@ import zlib
 from collections.abc import Callable
 from typing import Literal, Self
 
-from esair.exceptions import BadValueError, ConfigError
+from esair.exceptions import ConfigError
 from esair.framing._framing import Framing
 from esair.framing._looks import Looks
+from esair.values import check_choice
 
 _CRCS: dict[str, tuple[int, Callable[[bytes | bytearray], int]]] = {
     "crc-16/xmodem": (2, lambda data: binascii.crc_hqx(data, 0)),
@@ -66,20 +67,9 @@ class LengthCrc(Framing):
                 ) from None
         if not isinstance(sync, bytes):
             raise ConfigError("framing", "sync", f"expected bytes, not {sync!r:.80}")
-        if type(length_size) is not int or length_size not in {1, 2}:
-            raise ConfigError(
-                "framing", "length_size", f"expected 1 or 2, not {length_size!r:.80}"
-            )
-        if byteorder not in ("big", "little"):
-            raise ConfigError(
-                "framing",
-                "byteorder",
-                f"expected 'big' or 'little', not {byteorder!r:.80}",
-            )
-        if not isinstance(crc, str) or crc not in _CRCS:
-            raise ConfigError(
-                "framing", "crc", f"expected one of {', '.join(_CRCS)}, not {crc!r:.80}"
-            )
+        check_choice("framing", "length_size", length_size, (1, 2))
+        check_choice("framing", "byteorder", byteorder, ("big", "little"))
+        check_choice("framing", "crc", crc, _CRCS)
         if max_length >= 1 << 8 * length_size:
             raise ConfigError(
                 "framing",
@@ -147,9 +137,7 @@ class LengthCrc(Framing):
         Raises:
             BadValueError: It is empty or too long.
         """
-        payload = self._checked(payload)
-        if not payload:
-            raise BadValueError("framing", "payload", "expected at least one byte")
+        payload = self._checked(payload, least=1)
         body = len(payload).to_bytes(self.length_size, self.byteorder) + payload
         crc = self._crc(body).to_bytes(self._crc_size, self.byteorder)
         return self.sync + body + crc

@@ -5,7 +5,57 @@ from __future__ import annotations
 from typing import Self
 
 from esair.exceptions import BadValueError, ConfigError
-from esair.framing._delimited import Delimited
+from esair.framing._framing import Framing
+
+
+class Delimited(Framing):
+    """The common part of framings whose frames end with a delimiter."""
+
+    def __init__(self, *, delimiter: bytes, max_length: int, max_frame: int) -> None:
+        super().__init__(max_length=max_length)
+        self.delimiter = delimiter
+        self._max_frame = max_frame
+        self._skipping = False
+
+    def reset(self) -> None:
+        super().reset()
+        self._skipping = False
+
+    def _cut(self, data: bytes) -> list[bytes]:
+        """Return what stands before each delimiter; what is overlong is counted."""
+        buffer, delimiter = self._buffer, self.delimiter
+        tail = len(delimiter) - 1
+        searched = max(0, len(buffer) - tail)
+        buffer += data
+        pieces: list[bytes] = []
+        if buffer.find(delimiter, searched) >= 0:
+            total = len(buffer)
+            *pieces, rest = bytes(buffer).split(delimiter)
+            buffer[:] = rest
+            if self._skipping:
+                self._skipping = False
+                self.discarded += len(pieces[0]) + len(delimiter)
+                del pieces[0]
+            if total > self._max_frame and pieces:
+                pieces = [piece for piece in pieces if self._fits(piece)]
+        # A delimiter that is cut over chunks can begin in the last bytes.
+        if self._skipping or len(buffer) > self._max_frame + tail:
+            self.bad_frames += not self._skipping
+            self._skipping = True
+            gone = max(0, len(buffer) - tail)
+            self.discarded += gone
+            del buffer[:gone]
+        return pieces
+
+    def _fits(self, piece: bytes) -> bool:
+        if len(piece) <= self._max_frame:
+            return True
+        self._drop(piece)
+        return False
+
+    def _drop(self, piece: bytes) -> None:
+        self.bad_frames += 1
+        self.discarded += len(piece) + len(self.delimiter)
 
 
 class Lines(Delimited):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import struct
-from typing import Final, Self
+from typing import Final
 
-from esair.exceptions import BadValueError
 from esair.framing._framing import Framing
 
 LONGEST: Final = 254
@@ -83,17 +82,9 @@ class ModbusRtu(Framing):
         Raises:
             BadValueError: It is too long, or has no function.
         """
-        payload = self._checked(payload)
-        if len(payload) < 2:
-            raise BadValueError(
-                "framing", "payload", "expected the unit, the function and its data"
-            )
+        payload = self._checked(payload, least=2)
         self.reset()
         return payload + _crc(payload)
-
-    def fresh(self) -> Self:
-        """Return a new one with the same parameters and zero counters."""
-        return type(self)(max_length=self.max_length)
 
     def _fits(self, size: int) -> bool:
         buffer = self._buffer
@@ -168,15 +159,5 @@ class ModbusTcp(Framing):
         Raises:
             BadValueError: It is too long, or has no function.
         """
-        payload = self._checked(payload)
-        if len(payload) < 4:
-            raise BadValueError(
-                "framing",
-                "payload",
-                "expected a number, the unit, the function and its data",
-            )
+        payload = self._checked(payload, least=4)
         return payload[:2] + struct.pack(">HH", 0, len(payload) - 2) + payload[2:]
-
-    def fresh(self) -> Self:
-        """Return a new one with the same parameters and zero counters."""
-        return type(self)(max_length=self.max_length)

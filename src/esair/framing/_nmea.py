@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 import re
-from typing import Self
 
 from esair.exceptions import BadValueError
 from esair.framing._framing import Framing
@@ -168,7 +167,3 @@ class Sentences(Framing):
                 "framing", "payload", f"a sentence cannot carry {payload!r:.80}"
             )
         return b"$%b*%02X\r\n" % (payload, checksum(payload))
-
-    def fresh(self) -> Self:
-        """Return a new one with the same parameters and zero counters."""
-        return type(self)(max_length=self.max_length)

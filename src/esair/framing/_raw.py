@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Self
-
-from esair.exceptions import BadValueError
 from esair.framing._framing import Framing
 
 
@@ -34,11 +31,4 @@ class Raw(Framing):
         Raises:
             BadValueError: It is empty or too long.
         """
-        payload = self._checked(payload)
-        if not payload:
-            raise BadValueError("framing", "payload", "expected at least one byte")
-        return payload
-
-    def fresh(self) -> Self:
-        """Return a new one with the same parameters and zero counters."""
-        return type(self)(max_length=self.max_length)
+        return self._checked(payload, least=1)

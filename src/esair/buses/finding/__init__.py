@@ -4,9 +4,7 @@ Nothing here opens a device. What is found of one medium is in the folder of the
 all of it together is `esair.discovery`.
 """
 
-from esair.buses.finding._device import Device, quoted
-from esair.buses.finding._permission import permission, who_may
-from esair.buses.finding._pick import pick
+from esair.buses.finding._device import Device, permission, pick, quoted, who_may
 from esair.buses.finding._sysfs import ROOT, entries, read
 from esair.buses.finding._usb import (
     UsbIdentity,

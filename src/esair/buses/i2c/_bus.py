@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import errno
-import random
 import time
 from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
-from typing import NamedTuple, TypeVar, cast
+from typing import TypeVar
 
 from esair.buses._bus import Wire
 from esair.buses._link_bus import LinkBus
@@ -18,7 +16,6 @@ from esair.buses.i2c._errors import (
     GOING_TIME,
     ITS_CHIP,
     OCCUPIED,
-    SILENT,
     explained,
     stuck_with,
 )
@@ -32,12 +29,6 @@ from esair.exceptions import (
 from esair.watchdog import Outlet
 
 T = TypeVar("T")
-
-RETRIES = 3
-"""How often a transfer is tried again that may be."""
-
-RETRY_PERIOD = 0.001
-"""The first pause before that, in seconds; it doubles, and varies by half."""
 
 SCANNED = range(0x08, 0x78)
 """The addresses that a chip may have; the others mean something else on every bus."""
@@ -88,7 +79,6 @@ class I2CBus(LinkBus[RegisterLink]):
             self._still_there = self._same_place
         self._opened_as: Hashable | None = None
         self._is_removable = False
-        self._jitter = random.Random(name)
 
     @property
     def outlet(self) -> Outlet | None:
@@ -130,7 +120,8 @@ class I2CBus(LinkBus[RegisterLink]):
             self.stats.received += 1
             return data
 
-        data = await self._turn(transfer, address, idempotent, timeout)
+        repeated = ITS_CHIP if idempotent else OCCUPIED
+        data = await self._turn(transfer, address, timeout, repeated)
         if len(data) != length:
             raise self._failed(
                 DeviceFaultError(
@@ -162,7 +153,8 @@ class I2CBus(LinkBus[RegisterLink]):
                 link.write_i2c_block_data(address, register, list(data))
             self.stats.sent += 1
 
-        await self._turn(transfer, address, idempotent, timeout)
+        repeated = ITS_CHIP if idempotent else OCCUPIED
+        await self._turn(transfer, address, timeout, repeated)
 
     async def transfer(
         self,
@@ -208,7 +200,8 @@ class I2CBus(LinkBus[RegisterLink]):
             self._count(write, read)
             return data
 
-        return await self._turn(make, address, idempotent, timeout)
+        repeated = ITS_CHIP if idempotent else OCCUPIED
+        return await self._turn(make, address, timeout, repeated)
 
     async def transaction(
         self,
@@ -240,7 +233,8 @@ class I2CBus(LinkBus[RegisterLink]):
             self.stats.sent += 1
             return result
 
-        return await self._turn(make, address, idempotent, timeout, whole=True)
+        repeated = ITS_CHIP if idempotent else frozenset()
+        return await self._turn(make, address, timeout, repeated)
 
     async def scan(self, addresses: Iterable[int] = SCANNED) -> dict[int, str]:
         """Look which chips are there, as carefully as ``i2cdetect`` does.
@@ -280,53 +274,8 @@ class I2CBus(LinkBus[RegisterLink]):
 
     # The way of one transfer.
 
-    async def _turn(
-        self,
-        transfer: Callable[[RegisterLink], T],
-        address: int | None,
-        idempotent: bool,
-        timeout: float | None,
-        *,
-        whole: bool = False,
-    ) -> T:
-        left = self.timeout if timeout is None else timeout
-        loop = asyncio.get_running_loop()
-        until = loop.time() + left
-        attempt = 0
-        while True:
-            outcome = await self._call(
-                self._make, transfer, address, left, timeout=left, address=address
-            )
-            if not isinstance(outcome, _Failure):
-                return cast("T", outcome)
-            if outcome.code in SILENT:
-                again = idempotent
-            else:
-                again = outcome.code in OCCUPIED and (idempotent or not whole)
-            pause = RETRY_PERIOD * 2**attempt * self._jitter.uniform(0.5, 1.5)
-            left = until - loop.time() - pause
-            if not again or attempt == RETRIES or left <= 0:
-                raise self._told(outcome.error) from outcome.cause
-            attempt += 1
-            self.stats.retries += 1
-            await asyncio.sleep(pause)
-
-    def _make(
-        self,
-        link: RegisterLink,
-        transfer: Callable[[RegisterLink], T],
-        address: int | None,
-        seconds: float,
-    ) -> T | _Failure:
-        """Make a transfer, on the thread, and find out what an error means."""
-        try:
-            return transfer(link)
-        except EsairError:
-            raise
-        except OSError as error:
-            owned = self._owner(error, address) is not None
-            reason = self._explained(error, address, seconds)
-            return _Failure(reason, error, None if owned else error.errno)
+    def _code(self, error: OSError, address: int | None) -> int | None:
+        return error.errno if self._owner(error, address) is None else None
 
     def _probe(self, link: RegisterLink, address: int) -> str | EsairError:
         try:
@@ -413,11 +362,3 @@ class I2CBus(LinkBus[RegisterLink]):
         self._opened_as = None if seen is None else seen[:2]
         self.path = path
         return link
-
-
-class _Failure(NamedTuple):
-    """A transfer that failed; its number is None if trying again cannot help."""
-
-    error: EsairError
-    cause: OSError
-    code: int | None

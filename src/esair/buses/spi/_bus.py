@@ -165,24 +165,6 @@ class SpiBus(LinkBus[SpiLink]):
 
         return await self._turn(make, chip, timeout)
 
-    async def _turn(
-        self, make: Callable[[SpiLink], T], chip: int | None, timeout: float | None
-    ) -> T:
-        seconds = self.timeout if timeout is None else timeout
-
-        def judged(link: SpiLink) -> T:
-            try:
-                return make(link)
-            except OSError as error:
-                if isinstance(error, EsairError):
-                    raise
-                raise _Judged(self._explained(error, chip, seconds)) from error
-
-        try:
-            return await self._call(judged, timeout=seconds, address=chip)
-        except _Judged as judgement:
-            raise self._told(judgement.error) from judgement.__cause__
-
     def _explained(
         self, error: OSError, address: int | None, seconds: float
     ) -> EsairError:
@@ -224,14 +206,6 @@ class SpiBus(LinkBus[SpiLink]):
         self._opened_as = self._files()
         self.path = f"/dev/spidev{self.bus}"
         return link
-
-
-class _Judged(Exception):  # noqa: N818 - no error of its own: it carries one
-    """Carries what an error of the link means out of the thread."""
-
-    def __init__(self, error: EsairError) -> None:
-        super().__init__(error)
-        self.error = error
 
 
 def _chip(chip: int | None) -> str:

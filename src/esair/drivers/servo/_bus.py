@@ -15,7 +15,7 @@ from esair.buses import Bus, Exchanges, open_on, shut_on, wanted
 from esair.buses.serial import OPEN_TIMEOUT, Port, SerialPlace, close_port, reach_port
 from esair.drivers.servo._line import ANSWER_TIMEOUT, PortLink, SdkPort, ServoLink
 from esair.drivers.servo._tables import DYNAMIXEL_X, Snapshot
-from esair.drivers.servo._together import Key, Kind, Together
+from esair.drivers.servo._together import Key, Kind, Made, Together
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -29,6 +29,9 @@ from esair.values import check_whole
 from esair.watchdog import Outlet
 
 T = TypeVar("T")
+
+Told = tuple[int, int, int]
+"""What an exchange brings: a value, how it went, and what the servo says is wrong."""
 
 HARDWARE_ERROR = 70
 
@@ -156,7 +159,7 @@ class ServoBus(Bus):
             DriverStuckError: It took too long.
         """
 
-        def call(handler: Any, link: SdkPort) -> tuple[int, int, int]:
+        def call(handler: Any, link: SdkPort) -> Told:
             return handler.ping(link, servo)  # type: ignore[no-any-return]
 
         return await self._request(servo, "ping", call)
@@ -206,9 +209,7 @@ class ServoBus(Bus):
         look = self.table.look
         return self.table.snapshot(await self.read(servo, look.address, look.size))
 
-    async def _make(
-        self, key: Key, asked: Mapping[int, int]
-    ) -> Mapping[int, int | BaseException]:
+    async def _make(self, key: Key, asked: Mapping[int, int]) -> Made:
         """Make requests of one or of several servos for one entry."""
         if key[0] is Kind.WRITE:
             for servo in asked:
@@ -220,9 +221,7 @@ class ServoBus(Bus):
                     self._snapshots[servo] = now(), self.table.snapshot(block)
         return made
 
-    async def _made(
-        self, key: Key, asked: Mapping[int, int]
-    ) -> Mapping[int, int | BaseException]:
+    async def _made(self, key: Key, asked: Mapping[int, int]) -> Made:
         kind, address, size = key
         if kind is Kind.TELL or (kind is Kind.WRITE and len(asked) > 1):
             return await self._write_all(address, size, asked)
@@ -238,24 +237,19 @@ class ServoBus(Bus):
     async def _make_one(
         self, servo: int, address: int, size: int, value: int | None
     ) -> int:
-        def read(handler: Any, link: SdkPort) -> tuple[int, int, int]:
-            data, result, error = handler.readTxRx(link, servo, address, size)
+        def call(handler: Any, link: SdkPort) -> Told:
+            if value is None:
+                data, result, error = handler.readTxRx(link, servo, address, size)
+            else:
+                data = list(value.to_bytes(size, "little"))
+                result, error = handler.writeTxRx(link, servo, address, size, data)
             return int.from_bytes(bytes(data), "little"), result, error
 
-        def write(handler: Any, link: SdkPort) -> tuple[int, int, int]:
-            assert value is not None
-            data = list(value.to_bytes(size, "little"))
-            result, error = handler.writeTxRx(link, servo, address, size, data)
-            return 0, result, error
+        verb = "read" if value is None else "write"
+        return await self._request(servo, f"{verb} {address}", call)
 
-        if value is None:
-            return await self._request(servo, f"read {address}", read)
-        return await self._request(servo, f"write {address}", write)
-
-    async def _read_all(
-        self, address: int, size: int, servos: tuple[int, ...]
-    ) -> Mapping[int, int | BaseException]:
-        def call(handler: Any, link: SdkPort) -> list[tuple[int, int, int]]:
+    async def _read_all(self, address: int, size: int, servos: tuple[int, ...]) -> Made:
+        def call(handler: Any, link: SdkPort) -> list[Told]:
             result = self._sync_read(handler, link, address, size, list(servos))
             told = []
             for servo in servos:
@@ -282,12 +276,12 @@ class ServoBus(Bus):
 
     async def _write_all(
         self, address: int, size: int, asked: Mapping[int, int]
-    ) -> Mapping[int, int | BaseException]:
+    ) -> Made:
         data: list[int] = []
         for servo, value in asked.items():
             data += [servo, *value.to_bytes(size, "little")]
 
-        def call(handler: Any, link: SdkPort) -> list[tuple[int, int, int]]:
+        def call(handler: Any, link: SdkPort) -> list[Told]:
             sent = handler.syncWriteTxOnly(link, address, size, data, len(data))
             return [(0, sent, 0)]
 
@@ -299,8 +293,8 @@ class ServoBus(Bus):
         self,
         servos: tuple[int, ...],
         what: str,
-        call: Callable[[Any, SdkPort], list[tuple[int, int, int]]],
-    ) -> list[tuple[int, int, int]]:
+        call: Callable[[Any, SdkPort], list[Told]],
+    ) -> list[Told]:
         """Make an exchange with servos in its turn, and return what each has told."""
         link = self._link
         if not self.is_open or link is None:
@@ -319,7 +313,7 @@ class ServoBus(Bus):
         self,
         servo: int,
         what: str,
-        call: Callable[[Any, SdkPort], tuple[int, int, int]],
+        call: Callable[[Any, SdkPort], Told],
     ) -> int:
         ((value, result, error),) = await self._exchanged(
             (servo,), what, lambda handler, link: [call(handler, link)]
