@@ -216,7 +216,8 @@ class Output:
         """
         if command is not None:
             try:
-                self.checked = self.channel.checked(command)
+                check = self.channel.checked  # by itself: see the scheduler
+                self.checked = check(command)
             except BadValueError as error:
                 self.channel.wanted(self.registration, command)
                 self.reject(error)

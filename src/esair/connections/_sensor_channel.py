@@ -13,7 +13,7 @@ from esair.connections._driver import translate_call
 from esair.connections._listening import Listening
 from esair.connections._reading_check import FrozenCheck, ReadingCheck, measured_at
 from esair.connections._registrations import Registration
-from esair.connections._sensor_device import SensorDevice
+from esair.connections._sensor_device import READY, SensorDevice
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
@@ -145,7 +145,7 @@ class SensorChannel(SensorDevice):
 
     def up(self) -> None:
         """The device is ready: begin to listen, and to ask if somebody follows."""
-        self.state = ResourceState.READY
+        self.state = READY
         self.error = None
         if self._frozen is not None:
             self._frozen.begin_anew()
@@ -235,7 +235,7 @@ class SensorChannel(SensorDevice):
     def _check(self, registration: Registration) -> None:
         if not registration.usable:
             raise self.registrations.refusal(registration)
-        if self.state is not ResourceState.READY:
+        if self.state is not READY:
             error = self.error or DeviceLostError(
                 self.name, f"it is {self.state.value}"
             )
@@ -265,7 +265,7 @@ class SensorChannel(SensorDevice):
         if (
             self._poll is None
             and self._followers
-            and self.state is ResourceState.READY
+            and self.state is READY
             and self.sensor.can_be_asked
         ):
             self._poll = self._scheduler.every(
@@ -288,7 +288,7 @@ class SensorChannel(SensorDevice):
         turn = self._scheduler.turns
         if turn == self._polled_in:  # the first poll, and its moment on the grid
             return None
-        if self._asking or self.state is not ResourceState.READY:
+        if self._asking or self.state is not READY:
             self.missed += 1
             return None
         self._polled_in = turn
