@@ -9,6 +9,7 @@ import attrs
 
 from esair.actions import Derived, Guards, Need, ProfiledAction, Reads, Writes
 from esair.config._mistakes import below, show
+from esair.config._records import fields_of
 from esair.config._source import Source
 from esair.config._values import INVALID
 from esair.config._words import unknown, wanted
@@ -23,23 +24,6 @@ _KINDS: Final[Mapping[str, type[Need]]] = {
     "reads": Reads,
     "writes": Writes,
     "guards": Guards,
-}
-_FIELDS: Final[Mapping[str, Mapping[str, Any]]] = {
-    "reads": {
-        "name": str,
-        "max_age": float,
-        "every": bool,
-        "optional": bool,
-        "configure": bool,
-    },
-    "writes": {
-        "name": str,
-        "priority": int,
-        "hold": float,
-        "blind": str,
-        "configure": bool,
-    },
-    "guards": {"name": str, "priority": int, "latch": bool},
 }
 
 
@@ -100,7 +84,8 @@ def _changed(
             key, f"expected the name of a resource, or a table, not {show(changes)}"
         )
         return None
-    fields = _FIELDS[flow]
+    known = fields_of(_KINDS[flow]) or {}
+    fields = {n: f.kind for n, f in known.items() if n not in {"type", "attribute"}}
     values: dict[str, Any] = {}
     for field, value in changes.items():
         where = below(key, field)

@@ -25,39 +25,22 @@ class Field:
 
 def fields_of(kind: type) -> Mapping[str, Field] | None:
     """Return the fields of a class that a table can be turned into, or None."""
-    if attrs.has(kind):
-        hints = hints_of(kind)
-        return {
-            field.alias: Field(
-                hints.get(field.name, Any), field.default is attrs.NOTHING
-            )
-            for field in attrs.fields(kind)
-            if field.init
-        }
-    if dataclasses.is_dataclass(kind):
-        hints = hints_of(kind)
-        return {
-            field.name: Field(
-                hints.get(field.name, Any),
-                field.default is dataclasses.MISSING
-                and field.default_factory is dataclasses.MISSING,
-            )
-            for field in dataclasses.fields(kind)
-            if field.init
-        }
     if typing.is_typeddict(kind):
         required = typing.cast("frozenset[str]", kind.__required_keys__)  # type: ignore[attr-defined]
         return {
             name: Field(hint, name in required) for name, hint in hints_of(kind).items()
         }
-    if issubclass(kind, tuple) and hasattr(kind, "_fields"):
-        hints = hints_of(kind)
-        defaults = kind._field_defaults  # type: ignore[attr-defined]
-        return {
-            name: Field(hints.get(name, Any), name not in defaults)
-            for name in kind._fields
-        }
-    return None
+    is_tuple = issubclass(kind, tuple) and hasattr(kind, "_fields")
+    if not (attrs.has(kind) or dataclasses.is_dataclass(kind) or is_tuple):
+        return None
+    hints = hints_of(kind)
+    if attrs.has(kind):
+        hints |= {f.alias: hints.get(f.name, Any) for f in attrs.fields(kind)}
+    return {
+        each.name: Field(hints.get(each.name, Any), each.default is each.empty)
+        for each in inspect.signature(kind).parameters.values()
+        if each.kind in {each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY}
+    }
 
 
 def hints_of(something: Any) -> dict[str, Any]:
