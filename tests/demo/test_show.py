@@ -86,12 +86,11 @@ def event_time(show: Show, kind: str) -> float:
 def test_all_events_happen_in_their_order(show: Show) -> None:
     """Nothing that should have happened is missing."""
     assert show.ending.run is not None
-    assert show.ending.summary is not None
 
     kinds = [event.kind for event in show.ending.run.events if event.kind != "bump"]
 
     assert kinds == ["person", "unplug", "plug", "refuse", "swap", "end"]
-    assert show.ending.summary.unmet == ()
+    assert show.ending.run.unmet == ()
 
 
 def test_the_wheels_stop_when_the_rover_cannot_see(show: Show) -> None:
@@ -110,8 +109,8 @@ def test_the_wheels_stop_when_the_rover_cannot_see(show: Show) -> None:
     assert not any(moves for _, _, moves in while_away)
     assert any(moves for _, _, moves in before)
     assert any(moves for _, _, moves in after)
-    assert show.ending.summary is not None
-    (fault,) = show.ending.summary.faults
+    assert show.ending.run is not None
+    (fault,) = show.ending.run.faults
     assert 0 <= fault.noticed < 0.1
     assert 0 <= fault.safe < 0.1
     assert 0 < fault.back <= fault.moved < 2.0
@@ -168,39 +167,39 @@ def test_the_last_command_of_all_is_a_stop(show: Show) -> None:
     last = {side: moves for _, side, moves in motions(show.ending.frames)}
 
     assert last == {LEFT: False, RIGHT: False}
-    assert show.ending.summary is not None
-    (told,) = show.ending.summary.told
+    assert show.ending.run is not None
+    (told,) = show.ending.run.told
     assert (told.resource, told.safe, told.answered) == ("wheels", True, True)
 
 
 def test_the_rover_knows_where_it_is(show: Show) -> None:
     """Wheels, gyroscope and range finder agree with the world within 0.15 m."""
-    assert show.ending.summary is not None
+    assert show.ending.run is not None
 
-    assert show.ending.summary.error < 0.15
-    assert show.ending.summary.distance > 2.0
-    assert show.ending.summary.known > 0.3
+    assert show.ending.run.error < 0.15
+    assert show.ending.run.distance > 2.0
+    assert show.ending.run.known > 0.3
 
 
 def test_the_motors_told_what_they_did(show: Show) -> None:
     """Feedback came 50 times a second, from both, and their encoders turned."""
-    assert show.ending.summary is not None
+    assert show.ending.run is not None
     for side in (LEFT, RIGHT):
         told = [
             decode_feedback(side, frame.data)
             for _, frame in show.ending.frames
             if frame.id == feedback_id(side)
         ]
-        assert len(told) / show.ending.summary.seconds == pytest.approx(50, rel=0.1)
+        assert len(told) / show.ending.run.seconds == pytest.approx(50, rel=0.1)
         assert told[-1].angle != 0.0
 
 
 def test_the_table_names_every_component_and_the_fault(show: Show) -> None:
     """Distance, rates, faults and what they cost, what the wheels were told."""
-    assert show.ending.summary is not None
+    assert show.ending.run is not None
     text = io.StringIO()
 
-    show.ending.summary.show(Console(file=text, width=160))
+    show.ending.run.show(Console(file=text, width=160))
 
     words = ["ranges", "bumper", "odometry", "imu", "wheels"]
     words += ["explore", "mapper", "avoid", "brake", "bump"]

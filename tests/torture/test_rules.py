@@ -19,7 +19,7 @@ from esair.actions import ReactionRunner
 from esair.connections import ActuatorChannel
 from esair.testing import VirtualLoop
 from esair.torture import Outcome, Step, Story, Target, World, torture
-from esair.torture._kinds import KINDS, Cast
+from esair.torture._kinds import KINDS, cast_of
 from esair.torture._patience import HeldError, Patience
 from esair.torture._teller import random_story
 
@@ -79,14 +79,14 @@ def told_to(
 
 def test_a_sound_robot_breaks_no_rule() -> None:
     """Each kind of step, once to each component."""
-    cast = Cast.of_robot(
+    cast = cast_of(
         esair.Robot(resources=[Sonar(), Wheels()], behaviors=[Drive(), Stop()])
     )
     at = itertools.count(1.0, 0.7)
     steps = [
         Step(next(at), kind.name, name, lasts=0.3, how=how, much=kind.much[0])
         for kind in KINDS.values()
-        for name in cast.of[kind.on]
+        for name in cast[kind.on]
         for how in kind.hows
         if kind.name != "end"
     ]
@@ -193,7 +193,7 @@ def test_the_same_story_is_told_twice() -> None:
 
     def traces() -> list[Any]:
         target = Target.of(f"{HERE / 'planted.py'}:sound")
-        cast = Cast.of_robot(target.make())
+        cast = cast_of(target.make())
         world = World(target, random_story(cast, 11))
         world.run()
         return [

@@ -24,7 +24,7 @@ from esair.demo._reactions import Bump
 from esair.demo._samples import Witness
 from esair.demo._screen import Screen
 from esair.demo._story import Event, Story
-from esair.demo._summary import Run, Summary
+from esair.demo._summary import Run
 from esair.exceptions import EsairError, describe
 from esair.loop import TurnLoop, every
 from esair.messages import Recording
@@ -48,7 +48,6 @@ class Ending:
 
     robot: Robot | None = None  # The robot, which has stopped
     run: Run | None = None  # What the picture shows; None if the run was cut short
-    summary: Summary | None = None  # What is printed; None if the run was cut short
     frames: list[tuple[float, Frame]] = attrs.field(factory=list)
 
 
@@ -108,9 +107,8 @@ def demo(
     except EsairError as error:
         print(f"esair: {describe(error)}", file=sys.stderr)  # noqa: T201 - as below
         return BROKEN
-    assert ending.summary is not None
     assert ending.run is not None
-    ending.summary.show(console)
+    ending.run.show(console)
     from esair.demo._picture import draw  # it takes its time, and the wheels stand now
 
     try:
@@ -120,7 +118,7 @@ def demo(
     console.print("\nthe picture is in", Text(str(out), "bold"))
     if record is not None:
         console.print("look into the recording: esair log", Text(str(record), "bold"))
-    return BROKEN if ending.summary.unmet else 0
+    return BROKEN if ending.run.unmet else 0
 
 
 def _unusable(path: Path, why: str) -> int:
@@ -219,7 +217,11 @@ async def _play(
         at_the_end = status.picture()
     ending.frames = list(simulation.frames)
     pose, belief = simulation.world.pose, mapper.belief()
-    ending.summary = Summary(
+    ending.run = Run(
+        arena=simulation.world.arena,
+        belief=belief,
+        samples=tuple(witness.samples),
+        events=tuple(sorted(events, key=lambda event: event.time)),
         seconds=loop.time() - began,
         distance=simulation.world.distance,
         known=belief.floor.known(simulation.world.arena.size),
@@ -229,13 +231,6 @@ async def _play(
         faults=tuple(story.faults),
         told=robot.stopped,
         unmet=tuple(story.unmet),
-    )
-    ending.run = Run(
-        simulation.world.arena,
-        belief,
-        tuple(witness.samples),
-        tuple(sorted(events, key=lambda event: event.time)),
-        ending.summary.headline,
     )
 
 

@@ -18,19 +18,12 @@ from esair.sim import Arena
 
 @attrs.frozen
 class Run:
-    """What the picture shows."""
+    """What is left of a run: the picture shows it, and the numbers."""
 
     arena: Arena
     belief: Belief  # What the rover believes at the end
     samples: tuple[Sample, ...]  # Where it was, and who drove it, in order
     events: tuple[Event, ...]
-    headline: str
-
-
-@attrs.frozen
-class Summary:
-    """The run in numbers."""
-
     seconds: float  # How long it took
     distance: float  # How far the rover drove, in metres
     known: float  # Which part of the floor it knows at the end, 0 to 1

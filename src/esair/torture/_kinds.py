@@ -71,40 +71,37 @@ def _kind(group: str, on: str, **options: Any) -> Callable[[Do], Do]:
     return enter
 
 
-@attrs.frozen
-class Cast:
-    """Who is in a robot: what steps can be done to, by name."""
+Cast = Mapping[str, tuple[str, ...]]
+"""Who is in a robot: what steps can be done to, the names in each group."""
 
-    of: Mapping[str, tuple[str, ...]]
 
-    @classmethod
-    def of_robot(cls, robot: esair.Robot) -> Cast:
-        """Look who is there."""
-        plan = robot.plan
-        sensors = [each for each in plan.resources if isinstance(each, Sensor)]
-        devices = list(plan.resources)
-        actions = list(plan.behaviors)
-        groups: dict[str, list[Any]] = {
-            "devices": devices,
-            "sensors": sensors,
-            "pushing": [each for each in sensors if each.pushes],
-            "restartable": [each for each in devices if each.can_tell_set_up],
-            "settings": [each for each in devices if _changeable(each)],
-            "actions": actions,
-            "reactions": [each for each in actions if isinstance(each, Reaction)],
-            "protections": [each for each in actions if _protects(each)],
-            "behaviors": [each for each in actions if isinstance(each, Behavior)],
-            "movers": [each for each in actions if _writes(each)],
-            "takers": [
-                each for each in actions if isinstance(each, Behavior) and each.takes
-            ],
-            "components": [*devices, *actions],
-        }
-        names = {
-            group: tuple(sorted(each.name for each in members))
-            for group, members in groups.items()
-        }
-        return cls(names | {"robot": ("",)})
+def cast_of(robot: esair.Robot) -> Cast:
+    """Look who is in a robot."""
+    plan = robot.plan
+    sensors = [each for each in plan.resources if isinstance(each, Sensor)]
+    devices = list(plan.resources)
+    actions = list(plan.behaviors)
+    groups: dict[str, list[Any]] = {
+        "devices": devices,
+        "sensors": sensors,
+        "pushing": [each for each in sensors if each.pushes],
+        "restartable": [each for each in devices if each.can_tell_set_up],
+        "settings": [each for each in devices if _changeable(each)],
+        "actions": actions,
+        "reactions": [each for each in actions if isinstance(each, Reaction)],
+        "protections": [each for each in actions if _protects(each)],
+        "behaviors": [each for each in actions if isinstance(each, Behavior)],
+        "movers": [each for each in actions if _writes(each)],
+        "takers": [
+            each for each in actions if isinstance(each, Behavior) and each.takes
+        ],
+        "components": [*devices, *actions],
+    }
+    names = {
+        group: tuple(sorted(each.name for each in members))
+        for group, members in groups.items()
+    }
+    return names | {"robot": ("",)}
 
 
 def _changeable(resource: Resource) -> bool:

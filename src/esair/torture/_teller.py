@@ -29,7 +29,7 @@ def sieges(cast: Cast, seed: int) -> Iterator[Story]:
     for kind in KINDS.values():
         if kind.lasts == (0.0,) or kind.group == "user":
             continue
-        for name in cast.of[kind.on]:
+        for name in cast[kind.on]:
             much = kind.much[0] if kind.name == "flooding" else kind.much[-1]
             step = Step(1.0, kind.name, name, lasts=10.0, how=kind.hows[0], much=much)
             yield Story(seed, (step,), lasts=SIEGE)
@@ -38,7 +38,7 @@ def sieges(cast: Cast, seed: int) -> Iterator[Story]:
 def random_story(cast: Cast, seed: int) -> Story:
     """Tell a random story; the same seed tells the same one."""
     dice = random.Random(seed)
-    kinds = [each for each in KINDS.values() if each.weight and cast.of[each.on]]
+    kinds = [each for each in KINDS.values() if each.weight and cast[each.on]]
     weights = [each.weight for each in kinds]
     gap, fewest, most = dice.choice((DENSE, DENSE, SPARSE))
     at = dice.choice((0.0, 0.3, 0.3, 1.0))
@@ -58,7 +58,7 @@ def _step(kind: Kind, cast: Cast, at: float, dice: random.Random) -> Step:
     return Step(
         round(at, 3),
         kind.name,
-        dice.choice(cast.of[kind.on]),
+        dice.choice(cast[kind.on]),
         lasts=dice.choice(kind.lasts),
         how=dice.choice(kind.hows),
         much=dice.choice(kind.much),

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 import attrs
 
 from esair.torture._judge import Violation
-from esair.torture._kinds import Cast
+from esair.torture._kinds import cast_of
 from esair.torture._shrink import shrink
 from esair.torture._story import Story
 from esair.torture._target import Target
@@ -142,7 +142,7 @@ def _stories(target: Target, seed: int, checks: tuple[Check, ...]) -> Iterator[S
     first = calm(seed)
     yield first
     try:
-        cast = Cast.of_robot(target.make())
+        cast = cast_of(target.make())
     except Exception:  # it cannot be made: that was the finding
         return
     one_by_one = sieges(cast, seed)
