@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import attrs
@@ -15,9 +14,9 @@ from rich.text import Text
 
 from esair.cli._errors import counted
 from esair.cli._options import AsJson
-from esair.config import FoundInFile, Report, find_robot, is_of_module
-from esair.config import check as check_file
-from esair.plan import UNWATCHED, Finding, examine, protection
+from esair.config import FoundInFile, Report
+from esair.config import check as check_robot
+from esair.plan import UNWATCHED
 
 _STYLES = {"error": "bold red", "warning": "yellow"}
 
@@ -31,7 +30,7 @@ def check(robot: str, /, *, as_json: AsJson = False, strict: bool = False) -> in
         robot: A robot.toml; or the robot of a module: module:robot, file.py:robot.
         strict: Count warnings as errors.
     """
-    report = _check_module(robot) if is_of_module(robot) else check_file(Path(robot))
+    report = check_robot(robot)
     console = Console(highlight=False)
     if as_json:
         console.out(json.dumps(to_json(report), indent=2), highlight=False)
@@ -43,25 +42,6 @@ def check(robot: str, /, *, as_json: AsJson = False, strict: bool = False) -> in
             console.print(_actuators(report))
         console.print(_summary(report), soft_wrap=True)
     return 1 if report.errors or (strict and report.warnings) else 0
-
-
-def _check_module(target: str) -> Report:
-    """Find every mistake of a robot of a module, without starting it."""
-    plan = find_robot(target).plan
-    findings = [_shown(each) for each in examine(plan)]
-    findings.sort(key=lambda each: each.severity)
-    return Report(
-        file=target,
-        digest="",
-        findings=tuple(findings),
-        actuators=tuple(protection(plan)),
-        with_simulation=False,
-    )
-
-
-def _shown(finding: Finding) -> FoundInFile:
-    where = ".".join(each for each in (finding.component, finding.field) if each)
-    return FoundInFile(finding.severity.value, finding.rule, where, None, finding.text)
 
 
 def to_json(report: Report) -> dict[str, Any]:

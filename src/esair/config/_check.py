@@ -7,6 +7,7 @@ import os
 import attrs
 
 from esair.config._draft import Draft
+from esair.config._module import find_robot, is_of_module
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
 from esair.plan import Protection, examine, protection
@@ -65,13 +66,19 @@ class Report:
 
 
 def check(path: str | os.PathLike[str], *, robot_class: type = Robot) -> Report:
-    """Find every mistake of a configuration at once, without opening a device.
+    """Find every mistake of a robot at once, without opening a device.
 
-    The file is checked as it is, and, if it has any ``sim`` table, as a simulation.
+    A file is checked as it is, and, if it has any ``sim`` table, as a simulation.
+
+    Args:
+        path: A robot.toml; or the robot of a module: ``module:robot``, ``file.py:robot``.
+        robot_class: The class of a file's robot.
 
     Raises:
-        ConfigFileError: The file cannot be read, or is no TOML.
+        ConfigError: The file or module cannot be read, or there is no such robot in it.
     """
+    if is_of_module(str(path)):
+        return _of_module(str(path))
     source = read_source(path)
     real = make_draft(source, simulated=False, robot_class=robot_class)
     found = _found(real, robot_class)
@@ -98,6 +105,16 @@ def check(path: str | os.PathLike[str], *, robot_class: type = Robot) -> Report:
         actuators=tuple(protection(real.plan())),
         with_simulation=with_simulation,
     )
+
+
+def _of_module(target: str) -> Report:
+    plan = find_robot(target).plan
+    found = []
+    for each in sorted(examine(plan), key=lambda each: each.severity.value):
+        key = ".".join(part for part in (each.component, each.field) if part)
+        level = each.severity.value
+        found.append(FoundInFile(level, each.rule, key, None, each.text))
+    return Report(target, "", tuple(found), tuple(protection(plan)), False)
 
 
 def _tables(holder: object) -> list[object]:
