@@ -9,7 +9,7 @@ from esair.actions import Behavior, Derived, ProfiledAction, Reaction, adapt_act
 from esair.buses import Bus
 from esair.config._construct import construct
 from esair.config._draft import Draft, Part, Variant
-from esair.config._mistakes import below, show
+from esair.config._mistakes import below
 from esair.config._profiles import FLOWS, set_profile
 from esair.config._records import hints_of
 from esair.config._tables import class_of, variant_of
@@ -93,7 +93,7 @@ def _find_bus(
     name, where = variant.table["bus"], variant.keys["bus"]
     buses = draft.buses
     if not isinstance(name, str):
-        mistakes.add(where, f"expected the name of a bus, not {show(name)}")
+        draft.source.wrong(where, "the name of a bus", name)
     elif name not in buses:
         mistakes.add(where, f"{name!r:.80}: {unknown('bus', name, buses)}")
     else:

@@ -8,7 +8,7 @@ from esair.config._boards import add_boards
 from esair.config._components import make_behavior, make_bus, make_device
 from esair.config._construct import keywords_of
 from esair.config._draft import Draft, Part
-from esair.config._mistakes import below, dotted, show
+from esair.config._mistakes import below, dotted
 from esair.config._policies import read_policies
 from esair.config._source import Source
 from esair.config._tables import named_tables
@@ -35,7 +35,7 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
         if name not in TABLES:
             source.mistakes.add(dotted(name), unknown("table", name, TABLES))
         elif not isinstance(value, dict):
-            source.mistakes.add(name, f"expected a table, not {show(value)}")
+            source.wrong(name, "a table", value)
             del source.data[name]
     add_boards(
         source,

@@ -29,10 +29,7 @@ def read_policies(source: Source) -> dict[str, Policy | BehaviorsPolicy]:
     for name, table in tables.items():
         key = dotted("access", name)
         if not isinstance(table, dict):
-            source.mistakes.add(
-                key,
-                f'expected a table such as {{ wander = "write" }}, not {show(table)}',
-            )
+            source.wrong(key, 'a table such as { wander = "write" }', table)
         else:
             read = _managers if name == BEHAVIORS else _policy
             policies[name] = read(source, key, name, table)
@@ -50,11 +47,8 @@ def _managers(
         if value == "manage":
             allow[behavior] = "manage"
         else:
-            source.mistakes.add(
-                where,
-                'expected "manage", the right to add, remove, replace and restart '
-                f"behaviors, not {show(value)}",
-            )
+            right = '"manage", the right to add, remove, replace and restart behaviors'
+            source.wrong(where, right, value)
     return BehaviorsPolicy(allow)
 
 
@@ -65,10 +59,7 @@ def _policy(source: Source, key: str, name: str, table: dict[str, Any]) -> Polic
     for behavior, value in table.items():
         where = below(key, behavior)
         if behavior == "exclusive":
-            if isinstance(value, bool):
-                exclusive = value
-            else:
-                source.mistakes.add(where, f"expected true or false, not {show(value)}")
+            exclusive = source.convert(value, bool, where) is True
         elif behavior == "max_priority":
             levels = _levels(source, where, value)
         elif _is_name(source, where, behavior):
@@ -80,9 +71,7 @@ def _policy(source: Source, key: str, name: str, table: dict[str, Any]) -> Polic
 
 def _levels(source: Source, key: str, value: object) -> dict[str, int]:
     if not isinstance(value, dict):
-        source.mistakes.add(
-            key, f"expected a table such as {{ wander = 5 }}, not {show(value)}"
-        )
+        source.wrong(key, "a table such as { wander = 5 }", value)
         return {}
     levels: dict[str, int] = {}
     for behavior, level in value.items():
@@ -92,7 +81,7 @@ def _levels(source: Source, key: str, value: object) -> dict[str, int]:
         if type(level) is int:
             levels[behavior] = level
         else:
-            source.mistakes.add(where, f"expected a whole number, not {show(level)}")
+            source.wrong(where, "a whole number", level)
     return levels
 
 
@@ -111,9 +100,7 @@ def _is_name(source: Source, key: str, behavior: str) -> bool:
 
 def _access(source: Source, key: str, value: object) -> Access | None:
     if not isinstance(value, str):
-        source.mistakes.add(
-            key, f'expected rights such as "read, write", not {show(value)}'
-        )
+        source.wrong(key, 'rights such as "read, write"', value)
         return None
     access = Access(0)
     sound = True

@@ -8,7 +8,7 @@ from typing import Any, Final
 import attrs
 
 from esair.actions import Derived, Guards, Need, ProfiledAction, Reads, Writes
-from esair.config._mistakes import below, show
+from esair.config._mistakes import below
 from esair.config._records import fields_of
 from esair.config._source import Source
 from esair.config._values import INVALID
@@ -45,10 +45,7 @@ def set_profile(
             continue
         ports = table[flow]
         if not isinstance(ports, dict):
-            source.mistakes.add(
-                keys[flow],
-                f"expected a table with a key for each port, not {show(ports)}",
-            )
+            source.wrong(keys[flow], "a table with a key for each port", ports)
             continue
         for attribute, changes in ports.items():
             where = below(keys[flow], attribute)
@@ -80,9 +77,7 @@ def _changed(
     if isinstance(changes, str):
         changes = {"name": changes}
     if not isinstance(changes, dict):
-        source.mistakes.add(
-            key, f"expected the name of a resource, or a table, not {show(changes)}"
-        )
+        source.wrong(key, "the name of a resource, or a table", changes)
         return None
     known = fields_of(_KINDS[flow]) or {}
     fields = {n: f.kind for n, f in known.items() if n not in {"type", "attribute"}}
@@ -96,9 +91,7 @@ def _changed(
         if result is INVALID:
             continue
         if field in {"max_age", "hold"} and not result > 0:
-            source.mistakes.add(
-                where, f"expected {wanted(float)} > 0, in seconds, not {show(value)}"
-            )
+            source.wrong(where, f"{wanted(float)} > 0, in seconds", value)
             continue
         if field == "name" and not _is_name(result, where, source):
             continue

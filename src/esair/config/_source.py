@@ -40,6 +40,10 @@ class Source:
         """Return a value as a type, or `INVALID`; what is wrong is a mistake."""
         return convert(value, kind, key, self.mistakes.add, self.folder)
 
+    def wrong(self, key: str, expected: str, value: object) -> None:
+        """Note that something else was expected."""
+        self.mistakes.add(key, f"expected {expected}, not {show(value)}")
+
     def value(self, key: str) -> object:
         """Return what stands at a key; None if nothing does."""
         found: object = self.data

@@ -10,7 +10,7 @@ from esair.actions import ProfiledAction
 from esair.buses import Bus
 from esair.config._classes import BUSES, find_class
 from esair.config._draft import Draft, Variant
-from esair.config._mistakes import below, dotted, show
+from esair.config._mistakes import below, dotted
 from esair.config._source import Source
 from esair.config._words import wanted
 from esair.exceptions import ConfigError
@@ -34,9 +34,7 @@ def named_tables(source: Source, kind: str) -> list[tuple[str, dict[str, Any]]]:
         if isinstance(table, dict):
             found.append((name, table))
         else:
-            source.mistakes.add(
-                key, f"expected a table [{kind}.NAME], not {show(table)}"
-            )
+            source.wrong(key, f"a table [{kind}.NAME]", table)
             del holder[name]
     return found
 
@@ -48,10 +46,7 @@ def variant_of(
     keys = {name: below(key, name) for name in real}
     sim = table.get("sim")
     if "sim" in table and not isinstance(sim, dict):
-        draft.source.mistakes.add(
-            f"{key}.sim",
-            f"expected a table of what replaces the real keys, not {show(sim)}",
-        )
+        draft.source.wrong(f"{key}.sim", "a table of what replaces the real keys", sim)
     if not draft.simulated or not isinstance(sim, dict):
         return Variant(real, keys)
     inherited: frozenset[str] = frozenset()
@@ -76,7 +71,7 @@ def class_of(
     name = variant.table[field]
     where = variant.keys[field]
     if not isinstance(name, str):
-        mistakes.add(where, f"expected {wanted(str)}, not {show(name)}")
+        draft.source.wrong(where, wanted(str), name)
         return None
     found = find_class(
         name,
