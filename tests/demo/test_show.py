@@ -321,5 +321,5 @@ def test_a_picture_that_cannot_be_written_is_refused_at_once(
 
 def test_a_show_that_was_cut_short_has_no_summary() -> None:
     """What is not known is not made up."""
-    assert Ending().summary is None
+    assert Ending().run is None
     assert callable(demo)
