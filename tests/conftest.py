@@ -15,7 +15,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import hypothesis
 import pytest
 from tests.leaks import OwnLeaks
 
@@ -34,6 +33,10 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "xdist_group(name): kept on one worker")
     config.addinivalue_line("markers", "long: too long for every run (--esair-long)")
     config.addinivalue_line("markers", "longer: does more with --esair-long")
+    has_compiled = not sys.dont_write_bytecode
+    sys.dont_write_bytecode = False  # of this process; its children read their own
+    import hypothesis  # pytest rewrites it: not in each worker
+
     # The same examples in every run; --esair-soak looks for new ones.
     hypothesis.settings.register_profile(
         "same",
@@ -47,7 +50,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # The control sockets of the robots in the tests, of children too.
     sockets = os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="esair-sockets-")
     config.add_cleanup(lambda: shutil.rmtree(sockets, ignore_errors=True))
-    if sys.dont_write_bytecode and not hasattr(config, "workerinput"):
+    if not has_compiled and not hasattr(config, "workerinput"):
         # Each of hundreds of children would compile the package anew.
         compileall.compile_dir(Path(esair.__file__).parent, quiet=2)
     _keep_what_is_rewritten(config)
@@ -124,7 +127,6 @@ def _keep_what_is_rewritten(config: pytest.Config) -> None:
     A worker begins with its own share, so that it finds most of the others' done when
     it collects.
     """
-    sys.dont_write_bytecode = False  # of this process; its children read their own
     worker = getattr(config, "workerinput", None)
     rewriting = config.pluginmanager.rewrite_hook
     if worker is None or not isinstance(rewriting, importlib.abc.Loader):

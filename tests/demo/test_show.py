@@ -19,7 +19,6 @@ import esair.demo
 from esair.buses import Frame
 from esair.config import load
 from esair.demo import demo
-from esair.demo._picture import draw
 from esair.demo._screen import Screen
 from esair.demo._show import Ending, perform
 from esair.drivers.wheel_motor import (
@@ -220,6 +219,8 @@ def test_each_event_is_told_as_it_happens(show: Show) -> None:
 
 def test_the_picture_is_a_png_of_a_good_size(show: Show, tmp_path: Path) -> None:
     """It is written in one piece and can be printed."""
+    from esair.demo._picture import draw  # it takes long: not in each worker
+
     assert show.ending.run is not None
     path = tmp_path / "demo.png"
 
