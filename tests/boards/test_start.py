@@ -1,5 +1,7 @@
 """How a board starts and stays well: arming, watchdog, parts that browned out."""
 
+import io
+import os
 import sys
 
 import pytest
@@ -91,6 +93,23 @@ def test_only_a_board_that_the_host_arms_is_armed_by_it(
     steps(loop, start, 4 if arm == "host" else 3)
 
     assert motor.told == told
+
+
+def test_the_host_arms_by_a_line_whatever_else_comes(pins, monkeypatch, capsys) -> None:
+    """Noise ends nothing, and a flood holds up no step."""
+    near, far = os.pipe()
+    with io.TextIOWrapper(io.FileIO(near)) as stdin, io.FileIO(far, "w") as line:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        loop, motor, start = made(arm="host")
+        line.write(b"\xff\xfe\x03\nwho\rarm\r\n")
+        steps(loop, start, 2)
+        line.write(bytes(1000) + b"\n disarm\n")
+        steps(loop, start, 3)
+        assert motor.told == [0.0, 0.5, 0.5, 0.5, 0.5]
+        steps(loop, start, 20)
+
+    assert motor.told[-1] == 0.0
+    assert capsys.readouterr().out.count("esair: ready") == 2
 
 
 def test_armed_always_it_moves_at_once(pins) -> None:

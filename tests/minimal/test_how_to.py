@@ -225,9 +225,11 @@ asyncio.run(main())
 @pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-4", "MIN-5")
-def test_the_page_is_followed_in_a_new_environment(machine: Machine, tmp_path) -> None:
+def test_the_page_is_followed_in_a_new_environment(
+    linked_machine: Machine, tmp_path
+) -> None:
     """Nothing is there but what the page installs: to its end, board and link."""
-    home = tmp_path / "home"
+    machine, home = linked_machine, tmp_path / "home"
     home.mkdir()
     python = tmp_path / "new" / "bin" / "python"
 
@@ -274,9 +276,10 @@ def test_the_page_is_followed_in_a_new_environment(machine: Machine, tmp_path) -
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-4", "MIN-5")
 async def test_the_page_is_followed_with_the_board_on_a_link(
-    machine: Machine, tmp_path
+    linked_machine: Machine, tmp_path
 ) -> None:
     """Built with --link, deployed, and its table in a robot.toml beside."""
+    machine = linked_machine
     for name in ("reflex.py", "reflex.toml"):
         shutil.copy(CODE / name, tmp_path)
     (table,) = re.findall(r"^```toml\n(\[board.*?)^```", PAGE, re.MULTILINE | re.DOTALL)

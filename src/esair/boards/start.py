@@ -54,7 +54,7 @@ class Start:
         self.loop = loop
         self.arm = arm
         self.parts = [each for each in parts if hasattr(each, "is_set_up")]
-        self.line = ""
+        self.line = b""
         self.pin: "Any" = None
         self.armed = arm == "always"
         self.second = 0
@@ -122,18 +122,18 @@ class Start:
                 self.loop.note(part.name, error)
 
     def _listen(self) -> None:
-        """Take what the serial line has brought, without waiting."""
-        while self.poll(0):
-            letter = sys.stdin.read(1)
-            if not letter:
+        """Take what the serial line has brought, without waiting; of a flood, some."""
+        for _ in range(64):
+            byte = self.poll(0) and sys.stdin.buffer.read(1)  # it may be no text
+            if not byte:
                 return
-            if letter not in "\r\n":
-                self.line = (self.line + letter)[-16:]
+            if byte not in b"\r\n":
+                self.line = (self.line + byte)[-16:]
                 continue
-            word, self.line = self.line.strip(), ""
-            if word in ("arm", "disarm"):
-                self._arm(word == "arm")
-            elif word == "who":
+            word, self.line = self.line.strip(), b""
+            if word in (b"arm", b"disarm"):
+                self._arm(word == b"arm")
+            elif word == b"who":
                 self._tell()
 
 
