@@ -356,6 +356,7 @@ async def test_a_bus_that_does_not_close_is_named_and_holds_up_nothing(
     ]
     async with esair.Robot(resources=parts) as robot:
         assert {each.name for each in robot.resources.buses} == {"bad", "good"}
+        assert {"bus bad", "bus good"} <= robot.journal.counts().keys()
     assert closed == ["good"]
     assert any(
         "bad" in r.getMessage() and "jammed" in r.getMessage() for r in caplog.records
@@ -402,3 +403,69 @@ async def test_on_a_virtual_clock_nothing_is_watched() -> None:
         assert robot._resources.watchdog is None
         assert robot._resources.lives["motor"].watch is None
     assert motor.commands == [0.0, 0.0]
+
+
+@pytest.mark.promise("SUP-3")
+@pytest.mark.parametrize("then", ["remove", "restart", "replace"])
+async def test_of_two_commands_in_one_instant_the_second_finds_it_gone(
+    then: str,
+) -> None:
+    """It waits for the removal before it, and is told so."""
+    motor = FakeActuator("motor", safe=0.0)
+    async with esair.Robot(resources=[motor]) as robot:
+        resources = robot.resources
+        second = {
+            "remove": lambda: resources.remove("motor"),
+            "restart": lambda: resources.restart("motor"),
+            "replace": lambda: resources.replace(
+                "motor", FakeActuator("motor", safe=0.0)
+            ),
+        }[then]
+        done, told = await asyncio.gather(
+            resources.remove("motor"), second(), return_exceptions=True
+        )
+        assert done is None
+        assert isinstance(told, esair.UnknownNameError)
+        assert resources.names() == []
+        assert not motor.is_open
+
+
+@pytest.mark.promise("TURN-5")
+async def test_the_journal_has_what_is_handed_over_without_a_wait() -> None:
+    """By whom, to whom, and what."""
+    events: list[Event] = []
+    a, b = Idle(name="a"), Idle(name="b")
+    robot = esair.Robot(behaviors=[a, b])
+    robot.journal.listen(events.append, kinds=[Kind.PUT, Kind.GOT])
+    async with robot:
+        await a.put("b", 1)
+        a.offer(2)
+        assert await b.get("a") == 2
+        await turns()
+    assert [(e.kind, e.component, e.peer, e.value) for e in events] == [
+        (Kind.PUT, "b", "a", 1),
+        (Kind.GOT, "b", "a", 2),
+    ]
+
+
+@pytest.mark.promise("SUP-5")
+async def test_the_user_sees_what_a_behavior_is_and_takes() -> None:
+    """By its name."""
+
+    class Job(esair.Request[int]):
+        pass
+
+    class Worker(esair.Behavior):
+        jobs = esair.takes(Job)
+
+        async def run(self) -> None:
+            async for job in self.jobs:
+                job.answer(1)
+
+    worker = Worker()
+    async with esair.Robot(behaviors=[worker]) as robot:
+        assert robot.behaviors.action("worker") is worker
+        assert robot.behaviors.takes("worker") == (Job,)
+        for ask in (robot.behaviors.action, robot.behaviors.takes):
+            with pytest.raises(esair.UnknownNameError):
+                ask("nobody")

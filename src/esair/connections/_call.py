@@ -87,10 +87,6 @@ class Call:
     def _short(self) -> str:
         return f"{self.kind} {self.number}"
 
-    def __repr__(self) -> str:
-        alive = "alive" if self.ended is None else "ended"
-        return f"<{self.resource}: {self}, opening {self.opening}, {alive}>"
-
 
 def given_up(call: Call) -> DeviceLostError:
     """Make the error for a device whose driver does not end a call."""

@@ -230,10 +230,6 @@ class Protection:
             self.refused = command
             _log.warning("%s: latched: %s", self.label, why)
 
-    def __repr__(self) -> str:
-        kind = "guards" if self.guards else "holds"
-        return f"<{self.label} {kind} {self.actuator}, priority {self.priority}>"
-
 
 class Protections:
     """The one table of a robot."""
