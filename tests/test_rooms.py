@@ -55,10 +55,6 @@ ONE_CIRCLE = {
 PARTS_OF_ONE = {
     "esair.seat": {"_acts", "_operator"},
     "esair.standard": {"_robot", "_seating"},
-    "esair.supervisors": {
-        *("_asks", "_circles", "_mailbox", "_mediator", "_orders"),
-        *("_request_queue", "_requests"),
-    },
     "esair.torture": {"_boxes", "_judge", "_kinds", "_world"},
 }
 """Parts that name the type of what they are parts of; they do not import it."""

@@ -11,7 +11,8 @@ import pytest
 
 import esair
 from esair.journal import Kind
-from esair.supervisors._requests import REQUESTS_PER_SENDER, Outcome
+from esair.supervisors._ledger import REQUESTS_PER_SENDER
+from esair.supervisors._requests import Outcome
 
 pytestmark = pytest.mark.virtual_clock
 

@@ -10,13 +10,8 @@ from typing import Any
 import pytest
 
 import esair
-from esair.supervisors._requests import (
-    REQUESTS_PER_SENDER,
-    REQUESTS_PER_TARGET,
-    FairQueue,
-    Outcome,
-    Request,
-)
+from esair.supervisors._ledger import REQUESTS_PER_SENDER
+from esair.supervisors._requests import REQUESTS_PER_TARGET, FairQueue, Outcome, Request
 
 seeds = [pytest.param(n, marks=pytest.mark.virtual_clock(seed=n)) for n in range(6)]
 

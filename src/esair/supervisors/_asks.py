@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from esair.actions import Behavior, Request
 from esair.exceptions import (
@@ -17,21 +17,19 @@ from esair.exceptions import (
 from esair.journal import Kind
 from esair.loop import Budget
 from esair.supervisors._circles import circle_of_ask
+from esair.supervisors._ledger import Ledger
+from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._orders import Order
+from esair.supervisors._request_queue import RequestQueue
 from esair.supervisors._requests import Outcome
 from esair.values import is_positive
-
-if TYPE_CHECKING:
-    from esair.supervisors._mailbox import Mailbox
-    from esair.supervisors._mediator import Mediator
-    from esair.supervisors._request_queue import RequestQueue
 
 
 class Asks:
     """The part of the mediator that hands requests over and brings answers back."""
 
-    def __init__(self, mediator: Mediator) -> None:
-        self._mediator = mediator
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger = ledger
 
     async def ask(
         self,
@@ -59,7 +57,7 @@ class Asks:
         timeout: float | None,
         by: Mailbox | None,
     ) -> Order:
-        mediator = self._mediator
+        ledger = self._ledger
         if not isinstance(request, Request):
             raise BadValueError(
                 receiver,
@@ -73,9 +71,9 @@ class Asks:
                 "timeout",
                 f"expected seconds > 0, or None, not {timeout!r:.80}",
             )
-        member = mediator.check_peer(receiver)
+        member = ledger.check_peer(receiver)
         if not isinstance(member.action, Behavior):
-            raise UnknownNameError("behavior", receiver, mediator.behaviors())
+            raise UnknownNameError("behavior", receiver, ledger.behaviors())
         queue = self._queue(member, request)
         failure = queue.failure()
         if failure is not None:
@@ -83,23 +81,23 @@ class Asks:
         order = Order(
             self, request.data if _is_taken(request) else request, sender, queue, by
         )
-        path = circle_of_ask(order, queue)
+        path = circle_of_ask(order, queue.busy(), queue.member)
         if path:
-            mediator.record("ask", sender, receiver, Outcome.REFUSED)
+            ledger.record("ask", sender, receiver, Outcome.REFUSED)
             raise CircularRequestError(path)
-        mediator.check_bounds("ask", sender, receiver, sender)
+        ledger.check_bounds("ask", sender, receiver, sender)
         try:
             queue.push(order)
         except Exception:
-            mediator.record("ask", sender, receiver, Outcome.REFUSED)
+            ledger.record("ask", sender, receiver, Outcome.REFUSED)
             raise
-        mediator.pending.begin(sender)
-        if mediator.journal.heard:
-            mediator.journal.publish(Kind.ASKED, receiver, sender, order.data)
+        ledger.pending.begin(sender)
+        if ledger.journal.heard:
+            ledger.journal.publish(Kind.ASKED, receiver, sender, order.data)
         if by is not None:
             by.asked[order] = None
         if timeout is not None:
-            order.deadline = mediator.deadlines.after(
+            order.deadline = ledger.deadlines.after(
                 timeout, self._expire, order, timeout
             )
         queue.roused()
@@ -112,7 +110,7 @@ class Asks:
             if queue is not None:
                 return queue
         names = ", ".join(sorted(kind.__name__ for kind in queues))
-        self._mediator.record("ask", "", member.name, Outcome.REFUSED)
+        self._ledger.record("ask", "", member.name, Outcome.REFUSED)
         raise RefusedError(
             f"it takes no {type(request).__name__}"
             + (f", but {names}" if names else ": it takes no requests"),
@@ -128,18 +126,18 @@ class Asks:
 
     def late(self) -> bool:
         """Count an answer that nobody waits for any more."""
-        self._mediator.late_answers += 1
+        self._ledger.late_answers += 1
         return False
 
     def ended(self, order: Order, outcome: Outcome, value: object) -> None:
         """An order has its outcome: an answer, an error, or nothing if it is withdrawn."""
-        journal = self._mediator.journal
-        self._mediator.record("ask", order.asker, order.peer, outcome)
+        journal = self._ledger.journal
+        self._ledger.record("ask", order.asker, order.peer, outcome)
         if journal.heard:
             journal.publish(
                 Kind.ANSWERED, order.peer, order.asker, value, outcome.value
             )
-        self._mediator.pending.end(order.asker)
+        self._ledger.pending.end(order.asker)
         if order.by is not None:
             order.by.asked.pop(order, None)
         if order.deadline is not None:

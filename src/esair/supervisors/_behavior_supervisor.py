@@ -158,8 +158,8 @@ class BehaviorSupervisor(abc.Supervisor):
         Raises:
             EsairError: As `Behavior.ask`.
         """
-        asks = self._deployment.mediator.asks
-        return await asks.ask(request, sender, receiver, timeout, progress)  # type: ignore[no-any-return]
+        mediator = self._deployment.mediator
+        return await mediator.ask(request, sender, receiver, timeout, progress)  # type: ignore[no-any-return]
 
     # What the user may do.
 

@@ -7,21 +7,15 @@ wait for nobody as long as one of them has somebody free to answer.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
-from esair.supervisors._requests import Link, Request, chain
-
-if TYPE_CHECKING:
-    from esair.supervisors._mailbox import Mailbox
-    from esair.supervisors._orders import Order
-    from esair.supervisors._request_queue import RequestQueue
+from esair.supervisors._requests import Link, Peer, Request, chain
 
 
-def circle_of_ask(order: Order, queue: RequestQueue) -> list[str]:
+def circle_of_ask(order: Link, busy: Sequence[Link | None], member: Peer) -> list[str]:
     links = list(chain())
     peer = order.peer
-    busy = queue.busy()
     if busy:
         if all(any(each is link for link in links) for each in busy):
             return _path(links, peer)
@@ -30,7 +24,7 @@ def circle_of_ask(order: Order, queue: RequestQueue) -> list[str]:
     waits = [link.task for link in links if link.asker == peer]
     if order.asker == peer:
         waits.append(order.task)
-    if not waits or not _all_wait(queue.member, waits):
+    if not waits or not _all_wait(member, waits):
         return []
     return _path(links, peer)
 
@@ -38,7 +32,7 @@ def circle_of_ask(order: Order, queue: RequestQueue) -> list[str]:
 def circle_of_get(
     asker: str,
     giver: str,
-    members: Mapping[str, Mailbox],
+    members: Mapping[str, Peer],
     gets: Mapping[str, list[Request]],
 ) -> list[str]:
     if asker == giver:
@@ -62,7 +56,7 @@ def circle_of_get(
     return []
 
 
-def _waits(name: str, member: Mailbox | None, gets: Iterable[Request]) -> list[Request]:
+def _waits(name: str, member: Peer | None, gets: Iterable[Request]) -> list[Request]:
     """Return the gets that the next answer of a behavior waits for."""
     pending = [request for request in gets if not request.over]
     if member is None:
@@ -74,9 +68,7 @@ def _waits(name: str, member: Mailbox | None, gets: Iterable[Request]) -> list[R
     return pending if pending and _all_wait(member, tasks) else []
 
 
-def _is_stuck(
-    member: Mailbox | None, gets: Iterable[Request], links: list[Link]
-) -> bool:
+def _is_stuck(member: Peer | None, gets: Iterable[Request], links: list[Link]) -> bool:
     """Tell whether the one that asks now has nobody else who would answer."""
     if member is None:
         return True
@@ -86,7 +78,7 @@ def _is_stuck(
     return _all_wait(member, [*tasks, asyncio.current_task()])
 
 
-def _all_wait(member: Mailbox, waits: list[asyncio.Task[Any] | None]) -> bool:
+def _all_wait(member: Peer, waits: list[asyncio.Task[Any] | None]) -> bool:
     """Tell whether nobody of a behavior is left who does not wait."""
     living = set(member.owner.living())
     if any(task not in living for task in waits):

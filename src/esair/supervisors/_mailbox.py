@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 from collections.abc import Callable, Coroutine, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from esair.actions import NOTHING, Behavior, Reaction
 from esair.exceptions import (
@@ -20,12 +20,9 @@ from esair.exceptions import (
 )
 from esair.loop import Budget, Owner, Portal, speaks_for_nobody, wake, wake_one
 from esair.messages import BehaviorState
+from esair.supervisors._orders import Order
 from esair.supervisors._request_queue import RequestQueue
 from esair.supervisors._requests import FairQueue, Request
-
-if TYPE_CHECKING:
-    from esair.supervisors._mediator import Mediator
-    from esair.supervisors._orders import Order
 
 _NO_QUEUES: Mapping[Any, RequestQueue] = {}
 
@@ -38,6 +35,23 @@ _ALIVE = frozenset(
         BehaviorState.RESTARTING,
     }
 )
+
+
+class Between(Protocol):
+    """Who hands data from one behavior to another: the mediator."""
+
+    ask: Callable[..., Coroutine[Any, Any, Any]]
+
+    def hand(self, data: Any, sender: str, receiver: str, interval: float) -> bool: ...
+    def take(self, sender: str, receiver: str, interval: float) -> Any: ...
+    async def put(
+        self, data: Any, sender: str, receiver: str, interval: float, by: Mailbox
+    ) -> None: ...
+    async def get(
+        self, sender: str, receiver: str, interval: float, by: Mailbox
+    ) -> Any: ...
+    def admit(self, member: Mailbox) -> None: ...
+    def offered(self, member: Mailbox, data: Any) -> bool: ...
 
 
 class Mailbox:
@@ -75,7 +89,7 @@ class Mailbox:
         return []
 
     def __init__(
-        self, action: Behavior | Reaction, mediator: Mediator, name: str
+        self, action: Behavior | Reaction, mediator: Between, name: str
     ) -> None:
         self.action = action
         self.name = name
@@ -238,8 +252,8 @@ class Mailbox:
     ) -> Coroutine[Any, Any, Any]:
         """Ask another behavior, and wait for its answer."""
         self.check_speaker()
-        asks = self._mediator.asks
-        return asks.ask(request, self.name, receiver, timeout, progress, self)
+        ask = self._mediator.ask
+        return ask(request, self.name, receiver, timeout, progress, self)
 
     def run_over(self, error: BaseException | None) -> None:
         """A run has ended: nobody works on what it had taken."""

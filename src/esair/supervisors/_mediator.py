@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import collections
 import functools
 import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from esair.actions import NOTHING, Behavior
+from esair.actions import NOTHING
 from esair.exceptions import (
     BadValueError,
     BehaviorRemovedError,
@@ -18,35 +17,29 @@ from esair.exceptions import (
     CircularRequestError,
     EsairError,
     StoppingError,
-    UnknownNameError,
     describe,
 )
 from esair.journal import Journal, Kind
-from esair.loop import Deadlines, fail, spawn
+from esair.loop import fail, spawn
 from esair.messages import BehaviorState
 from esair.supervisors._asks import Asks, run_over
 from esair.supervisors._circles import circle_of_get
+from esair.supervisors._ledger import Ledger
+from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._requests import (
     REQUESTS_PER_TARGET,
     Outcome,
-    Pending,
-    Record,
     Request,
     serving,
 )
 from esair.values import is_positive
-
-if TYPE_CHECKING:
-    from esair.supervisors._mailbox import Mailbox
-
-LEDGER_SIZE = 256  # how many outcomes the ledger remembers
 
 _DELIVERED = Outcome.DELIVERED
 
 _LONGEST = sys.float_info.max
 
 
-class Mediator:
+class Mediator(Ledger):
     """Hands data from one behavior to another, and keeps the ledger of requests.
 
     When the other side is ready a request is a look-up, a check, an append and a
@@ -54,40 +47,10 @@ class Mediator:
     """
 
     def __init__(self, members: Mapping[str, Mailbox], journal: Journal) -> None:
-        self._members = members
-        self.journal = journal
-        self._loop = asyncio.get_running_loop()
-        self.deadlines = Deadlines.of(self._loop)
-        self.asks = Asks(self)
-        self.pending = Pending()
+        super().__init__(members, journal)
+        self.ask = Asks(self).ask
         self._gets: dict[str, list[Request]] = {}
         """For each behavior that waits in a get: its requests."""
-        self.closed = False
-        self.ledger: collections.deque[tuple[str, str, str, Outcome]] = (
-            collections.deque(maxlen=LEDGER_SIZE)
-        )
-        self.delivered = 0
-        self.late_answers = 0
-        """How many answers came when nobody waited for them any more."""
-
-    def behaviors(self) -> list[str]:
-        """Return the names of those who can be asked: reactions cannot."""
-        return [
-            name
-            for name, member in self._members.items()
-            if isinstance(member.action, Behavior)
-        ]
-
-    def outcomes(self) -> list[Record]:
-        """Return the last outcomes, the oldest first."""
-        return [Record(*line) for line in self.ledger]
-
-    def counts(self) -> dict[str, int]:
-        return {
-            "delivered": self.delivered,
-            "pending": self.pending.count,
-            "late_answers": self.late_answers,
-        }
 
     # Put.
 
@@ -366,17 +329,6 @@ class Mediator:
             )
         return member
 
-    def check_peer(self, peer: str, data: Any = None) -> Mailbox:
-        """Return a behavior that somebody asks something of, if it may be asked."""
-        if self.closed:
-            raise StoppingError("behaviors", "stopping")
-        member = self._members.get(peer)
-        if member is None:
-            raise UnknownNameError("behavior", peer, self._members)
-        if not member.alive:
-            raise member.absence(data)
-        return member
-
     def _begin(
         self,
         kind: str,
@@ -398,13 +350,6 @@ class Mediator:
         if by is not None:
             by.asked[request] = None
         return request
-
-    def check_bounds(self, kind: str, sender: str, receiver: str, asker: str) -> None:
-        """Pass if one more request of an asker may wait."""
-        busy = self.pending.full(asker)
-        if busy is not None:
-            self.record(kind, sender, receiver, Outcome.REFUSED)
-            raise busy
 
     def _finish(self, request: Request) -> None:
         self.pending.end(request.asker)
@@ -432,17 +377,6 @@ class Mediator:
         if not request.future.done():
             self.record(request.kind, request.sender, request.receiver, outcome)
             fail(request.future, error)
-
-    def record(
-        self, kind: str, sender: str, receiver: str, outcome: Outcome, data: Any = None
-    ) -> None:
-        """Write the outcome of a request into the ledger."""
-        self.ledger.append((kind, sender, receiver, outcome))
-        if outcome is _DELIVERED:
-            self.delivered += 1
-            if self.journal.heard:
-                event = Kind.PUT if kind == "put" else Kind.GOT
-                self.journal.publish(event, receiver, sender, data)
 
 
 _Made = tuple[Any, BaseException | None]

@@ -246,8 +246,8 @@ class Member(Life, Mailbox):
         elif isinstance(self.action, Behavior):
             self.sight.sees()
         if running:
-            self._mediator.admit(self)
-            self._mediator.serve(self)
+            self.crew.mediator.admit(self)
+            self.crew.mediator.serve(self)
             for queue in self.queues.values():
                 queue.roused()
         if before is not self.state:
@@ -271,7 +271,7 @@ class Member(Life, Mailbox):
             self.sight.sees()  # it has nothing more to say: that is no blindness
             self.fence()
             self._end_requests()
-            self._mediator.peer_finished(self)
+            self.crew.mediator.peer_finished(self)
             cancel(self.owner)
             self.crew.ended()
         else:
@@ -297,7 +297,7 @@ class Member(Life, Mailbox):
             self.sight.blind(self.detail)
             self.tell(Kind.PARKED, error, self.detail)
             _log.info("%s: parked: %s", self.name, self.detail)
-            self._mediator.peer_failed(self, error)
+            self.crew.mediator.peer_failed(self, error)
             return
         loop = asyncio.get_running_loop()
         pause = self.pause_after(error, loop.time())
@@ -314,7 +314,7 @@ class Member(Life, Mailbox):
                 exc_info=safe_to_raise(error),
             )
             self._timer = loop.call_later(pause, self._restart)
-        self._mediator.peer_failed(self, error)
+        self.crew.mediator.peer_failed(self, error)
         if pause is None:
             self.crew.ended()
 
@@ -408,7 +408,7 @@ class Member(Life, Mailbox):
     def _end_requests(self) -> None:
         if self.asked:
             removed = self.state is BehaviorState.STOPPING
-            self._mediator.asker_ended(self, removed=removed)
+            self.crew.mediator.asker_ended(self, removed=removed)
 
     def run_tasks(self) -> list[asyncio.Task[Any]]:
         return [] if self.task is None or self._portal is None else [self.task]

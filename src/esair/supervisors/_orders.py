@@ -6,20 +6,30 @@ import asyncio
 import inspect
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from esair.actions import Request, taken
 from esair.exceptions import BehaviorFailedError, EsairError, RefusedError, describe
-from esair.loop import wake
-from esair.supervisors._requests import Link, Outcome
-
-if TYPE_CHECKING:
-    from esair.loop import Deadline
-    from esair.supervisors._asks import Asks
-    from esair.supervisors._mailbox import Mailbox
-    from esair.supervisors._request_queue import RequestQueue
+from esair.loop import Deadline, wake
+from esair.supervisors._requests import Link, Outcome, Peer
 
 _NOTHING: Any = object()
+
+
+class Place(Protocol):
+    """Where an order waits for a behavior, and is worked on."""
+
+    @property
+    def member(self) -> Peer: ...
+    def done_with(self, order: Order) -> None: ...
+    def forget(self, order: Order) -> None: ...
+
+
+class Outcomes(Protocol):
+    """Who is told how orders end."""
+
+    def late(self) -> bool: ...
+    def ended(self, order: Order, outcome: Outcome, value: object) -> None: ...
 
 
 class Order(Link):
@@ -33,11 +43,11 @@ class Order(Link):
 
     def __init__(
         self,
-        asks: Asks,
+        asks: Outcomes,
         data: Request[Any],
         sender: str,
-        queue: RequestQueue,
-        by: Mailbox | None,
+        queue: Place,
+        by: Peer | None,
     ) -> None:
         super().__init__(sender, queue.member.name)
         self._asks = asks

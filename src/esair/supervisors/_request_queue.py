@@ -8,17 +8,14 @@ import functools
 import inspect
 import logging
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from esair.actions import Answers, Request, Takes
 from esair.exceptions import BehaviorFailedError, BusyError, RefusedError, describe
 from esair.loop import Portal, spawn, wake, wake_one
 from esair.messages import BehaviorState
-from esair.supervisors._requests import Outcome, served, serving
-
-if TYPE_CHECKING:
-    from esair.supervisors._mailbox import Mailbox
-    from esair.supervisors._orders import Order
+from esair.supervisors._orders import Order
+from esair.supervisors._requests import Outcome, Peer, served, serving
 
 _log = logging.getLogger("esair")
 
@@ -29,7 +26,7 @@ class RequestQueue:
     Orders that wait outlive a run of the behavior; those that are worked on do not.
     """
 
-    def __init__(self, member: Mailbox, terms: Takes[Any] | Answers) -> None:
+    def __init__(self, member: Peer, terms: Takes[Any] | Answers) -> None:
         self.member = member
         self.type: type[Request[Any]] = terms.type
         self.limit = terms.queue
@@ -222,7 +219,7 @@ class Loop:
 _Answered = tuple[Any, BaseException | None]
 
 
-async def _answer(member: Mailbox, name: str, order: Order) -> _Answered:
+async def _answer(member: Peer, name: str, order: Order) -> _Answered:
     serving.set(order)
     try:
         method = getattr(member.action, name)

@@ -7,17 +7,12 @@ import collections
 import contextvars
 import enum
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from esair.exceptions import BusyError
-from esair.loop import current_task_of
+from esair.loop import Owner, current_task_of
+from esair.messages import BehaviorState
 
-if TYPE_CHECKING:
-    from esair.supervisors._mailbox import Mailbox
-
-REQUESTS_PER_SENDER = 16  # how many requests of one behavior may wait at a time
 REQUESTS_PER_TARGET = 64  # how many requests to one behavior may wait at a time
-REQUESTS = 4096  # how many requests may wait in a robot at a time
 
 
 class Outcome(enum.Enum):
@@ -89,6 +84,24 @@ def chain() -> Iterator[Link]:
         link = link.parent
 
 
+class Peer(Protocol):
+    """A behavior, as requests between behaviors know it."""
+
+    name: str
+    action: Any
+    owner: Owner
+    asked: dict[Any, None]
+
+    @property
+    def state(self) -> BehaviorState: ...
+    @property
+    def serves(self) -> Link | None: ...
+    @property
+    def can_provide(self) -> bool: ...
+    def check_speaker(self) -> None: ...
+    def run_tasks(self) -> list[asyncio.Task[Any]]: ...
+
+
 class Request(Link):
     """A put or a get that waits for the other side."""
 
@@ -99,7 +112,7 @@ class Request(Link):
         receiver: str,
         data: Any,
         future: asyncio.Future[Any],
-        by: Mailbox | None = None,
+        by: Peer | None = None,
     ) -> None:
         if kind == "put":
             super().__init__(sender, receiver)
@@ -120,36 +133,6 @@ class Request(Link):
     def over(self) -> bool:
         """Whether it has its outcome."""
         return self.future.done()
-
-
-class Pending:
-    """Counts the requests that wait."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.of_asker: dict[str, int] = {}
-
-    def full(self, asker: str) -> BusyError | None:
-        """Return what an asker gets if not one more request of it may wait."""
-        if self.of_asker.get(asker, 0) >= REQUESTS_PER_SENDER:
-            return BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
-        if self.count >= REQUESTS:
-            return BusyError("behaviors", "number of requests", REQUESTS)
-        return None
-
-    def begin(self, asker: str) -> None:
-        """Count a request that begins to wait."""
-        self.count += 1
-        self.of_asker[asker] = self.of_asker.get(asker, 0) + 1
-
-    def end(self, asker: str) -> None:
-        """Count a request that waits no more."""
-        self.count -= 1
-        left = self.of_asker[asker] - 1
-        if left:
-            self.of_asker[asker] = left
-        else:
-            del self.of_asker[asker]
 
 
 class FairQueue:
