@@ -37,15 +37,10 @@ class Wish(Protocol):
 
 
 class Sight(NamedTuple):
-    """What somebody sees who decides about an actuator.
+    """What somebody sees who decides about an actuator."""
 
-    Attributes:
-        priority: Of what they want of it; that of a guard is above all.
-        sensors: Which are asked for what they decide on.
-    """
-
-    priority: float
-    sensors: tuple[SensorChannel, ...]
+    priority: float  # of what they want of it; that of a guard is above all
+    sensors: tuple[SensorChannel, ...]  # which are asked for what they decide on
 
 
 class Decision:

@@ -15,19 +15,12 @@ if TYPE_CHECKING:
 
 
 class Source(NamedTuple):
-    """One sensor that another one is computed of.
-
-    Attributes:
-        channel: The way of its data.
-        registration: The right to read it.
-        max_age: How old its readings may be, in seconds; its own limit if it is None.
-        optional: Whether the other one is computed without it as well.
-    """
+    """One sensor that another one is computed of."""
 
     channel: SensorChannel
     registration: Registration
-    max_age: float | None = None
-    optional: bool = False
+    max_age: float | None = None  # in seconds; its own limit if it is None
+    optional: bool = False  # whether the other one is computed without it as well
 
 
 class DerivedChannel(SensorChannel):

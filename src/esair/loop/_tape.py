@@ -26,22 +26,13 @@ SPOILED: Tag = ("spoiled",)
 
 
 class Entry(NamedTuple):
-    """What has come in.
+    """What has come in."""
 
-    Attributes:
-        number: Grows by one with each entry.
-        time: When it came in, in seconds of the loop's clock.
-        work: The number of the work that it is the end of; 0 if it is none.
-        tag: Whose it is.
-        function: What lets it take effect, in the loop.
-        arguments: What the function gets.
-    """
-
-    number: int
-    time: float
-    work: int
+    number: int  # grows by one with each entry
+    time: float  # when it came in, in seconds of the loop's clock
+    work: int  # the number of the work that it is the end of; 0 if it is none
     tag: Tag
-    function: Callable[..., object]
+    function: Callable[..., object]  # what lets it take effect, in the loop
     arguments: tuple[Any, ...]
 
 
@@ -58,18 +49,11 @@ class WayIn(Protocol):
 
 
 class Arrived(NamedTuple):
-    """What has taken effect at the beginning of a turn.
-
-    Attributes:
-        turn: The number of the turn.
-        tag: Whose end or news it is.
-        number: Which of the calls with this tag has ended.
-        payload: What came.
-    """
+    """What has taken effect at the beginning of a turn."""
 
     turn: int
-    tag: Tag
-    number: int
+    tag: Tag  # whose end or news it is
+    number: int  # which of the calls with this tag has ended
     payload: Any
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import inspect
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, Protocol
 
@@ -18,7 +17,7 @@ from esair.exceptions import (
     NotRegisteredError,
     describe,
 )
-from esair.loop import Budget, Owner, Portal, speaks_for_nobody, wake, wake_one
+from esair.loop import Budget, Owner, speaks_for_nobody, wake, wake_one
 from esair.messages import BehaviorState
 from esair.supervisors._orders import Order
 from esair.supervisors._request_queue import RequestQueue
@@ -205,16 +204,6 @@ class Mailbox:
     def wake(self) -> None:
         """Wake one of those that wait in `receive`."""
         wake_one(self.takers or ())
-
-    async def make_data(self) -> Any:
-        """Run the behavior's ``provide``, on a thread if it is a plain function."""
-        provide = self.action.provide  # type: ignore[union-attr]
-        if inspect.iscoroutinefunction(provide):
-            return await provide()
-        result: list[Any] = []
-        portal = Portal(f"{self.name}_provide", self.owner)
-        await portal.run(lambda: result.append(provide()))
-        return result[0]
 
     # What the behavior asks.
 

@@ -26,11 +26,11 @@ from esair.supervisors._asks import Asks, run_over
 from esair.supervisors._circles import circle_of_get
 from esair.supervisors._ledger import Ledger
 from esair.supervisors._mailbox import Mailbox
+from esair.supervisors._request_queue import Done, do_for, done_by
 from esair.supervisors._requests import (
     REQUESTS_PER_TARGET,
     Outcome,
     Request,
-    serving,
 )
 from esair.values import is_positive
 
@@ -215,7 +215,7 @@ class Mediator(Ledger):
         member.serves = request
         request.provider = member.provider = spawn(
             self._loop,
-            _make_data(member, request),
+            do_for(request, member, "provide"),
             name=f"{member.name} provide",
             owner=member.owner,
         )
@@ -226,11 +226,9 @@ class Mediator(Ledger):
         )
 
     def _provided(
-        self, member: Mailbox, request: Request, task: asyncio.Task[_Made]
+        self, member: Mailbox, request: Request, task: asyncio.Task[Done]
     ) -> None:
-        data, error = (
-            (None, asyncio.CancelledError()) if task.cancelled() else task.result()
-        )
+        data, error = done_by(task)
         member.provider = member.serves = None
         waited = member.askers.discard(request)
         if not waited or request.future.done():
@@ -377,14 +375,3 @@ class Mediator(Ledger):
         if not request.future.done():
             self.record(request.kind, request.sender, request.receiver, outcome)
             fail(request.future, error)
-
-
-_Made = tuple[Any, BaseException | None]
-
-
-async def _make_data(member: Mailbox, request: Request) -> _Made:
-    serving.set(request)
-    try:
-        return await member.make_data(), None
-    except BaseException as error:  # contained: it is the other's code
-        return None, error

@@ -15,7 +15,7 @@ from esair.exceptions import BehaviorFailedError, BusyError, RefusedError, descr
 from esair.loop import Portal, spawn, wake, wake_one
 from esair.messages import BehaviorState
 from esair.supervisors._orders import Order
-from esair.supervisors._requests import Outcome, Peer, served, serving
+from esair.supervisors._requests import Link, Outcome, Peer, served, serving
 
 _log = logging.getLogger("esair")
 
@@ -120,20 +120,18 @@ class RequestQueue:
         order = self._current = self._take()
         self._task = spawn(
             asyncio.get_running_loop(),
-            _answer(member, self.method, order),
+            do_for(order, member, self.method, order.handle),
             name=f"{member.name} {self.method}",
             owner=member.owner,
         )
         order.works(self._task)
         self._task.add_done_callback(functools.partial(self._served, order))
 
-    def _served(self, order: Order, task: asyncio.Task[_Answered]) -> None:
+    def _served(self, order: Order, task: asyncio.Task[Done]) -> None:
         if self._task is task:
             self._task = self._current = None
         self.working.pop(order, None)
-        value, error = (
-            (None, asyncio.CancelledError()) if task.cancelled() else task.result()
-        )
+        value, error = done_by(task)
         if error is None:
             if not order.over or order.cancelled:
                 order.answer(value)  # counted, if nobody waits any more
@@ -216,18 +214,27 @@ class Loop:
         serving.set(self.current)
 
 
-_Answered = tuple[Any, BaseException | None]
+Done = tuple[Any, BaseException | None]
 
 
-async def _answer(member: Peer, name: str, order: Order) -> _Answered:
-    serving.set(order)
+async def do_for(link: Link, member: Peer, method: str, *args: Any) -> Done:
+    """Have a behavior do something for a request; what it raises is returned.
+
+    A plain function gets a thread of its own.
+    """
+    serving.set(link)
     try:
-        method = getattr(member.action, name)
-        if inspect.iscoroutinefunction(method):
-            return await method(order.handle), None
+        function = getattr(member.action, method)
+        if inspect.iscoroutinefunction(function):
+            return await function(*args), None
         result: list[Any] = []
-        portal = Portal(f"{member.name}_{name}", member.owner)
-        await portal.run(lambda: result.append(method(order.handle)))
+        portal = Portal(f"{member.name}_{method}", member.owner)
+        await portal.run(lambda: result.append(function(*args)))
         return result[0], None
-    except BaseException as error:  # contained: the asker is told
+    except BaseException as error:  # contained: it is the other's code
         return None, error
+
+
+def done_by(task: asyncio.Task[Done]) -> Done:
+    """Return what has come of it; it may have been cancelled before its first step."""
+    return (None, asyncio.CancelledError()) if task.cancelled() else task.result()
