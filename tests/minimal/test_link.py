@@ -303,6 +303,31 @@ async def test_the_board_is_safe_when_the_computer_is_silent(plugged) -> None:
     assert base.name == "base"
 
 
+async def test_a_second_computer_gets_no_word_in(plugged) -> None:
+    """The line has one owner: another robot is told so, and the first drives on."""
+
+    class Still(esair.Behavior):
+        wheels = esair.writes(tuple)
+
+        async def run(self) -> None:
+            async for _ in esair.every(0.05):
+                await self.wheels.write((-0.25, -0.25))
+
+    first, _ = host(plugged)
+    second, _ = host(plugged, Still())
+    async with first:
+        await until(lambda: last(plugged) == (0.5, 0.25))
+        async with second:
+            await until(lambda: second.resources.query("base").error is not None)
+            error = str(second.resources.query("base").error)
+            told = len(plugged.told)
+            await until(lambda: len(plugged.told) > told + 20)
+            assert second.resources.query("base").state is not esair.ResourceState.READY
+        assert set(plugged.told[told : told + 20]) == {(0.5, 0.25)}
+        assert first.resources.query("wheels").losses == 0
+    assert "a port has one user" in error
+
+
 async def test_a_board_that_has_restarted_is_lost_first() -> None:
     """It came back before anybody missed its beats, and knows nothing of before."""
     mine, other = pty.openpty()
