@@ -458,3 +458,34 @@ async def test_where_safe_is_a_place_to_go_protection_tells_it_to_stay() -> None
         assert arm.commands[-1] is esair.HOLD
         assert 0.0 not in arm.commands[1:]
     assert arm.commands[-1] == 0.0
+
+
+async def test_each_time_of_blindness_has_its_own_time_limit() -> None:
+    """One that is over counts no more."""
+    ended: list[float] = []
+
+    class Approach(esair.Reaction):
+        eye = esair.reads(float)
+
+        def react(self, eye: float) -> None:
+            return None
+
+    class Goes(esair.Behavior):
+        async def run(self) -> None:
+            try:
+                await self.perform(Approach(), blind_timeout=1.0)
+            except esair.EsairError:
+                ended.append(asyncio.get_running_loop().time())
+            await asyncio.Event().wait()
+
+    eye: FakeSensor[float] = FakeSensor("eye", 1.0, rate=20.0)
+    async with esair.Robot(resources=[eye], behaviors=[Goes()]):
+        await asyncio.sleep(1.0)
+        eye.unplug()
+        await asyncio.sleep(0.3)
+        eye.plug()
+        await asyncio.sleep(0.6)
+        eye.unplug()
+        gone = asyncio.get_running_loop().time()
+        await asyncio.sleep(3.0)
+    assert ended == [pytest.approx(gone + 1.0, abs=0.05)]

@@ -469,3 +469,76 @@ async def test_the_user_sees_what_a_behavior_is_and_takes() -> None:
         for ask in (robot.behaviors.action, robot.behaviors.takes):
             with pytest.raises(esair.UnknownNameError):
                 ask("nobody")
+
+
+@pytest.mark.promise("ROB-2")
+async def test_a_device_that_takes_a_command_has_answered_again() -> None:
+    """Whatever went wrong with the one before."""
+    motor = FakeActuator("motor", safe=0.0)
+    user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        motor.fail(ValueError("brown-out"), times=1)
+        with pytest.raises(esair.DeviceFaultError):
+            await user.motor.write(1.0)
+        assert not robot.actuators.channels["motor"].told().answered
+        await user.motor.write(0.5)
+        assert robot.actuators.channels["motor"].told().answered
+
+
+@pytest.mark.promise("SUP-5")
+async def test_a_behavior_is_starting_until_it_is_set_up() -> None:
+    """When it is added, and when it is restarted."""
+    seen: list[BehaviorState] = []
+
+    class Looks(Idle):
+        async def setup(self) -> None:
+            await asyncio.sleep(0.1)
+            seen.append(robot.behaviors.query("looks").state)
+
+    async with esair.Robot() as robot:
+        await robot.behaviors.add(Looks())
+        await robot.behaviors.restart("looks")
+        seen.append(robot.behaviors.query("looks").state)
+    assert seen == [BehaviorState.STARTING] * 2 + [BehaviorState.RUNNING]
+
+
+@pytest.mark.promise("ROB-4")
+async def test_a_robot_that_starts_halted_is_halted_since_then() -> None:
+    """On its own clock; before, it had none."""
+    robot = esair.Robot(resources=[FakeActuator("motor", safe=0.0)])
+    await asyncio.sleep(5.0)
+    robot.halt("not yet")
+    await asyncio.sleep(2.0)
+    async with robot:
+        assert robot.resources.why("motor").since == pytest.approx(7.0)
+
+
+@pytest.mark.promise("RS-3")
+async def test_settings_of_a_device_that_was_replaced_meanwhile_are_not_changed() -> (
+    None
+):
+    """Who waited for their turn is told; the one in its place has its own."""
+
+    class Lamp(FakeActuator[float]):
+        power = esair.setting(0.5, min=0.0, max=2.0)
+
+        async def apply(self, *, power: float) -> None:
+            await asyncio.sleep(0.5)
+
+    user: Any = esair.Behavior(
+        name="user", writes={"lamp": esair.writes(float, configure=True)}
+    )
+    old, new = Lamp("lamp", safe=0.0), Lamp("lamp", safe=0.0)
+    async with esair.Robot(resources=[old], behaviors=[user]) as robot:
+        changes = [
+            asyncio.create_task(user.lamp.configure(power=power))
+            for power in (1.0, 2.0)
+        ]
+        await turns()
+        await robot.resources.replace("lamp", new)
+        for each in changes:
+            with pytest.raises(esair.EsairError):
+                await each
+        assert (old.power, new.power) == (0.5, 0.5)
+        await user.lamp.configure(power=2.0)
+        assert new.power == 2.0
