@@ -637,7 +637,7 @@ async def test_a_failed_send_is_a_loss_of_the_bus() -> None:
     await bus.open()
     await bus.send(1, b"again")
     await bus.until(1)
-    assert bus._wire._robots == [bus._link]
+    assert bus._wire._robots == [bus._outbox.link]
     await bus.close()
 
 

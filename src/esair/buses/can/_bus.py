@@ -103,7 +103,6 @@ class CanBus(Bus):
         self._of_kernel = wire is None and interface == "socketcan"
         if self._of_kernel:
             self._presence = self._look
-        self._link: FrameLink | None = None
         self._leaving: asyncio.Task[None] | None = None
         self._epoch = 0
         self._lost_in_opening: Exception | None = None
@@ -196,7 +195,7 @@ class CanBus(Bus):
             DriverStuckError: There was no room in time; it was not sent.
         """
         link = self._connected()
-        key_of(self.name, id, extended=extended)
+        key = key_of(self.name, id, extended=extended)
         if type(data) is not bytes or len(data) > 8:
             check_data(self.name, data, fd=self.fd)
             data = bytes(data)
@@ -204,13 +203,7 @@ class CanBus(Bus):
         seconds = self.send_timeout if timeout is None else timeout
         heard = self.stats.received
         try:
-            if not await self._outbox.send(
-                link,
-                frame,
-                seconds,
-                replaces=replaces,
-                is_current=lambda: self._link is link,
-            ):
+            if not await self._outbox.send(key, frame, seconds, replaces):
                 raise self._no_room(seconds, heard)
         except EsairError as error:
             self._count(error)
@@ -218,7 +211,7 @@ class CanBus(Bus):
         except OSError as error:
             loss = DeviceLostError(self.name, describe(error))
             loss.__cause__ = error
-            if self._link is link:
+            if self._outbox.link is link:
                 self._gone(self._epoch, loss)
             raise loss from error
         self.stats.sent += 1
@@ -250,9 +243,9 @@ class CanBus(Bus):
             self.stats.last_error = describe(error)
 
     def _connected(self) -> FrameLink:
-        if not self.is_open or self._link is None:
+        if not self.is_open or self._outbox.link is None:
             raise DeviceLostError(self.name, "the bus is not open")
-        return self._link
+        return self._outbox.link
 
     def _forget(self, inbox: Inbox[Frame]) -> None:
         assert isinstance(inbox, FrameInbox)
@@ -260,10 +253,10 @@ class CanBus(Bus):
         self._choose()
 
     def _choose(self) -> None:
-        if self._link is None:
+        if self._outbox.link is None:
             return
         try:
-            self._link.listen(self._routes.filters)
+            self._outbox.link.listen(self._routes.filters)
         except OSError as error:
             self._gone(self._epoch, error)
 
@@ -288,7 +281,7 @@ class CanBus(Bus):
             self._epoch += 1
             await link.close()
             raise lost
-        self._link = link
+        self._outbox.link = link
         self._enter(link.state)
 
     async def _reach(self, gone: Callable[[Exception], None]) -> FrameLink:
@@ -318,7 +311,7 @@ class CanBus(Bus):
 
     async def _close(self) -> None:
         self._epoch += 1
-        link, self._link = self._link, None
+        link, self._outbox.link = self._outbox.link, None
         self._routes.fail(DeviceLostError(self.name, "the bus was closed"))
         if self._leaving is not None:
             await asyncio.wait({self._leaving})
@@ -400,7 +393,7 @@ class CanBus(Bus):
             self._lost_in_opening = self._lost_in_opening or loss
             return
         self._epoch += 1
-        link, self._link = self._link, None
+        link, self._outbox.link = self._outbox.link, None
         if link is not None:  # hear nothing more, hold nothing any longer
             self._leaving = spawn(  # nobody's: it does not end with who met the loss
                 asyncio.get_running_loop(),

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 
 from esair.buses._inbox import within
 from esair.buses._stats import BusStats
 from esair.buses.can._frame import Frame, FrameLink
-from esair.buses.can._ids import EXTENDED
 from esair.exceptions import BusyError, DeviceLostError
 
 RETRY_PERIOD = 0.001
@@ -26,38 +25,34 @@ class Outbox:
     """Frames on their way to the controller; those with one id keep their order."""
 
     def __init__(self, name: str, stats: BusStats) -> None:
-        self.waiting = 0
+        self.link: FrameLink | None = None
+        """The node that takes them; what waits for room for another one is lost."""
         self._name = name
         self._stats = stats
         self._lines: dict[int, list[_Waiting]] = {}
 
+    @property
+    def waiting(self) -> int:
+        """How many are on their way."""
+        return sum(map(len, self._lines.values()))
+
     async def send(
-        self,
-        link: FrameLink,
-        frame: Frame,
-        seconds: float,
-        *,
-        replaces: Hashable | None,
-        is_current: Callable[[], bool],
+        self, key: int, frame: Frame, seconds: float, replaces: Hashable | None
     ) -> bool:
         """Offer a frame until there is room; tells whether there was in time."""
-        key = frame.id | EXTENDED if frame.extended else frame.id
+        link = self.link
+        assert link is not None
         mine = _Waiting(replaces)
-        line = self._lines.get(key)
-        if line is None:
-            line = self._lines[key] = [mine]
-        else:
-            if replaces is not None:
-                for older in line:
-                    older.give_way_to(mine)
-            line.append(mine)
-        self.waiting += 1
+        line = self._lines.setdefault(key, [])
+        if replaces is not None:
+            for older in line:
+                older.give_way_to(mine)
+        line.append(mine)
         try:
             if line[0] is mine and await link.send(frame, seconds):
                 return True
-            return await self._again(link, frame, seconds, mine, line, is_current)
+            return await self._again(link, frame, seconds, mine, line)
         finally:
-            self.waiting -= 1
             line.remove(mine)
             if line:
                 line[0].wake()
@@ -71,7 +66,6 @@ class Outbox:
         seconds: float,
         mine: _Waiting,
         line: list[_Waiting],
-        is_current: Callable[[], bool],
     ) -> bool:
         if self.waiting > WAITING_LIMIT:
             raise BusyError(
@@ -87,7 +81,7 @@ class Outbox:
                 )
             is_first = line[0] is mine
             await mine.pause(min(pause, left) if is_first else left)
-            if not is_current():
+            if self.link is not link:
                 raise DeviceLostError(
                     self._name, "the bus was lost while a frame waited"
                 )
