@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -13,8 +14,8 @@ from esair.loop._rate_group import contained
 T = TypeVar("T")
 
 
-_Arrived = list[tuple[asyncio.Future[Any], Any, tuple[type, ...]]]
-"""What somebody waits for, the value, and which tasks go on at once."""
+_Arrived = list[tuple[asyncio.Future[Any], Any, tuple[Any, contextvars.Context]]]
+"""What somebody waits for, the value, and how who waits goes on."""
 
 
 class Arrivals(OfLoop):
@@ -63,18 +64,11 @@ class Arrivals(OfLoop):
                 self.so_far = None
 
     def _go_on(self, arrived: _Arrived) -> None:
-        for future, value, kinds in arrived:
-            if future.done():
-                continue
-            callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
-            if callbacks:
-                step, context = callbacks[0]
-                if isinstance(getattr(step, "__self__", None), kinds):
-                    future.remove_done_callback(step)
-                    future.set_result(value)
-                    contained(self._loop, context.run, step, future)
-                    continue
-            future.set_result(value)
+        for future, value, (step, context) in arrived:
+            if not future.done():
+                future.remove_done_callback(step)
+                future.set_result(value)
+                contained(self._loop, context.run, step, future)
 
 
 def arrive(future: asyncio.Future[T], value: T, *, read: bool = False) -> None:
@@ -85,10 +79,13 @@ def arrive(future: asyncio.Future[T], value: T, *, read: bool = False) -> None:
         value: What it waits for.
         read: It is a reading: then who waits may be any task.
     """
-    if not future.done():
-        arrivals = Arrivals.of(future.get_loop())
-        if arrivals.so_far is None:
-            future.set_result(value)
-        else:
-            kinds = arrivals.readers if read else (LightTask,)
-            arrivals.so_far.append((future, value, kinds))
+    if future.done():
+        return
+    arrivals = Arrivals.of(future.get_loop())
+    callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
+    if callbacks and arrivals.so_far is not None:
+        kinds = arrivals.readers if read else LightTask
+        if isinstance(getattr(callbacks[0][0], "__self__", None), kinds):
+            arrivals.so_far.append((future, value, callbacks[0]))
+            return
+    future.set_result(value)  # who waits goes on in the next turn
