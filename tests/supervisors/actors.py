@@ -19,7 +19,7 @@ State = esair.BehaviorState
 
 
 class Idle(esair.Behavior):
-    """Does nothing."""
+    """Does nothing: tests act in its name."""
 
 
 class Ticker(esair.Behavior):
@@ -85,6 +85,19 @@ class Scripted(esair.Behavior):
 
 def wheels(**options: Any) -> FakeActuator[float]:
     return FakeActuator("wheels", safe=0.0, **options)
+
+
+async def turns(count: int = 5) -> None:
+    """Let the loop turn a few times."""
+    for _ in range(count):
+        await asyncio.sleep(0)
+
+
+async def soon(work: Any) -> asyncio.Task[Any]:
+    """Start a request and let it begin to wait."""
+    task: asyncio.Task[Any] = asyncio.ensure_future(work)
+    await turns()
+    return task
 
 
 async def for_ever(_behavior: object = None) -> None:

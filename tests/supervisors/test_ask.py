@@ -8,6 +8,7 @@ from typing import Any
 
 import attrs
 import pytest
+from tests.supervisors.actors import Idle, seeds, soon
 
 import esair
 from esair.journal import Kind
@@ -15,8 +16,6 @@ from esair.supervisors._ledger import REQUESTS_PER_SENDER
 from esair.supervisors._requests import Outcome
 
 pytestmark = pytest.mark.virtual_clock
-
-seeds = [pytest.param(n, marks=pytest.mark.virtual_clock(seed=n)) for n in range(6)]
 
 
 @attrs.frozen
@@ -32,10 +31,6 @@ class Dock(esair.Request[Docked]):
 @dataclasses.dataclass(frozen=True)
 class Charge(esair.Request[float]):
     volts: float
-
-
-class Idle(esair.Behavior):
-    """Does nothing: tests act in its name."""
 
 
 class Docking(esair.Behavior):
@@ -76,14 +71,6 @@ class Methods(esair.Behavior):
     @esair.answers
     async def charge(self, request: Charge) -> float:
         return request.volts + 1.0
-
-
-async def soon(work: Any) -> asyncio.Task[Any]:
-    """Start a request and let it begin to wait."""
-    task: asyncio.Task[Any] = asyncio.ensure_future(work)
-    for _ in range(5):
-        await asyncio.sleep(0)
-    return task
 
 
 def outcomes(robot: esair.Robot) -> list[Outcome]:

@@ -6,12 +6,12 @@ import asyncio
 from typing import Any
 
 import pytest
+from tests.supervisors.actors import seeds
 
 import esair
 from esair.supervisors._command_queue import LIMIT, CommandQueue
 
 pytestmark = pytest.mark.virtual_clock
-seeds = [pytest.param(n, marks=pytest.mark.virtual_clock(seed=n)) for n in range(6)]
 
 
 def opened() -> CommandQueue:

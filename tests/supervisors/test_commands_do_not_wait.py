@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import pytest
+from tests.supervisors.actors import Idle, soon
 
 import esair
 from esair.testing import FakeActuator
@@ -16,10 +17,6 @@ from esair.testing import FakeActuator
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("SUP-3")]
 
 GRACE = 0.3
-
-
-class Idle(esair.Behavior):
-    """Does nothing."""
 
 
 class Hangs(esair.Behavior):
@@ -66,13 +63,6 @@ def takes(least: float, most: float) -> Iterator[None]:
     begin = loop.time()
     yield
     assert least <= loop.time() - begin <= most
-
-
-async def soon(work: Any) -> asyncio.Task[Any]:
-    task: asyncio.Task[Any] = asyncio.ensure_future(work)
-    for _ in range(5):
-        await asyncio.sleep(0)
-    return task
 
 
 @pytest.mark.parametrize("deadline", [1.0, 5.0])

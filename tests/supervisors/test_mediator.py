@@ -8,18 +8,13 @@ import math
 from typing import Any
 
 import pytest
+from tests.supervisors.actors import Idle, seeds, soon
 
 import esair
 from esair.supervisors._ledger import REQUESTS_PER_SENDER
 from esair.supervisors._requests import REQUESTS_PER_TARGET, FairQueue, Outcome, Request
 
-seeds = [pytest.param(n, marks=pytest.mark.virtual_clock(seed=n)) for n in range(6)]
-
 pytestmark = pytest.mark.virtual_clock
-
-
-class Idle(esair.Behavior):
-    """Does nothing: tests act in its name."""
 
 
 class Small(Idle):
@@ -57,14 +52,6 @@ class Crasher(Idle):
 
 def outcomes(robot: esair.Robot) -> list[Outcome]:
     return [record.outcome for record in robot.behaviors.outcomes()]
-
-
-async def soon(work: Any) -> asyncio.Task[Any]:
-    """Start a request and let it begin to wait."""
-    task: asyncio.Task[Any] = asyncio.ensure_future(work)
-    for _ in range(5):
-        await asyncio.sleep(0)
-    return task
 
 
 @pytest.mark.promise("BS-1")

@@ -9,6 +9,7 @@ from typing import Any
 
 import attrs
 import pytest
+from tests.supervisors.actors import Idle, turns
 
 import esair
 from esair import Access
@@ -21,10 +22,6 @@ pytestmark = pytest.mark.virtual_clock
 @attrs.frozen(weakref_slot=True)
 class Job(esair.Request[int]):
     number: int
-
-
-class Idle(esair.Behavior):
-    """Does nothing: tests act in its name."""
 
 
 class Worker(esair.Behavior):
@@ -42,11 +39,6 @@ class Worker(esair.Behavior):
             await asyncio.sleep(10.0)
 
 
-async def soon() -> None:
-    for _ in range(5):
-        await asyncio.sleep(0)
-
-
 # Requests.
 
 
@@ -56,7 +48,7 @@ async def test_who_answers_is_told_whether_somebody_waits() -> None:
     asker, worker = Idle(name="asker"), Worker()
     async with esair.Robot(behaviors=[asker, worker]) as robot:
         asking = asyncio.create_task(asker.ask("worker", Job(1)))
-        await soon()
+        await turns()
         (job,) = worker.has
         assert job.progress(0.5)
         assert job.answer(7)
@@ -82,7 +74,7 @@ async def test_an_answered_request_is_forgotten_long_before_its_timeout() -> Non
         request = Job(7)
         known = weakref.ref(request)
         assert await asker.ask("answers", request, timeout=3600.0) == 7
-        await soon()
+        await turns()
         del request
         gc.collect()
         assert known() is None
@@ -140,7 +132,7 @@ async def test_one_that_gives_up_ends_what_is_made_for_it() -> None:
     async with esair.Robot(behaviors=[asker, Giver()]):
         with pytest.raises(esair.BehaviorUnavailableError):
             await asker.get("giver", interval=1.0)
-        await soon()
+        await turns()
         assert made == ["begun", "cancelled"]
 
 
@@ -150,7 +142,7 @@ async def test_what_is_received_in_time_leaves_no_timer() -> None:
     a, b = Idle(name="a"), Idle(name="b")
     async with esair.Robot(behaviors=[a, b]):
         taking = asyncio.create_task(b.receive(timeout=3600.0))
-        await soon()
+        await turns()
         await a.put("b", 1)
         assert await taking == 1
 
@@ -199,13 +191,13 @@ async def test_a_command_that_is_given_up_leaves_its_place() -> None:
 
     for _ in range(2):
         tasks = begin()
-        await soon()
+        await turns()
         for task in tasks:
             assert not task.done()
             task.cancel()
         await asyncio.wait(tasks)
     last = begin()
-    await soon()
+    await turns()
     queue.initialized()
     assert await asyncio.gather(*last) == [None] * LIMIT
 
@@ -246,7 +238,7 @@ async def test_a_command_whose_caller_has_gone_fails_quietly() -> None:
         raise ValueError("no")
 
     calling = asyncio.ensure_future(queue.run(fail, name="work", undo=False))
-    await soon()
+    await turns()
     calling.cancel()
     await asyncio.wait({calling})
     await asyncio.sleep(0.2)

@@ -7,6 +7,7 @@ from typing import Any
 
 import attrs
 import pytest
+from tests.supervisors.actors import Idle, turns
 
 import esair
 from esair.buses import Bus
@@ -16,15 +17,6 @@ from esair.supervisors._life import RestartBudget
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
-
-
-class Idle(esair.Behavior):
-    """Does nothing."""
-
-
-async def turns(count: int = 3) -> None:
-    for _ in range(count):
-        await asyncio.sleep(0)
 
 
 @pytest.mark.promise("BS-3")
