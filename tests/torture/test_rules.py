@@ -325,6 +325,16 @@ def test_who_drives_on_a_bad_command_is_seen(monkeypatch: pytest.MonkeyPatch) ->
             id="steps-that-hold-the-loop",
         ),
         pytest.param(
+            50139,
+            1.763,
+            (
+                Step(0.3, "held up", much=0.5),
+                Step(1.429, "slow", "guard_1", lasts=0.1, much=0.2),
+                Step(1.5, "slow", "guard_1", lasts=0.02, much=0.01),
+            ),
+            id="a-step-that-is-slow-and-then-quicker",
+        ),
+        pytest.param(
             217,
             3.054,
             (

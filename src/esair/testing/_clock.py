@@ -212,7 +212,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         assert self._random is not None
         places = [
             place
-            for place, handle in enumerate(ready)
+            for place, handle in enumerate(tuple(ready))  # threads add to it
             if isinstance(getattr(handle._callback, "__self__", None), asyncio.Task)
         ]
         if len(places) < 2:

@@ -238,9 +238,7 @@ def mad(world: World, step: Step) -> None:
 @_kind("behavior", "reactions", lasts=SHORT, much=(0.01, 0.2), weight=0.5)
 def slow(world: World, step: Step) -> None:
     """Each of its steps holds the loop for so long."""
-    lever = world.lever(step.target)
-    lever.slow = world.now + step.lasts
-    lever.seconds = step.much
+    world.lever(step.target).slow.append((world.now + step.lasts, step.much))
 
 
 @_kind("behavior", "movers", weight=0.5)

@@ -20,13 +20,13 @@ class Lever:
 
     def __init__(self, action: Any, loop: Any) -> None:
         self.action = action
-        # Until when it does not go on, its commands are no good, each step takes long
-        self.hangs = self.mad = self.slow = -1.0
+        # Until when it does not go on, its commands are no good
+        self.hangs = self.mad = -1.0
+        self.slow: list[tuple[float, float]] = []  # Until when each step takes how long
         # Deaf: it does not hear its cancellation meanwhile, as no thread does
         self.deaf = self.was_deaf = False
         self.undecided = False  # Whether the last step of a reaction gave nothing good
         self.how = "nan"
-        self.seconds = 0.0
         self._loop = loop
         self._error: str | None = None
         self._in_thread = False
@@ -61,8 +61,8 @@ class Lever:
         def step(*args: Any, **readings: Any) -> Any:
             error, self._error = self._error, None
             now = self._loop.time()
-            if now < self.slow:
-                self._loop.advance(self.seconds)
+            if self.slow and now < self.slow[-1][0]:
+                self._loop.advance(self.slow[-1][1])
             self.undecided = True
             if error is not None:
                 raise ERRORS[error]()

@@ -114,8 +114,8 @@ class World:
     def jumped(self, since: float) -> float:
         """Return how much time has passed at once since a moment."""
         steps = sum(each for when, each in self._jumps if when > since)
-        slow = [each.seconds for each in self.levers.values() if each.slow > since]
-        return steps + 4 * sum(slow)
+        slow = (each for lever in self.levers.values() for each in lever.slow)
+        return steps + 4 * sum(seconds for until, seconds in slow if until > since)
 
     def gate(self, name: str) -> Gate:
         """Return the gate of a device that the robot has now.
