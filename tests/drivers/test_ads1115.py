@@ -19,7 +19,7 @@ from esair.drivers.ads1115 import (
     decode_volts,
 )
 from esair.drivers.ads1115.fake import FakeAds1115
-from esair.exceptions import ConfigError, DeviceFaultError
+from esair.exceptions import DeviceFaultError
 from esair.testing import FakeI2c, SensorContract
 
 
@@ -173,13 +173,3 @@ async def test_a_conversion_that_does_not_end_is_a_fault() -> None:
 
     with pytest.raises(DeviceFaultError, match="does not end"):
         await sensor.read()
-
-
-@pytest.mark.virtual_clock
-async def test_its_mistakes_are_named() -> None:
-    """Before anything is sent."""
-    with pytest.raises(ConfigError, match="0x4b"):
-        Ads1115(address=0x4C)
-    for channel in (4, -1, "1-0", "a", None):
-        with pytest.raises(ConfigError, match="0-3"):
-            Ads1115(channel=channel)  # type: ignore[arg-type]

@@ -18,7 +18,6 @@ from esair import discovery
 from esair.drivers.camera import Camera, _sensor, devices, find_camera
 from esair.drivers.camera.fake import FakeCamera
 from esair.exceptions import (
-    ConfigError,
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
@@ -338,21 +337,3 @@ async def test_a_camera_that_is_not_there_is_lost(tmp_path: Path) -> None:
     with pytest.raises(DeviceLostError, match="No such file or directory"):
         await device.open()
     await device.close()
-
-
-@pytest.mark.parametrize(
-    ("keywords", "told"),
-    [
-        ({"width": 0}, "width: expected 1 or more"),
-        ({"width": 640}, "height: expected both"),
-        ({"fps": 0}, "fps: expected 1 to 1000"),
-        ({"colors": "rbg"}, "colors: expected 'bgr', 'rgb' or 'gray'"),
-        ({"silent_after": 0}, "silent_after"),
-    ],
-)
-def test_mistakes_are_told_when_the_device_is_made(
-    keywords: dict[str, Any], told: str
-) -> None:
-    """With the field."""
-    with pytest.raises(ConfigError, match=told):
-        Camera(**keywords)

@@ -303,22 +303,3 @@ async def test_one_bus_has_one_sync(wire: FakeCan, far: FakeDrive) -> None:
         assert [frame for frame in wire.sent if frame.id == 0x80] == []
         await one.open()
         await two.open()
-
-
-@pytest.mark.parametrize(
-    ("kind", "keywords", "told"),
-    [
-        (Drive, {"stop": "now"}, "stop: expected 'quick_stop' or 'halt'"),
-        (Drive, {"factor": 0}, "factor: expected a factor that is not 0"),
-        (Drive, {"node": 128}, "node: expected 1 to 127"),
-        (PositionDrive, {"factor": 0.0}, "factor: expected a factor"),
-        (DriveState, {"sync": 0.0}, "sync"),
-        (Drive, {"sync": 0.2}, r"sync: expected 0\.1 s at most"),
-    ],
-)
-def test_mistakes_are_told_when_the_device_is_made(
-    kind: Any, keywords: dict[str, Any], told: str
-) -> None:
-    """With the field."""
-    with pytest.raises(ConfigError, match=told):
-        kind(**{"node": 5, **keywords})

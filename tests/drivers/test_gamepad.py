@@ -233,21 +233,6 @@ def test_esair_devices_lists_pads(root: Path) -> None:
     assert toml(found[0], "pad")[-1] == 'dead_man = "tl"'
 
 
-@pytest.mark.parametrize(
-    ("keywords", "told"),
-    [
-        ({"dead_man": "t1"}, "no button 't1'.*south, east"),
-        ({"dead_zone": 1.0}, "dead_zone: expected 0 to 0.9"),
-    ],
-)
-def test_mistakes_are_told_when_the_device_is_made(
-    keywords: dict[str, Any], told: str
-) -> None:
-    """With the field."""
-    with pytest.raises(ConfigError, match=told):
-        Gamepad(**keywords)
-
-
 @pytest.mark.real_clock
 async def test_a_pad_of_the_kernel() -> None:
     """Made by uinput, where a program may: sticks, buttons and its unplugging."""

@@ -13,7 +13,7 @@ from tests.drivers.parts import Plugged
 import esair
 from esair.drivers.gpio import DigitalInput, DigitalOutput
 from esair.drivers.gpio.fake import FakeGpioChip
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.testing import ActuatorContract, SensorContract
 
 pytestmark = pytest.mark.virtual_clock
@@ -209,25 +209,3 @@ def test_a_chip_that_does_not_exist_is_lost() -> None:
     for chip in ("/dev/gpiochip-nowhere", "no chip has this label"):
         with pytest.raises(DeviceLostError, match="there is no chip"):
             DigitalInput(chip=chip, line=0).open()
-
-
-@pytest.mark.parametrize(
-    ("keywords", "told"),
-    [
-        ({"bias": "up"}, "bias: expected 'as_is'"),
-        ({"line": -1}, "line: expected 0 or more"),
-        ({"chip": ""}, "chip: expected a path"),
-        ({"debounce": -1.0}, "debounce: expected at least 0"),
-    ],
-)
-def test_mistakes_are_told_when_the_device_is_made(
-    keywords: dict[str, Any], told: str
-) -> None:
-    """With the field and what was expected."""
-    with pytest.raises(ValueError, match="digital_input") as caught:
-        DigitalInput(**{"chip": "fake", "line": 3, **keywords})
-    assert told in str(caught.value)
-    with pytest.raises(ConfigError, match="drive: expected 'push_pull'"):
-        DigitalOutput(chip="fake", line=3, drive="push")  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="safe: expected a bool"):
-        DigitalOutput(chip="fake", line=3, safe=0)  # type: ignore[arg-type]

@@ -16,11 +16,10 @@ from pynmeagps import NMEAReader  # type: ignore[import-untyped]
 from tests.drivers.parts import Powered
 
 import esair
-from esair.buses import SerialBus
 from esair.drivers import gps
 from esair.drivers.gps import PARSE_COST, Fix, FixBuilder, Gps
 from esair.drivers.gps.fake import FakeGps, encode_fix
-from esair.exceptions import ConfigError, DeviceFaultError, StaleReadingError
+from esair.exceptions import DeviceFaultError, StaleReadingError
 from esair.framing import Sentences
 from esair.testing import FakeSerial, SensorContract
 
@@ -273,14 +272,6 @@ async def test_a_silent_line_is_a_fault_at_the_opening(fake_serial: Any) -> None
         await gps.open()
 
     await line.close()
-
-
-def test_the_bus_must_check_sentences() -> None:
-    """Lines without their checksums are not good enough for a position."""
-    with pytest.raises(ConfigError, match="framing='nmea'"):
-        Gps(bus=SerialBus(name="gps", port="/dev/x"))
-    with pytest.raises(ConfigError, match="sentences: expected of GGA and RMC"):
-        Gps(bus=FakeSerial(framing="nmea"), sentences=("GLL",))
 
 
 @pytest.mark.real_clock

@@ -20,7 +20,7 @@ from esair.drivers.line import (
     encode_value,
 )
 from esair.drivers.line.fake import FakeBoard
-from esair.exceptions import ConfigError, DeviceFaultError, DriverStuckError
+from esair.exceptions import DeviceFaultError, DriverStuckError
 from esair.testing import ActuatorContract, FakeSerial, SensorContract
 
 
@@ -263,13 +263,3 @@ async def test_after_a_loss_the_safe_command_is_the_first(line: FakeSerial) -> N
         await line.until(lambda _: True, timeout=20.0)
 
     assert set(line.sent) == {b"speed=0"}
-
-
-def test_its_wires_are_checked_before_anything_opens() -> None:
-    """A wrong bus, a wrong key: the error names the component and the field."""
-    with pytest.raises(ConfigError, match="range: bus: expected a SerialBus"):
-        LineSensor(name="range")
-    with pytest.raises(ConfigError, match="speed: key: expected letters"):
-        LineActuator(name="speed", key="go faster", safe=0.0, bus=FakeSerial())
-    with pytest.raises(ConfigError, match="framing='lines', not 'raw'"):
-        LineSensor(name="range", bus=FakeSerial(framing="raw"))

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import strategies as st
 
 from esair.buses import SerialBus
-from esair.exceptions import ConfigError, DeviceFaultError, DriverStuckError
+from esair.exceptions import DeviceFaultError, DriverStuckError
 from esair.framing import ModbusRtu, ModbusTcp
 from esair.testing import ActuatorContract, BusContract, FakeSerial, SensorContract
 
@@ -246,29 +246,6 @@ async def test_it_works_by_tcp(server: Server) -> None:
     sensor = ModbusSensor(unit=3, register=20, type="float32", bus=line, timeout=5.0)
     assert await sensor.read() == 12.5
     await line.close()
-
-
-@pytest.mark.parametrize(
-    ("kind", "keywords", "told"),
-    [
-        (ModbusSensor, {"unit": 256}, "unit: expected 0 to 255"),
-        (ModbusSensor, {"register": -1}, "register: expected 0 to 65535"),
-        (ModbusSensor, {"table": "coils"}, "table: expected 'holding'"),
-        (ModbusSensor, {"type": "float"}, "type: expected 'int16'"),
-        (ModbusSensor, {"factor": 0}, "factor: expected"),
-        (ModbusSensor, {"word_order": "up"}, "word_order: expected"),
-        (ModbusSensor, {"bus": FakeSerial("x")}, "bus: expected a SerialBus with"),
-        (ModbusActuator, {"safe": 0, "table": "input"}, "table: expected 'holding'"),
-        (ModbusActuator, {"safe": 0, "table": "coil"}, "safe: expected a bool"),
-        (ModbusActuator, {"safe": 40000}, "limits: expected"),
-    ],
-)
-def test_mistakes_are_told_when_the_device_is_made(
-    kind: Any, keywords: dict[str, Any], told: str
-) -> None:
-    """With the field."""
-    with pytest.raises(ConfigError, match=told):
-        kind(**{"register": 1, "bus": FakeSerial("plc", framing=RTU), **keywords})
 
 
 @pytest.mark.promise("BUS-3")

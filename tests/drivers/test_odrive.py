@@ -36,7 +36,7 @@ from esair.drivers.odrive import (
     frame_id,
 )
 from esair.drivers.odrive.fake import FakeOdrive
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.testing import ActuatorContract, SensorContract
 
 pytestmark = pytest.mark.virtual_clock
@@ -373,27 +373,6 @@ async def test_the_sensor_gives_estimates_with_state_and_errors(rig: Any) -> Non
     with pytest.raises(DeviceLostError, match="no heartbeat"):
         [_ async for _ in stream]
     await wire.close()
-
-
-@pytest.mark.parametrize(
-    ("keywords", "told"),
-    [
-        ({"node": 63}, "node: expected 0 to 62, not 63"),
-        ({"node": 0, "control": "speed"}, "control: expected 'velocity'"),
-        (
-            {"node": 0, "control": "position", "safe": 0.0, "idle": True},
-            "idle: expected false",
-        ),
-        ({"node": 0, "heartbeat_timeout": 0}, "heartbeat_timeout: expected a number"),
-    ],
-)
-def test_mistakes_are_told_when_the_axis_is_made(
-    keywords: dict[str, Any], told: str
-) -> None:
-    """With the field and what was expected."""
-    with pytest.raises(ConfigError) as caught:
-        OdriveAxis(**keywords)
-    assert told in str(caught.value)
 
 
 @pytest.mark.promise("PRO-12")

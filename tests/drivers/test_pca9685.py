@@ -229,30 +229,6 @@ class ReadOnly:
         """Ignore it."""
 
 
-@pytest.mark.parametrize(
-    ("kind", "options", "field"),
-    [
-        (PwmChannel, {"channel": 16}, "channel"),
-        (PwmChannel, {"channel": 1.0}, "channel"),
-        (PwmChannel, {"channel": 0, "address": 0x3F}, "address"),
-        (PwmChannel, {"channel": 0, "frequency": 10.0}, "frequency"),
-        (PwmChannel, {"channel": 0, "frequency": math.nan}, "frequency"),
-        (PwmServo, {"channel": -1}, "channel"),
-        (PwmServo, {"channel": 0, "min_pulse": 0.003}, "max_pulse"),
-        (PwmServo, {"channel": 0, "max_pulse": 0.03}, "max_pulse"),
-        (PwmServo, {"channel": 0, "max_angle": math.inf}, "max_angle"),
-        (PwmServo, {"channel": 0, "min_angle": -45, "max_angle": 45}, "max_angle"),
-        (PwmServo, {"channel": 0, "min_angle": 1.0, "max_angle": 1.0}, "max_angle"),
-    ],
-)
-def test_its_mistakes_are_named(kind, options, field) -> None:
-    """Before anything is sent."""
-    with pytest.raises(ConfigError) as caught:
-        kind(**options)
-
-    assert caught.value.field == field
-
-
 def test_a_fake_locks_its_frequency_while_it_runs() -> None:
     """As the chip does: it has to sleep first, and that stops every channel."""
     chip = FakePca9685()

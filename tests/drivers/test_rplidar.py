@@ -34,7 +34,7 @@ from esair.drivers.rplidar import (
     request,
 )
 from esair.drivers.rplidar.fake import FakeRpLidar
-from esair.exceptions import ConfigError, DeviceFaultError
+from esair.exceptions import DeviceFaultError
 from esair.testing import FakeSerial, SensorContract
 
 scans = st.lists(
@@ -289,9 +289,3 @@ async def test_noise_costs_the_turn_that_it_touches(fake_serial: Any) -> None:
     assert lidar.decoder.bad_turns == 1
     await values.aclose()
     await line.close()
-
-
-def test_the_bus_must_not_cut_its_bytes(fake_serial: Any) -> None:
-    """There is nothing in them that all frames have in common."""
-    with pytest.raises(ConfigError, match="framing='raw'"):
-        RpLidar(bus=fake_serial("lidar"))

@@ -50,7 +50,6 @@ from esair.drivers.servo.fake import (
 )
 from esair.drivers.servo.turning import ServoCurrent, ServoVelocity
 from esair.exceptions import (
-    ConfigError,
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
@@ -451,21 +450,6 @@ async def test_a_robot_leaves_it_safe(
 
     assert fakes.servos[1].torque is (safe is HOLD)
     assert to_angle(fakes.servos[1].get(132)) == pytest.approx(0.8, abs=0.001)
-
-
-@pytest.mark.parametrize("servo", [-1, 253, True, "1"])
-def test_an_id_that_is_none(bus: ServoBus, servo: Any) -> None:
-    """Nothing is opened to find out."""
-    with pytest.raises(ConfigError, match="id: expected 0 to 252"):
-        ServoPosition(id=servo, bus=bus)
-
-
-def test_the_bus_is_of_their_own_kind() -> None:
-    """A plain serial bus cannot take turns with them."""
-    with pytest.raises(ConfigError, match="expected a ServoBus"):
-        Servo(safe=RELEASE)
-    with pytest.raises(ConfigError, match="port"):
-        ServoBus(name="arm", port="loop://")
 
 
 # On a terminal.
