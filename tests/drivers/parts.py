@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
+
+import pytest
 
 
 class Powered:
@@ -32,6 +34,19 @@ class Plugged(Powered):
 
     async def speak(self, _device: Any) -> None:
         self.far.plug()
+
+
+class OnCan(Powered):
+    """A node on a bus, ``wire``, that is made with the device."""
+
+    wire: Any
+
+    @pytest.fixture(autouse=True)
+    def _wire(self, fake_can: Callable[..., Any]) -> None:
+        self.wire = fake_can("drive")
+
+    async def unplug(self, _device: Any) -> None:
+        self.wire.unplug()
 
 
 class OnChip:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import aclosing
 from typing import Any
 
 import pytest
-from tests.drivers.parts import opened
+from tests.drivers.parts import OnCan, opened
 
 import esair
 from esair.drivers.canopen.drive import Drive, DriveState, State
@@ -44,17 +44,10 @@ async def far(wire: FakeCan) -> AsyncIterator[FakeDrive]:
     drive.stop()
 
 
-class Wired:
-    @pytest.fixture(autouse=True)
-    def _wire(self, fake_can: Callable[..., Any]) -> None:
-        self.wire = fake_can("drive")
-
+class Wired(OnCan):
     def on_wire(self) -> Any:
         self.far = FakeDrive(self.wire)
         return self.wire
-
-    async def unplug(self, _device: Any) -> None:
-        self.wire.unplug()
 
     async def silence(self, device: Any) -> None:
         device.sdo_timeout = 0.02
@@ -63,9 +56,6 @@ class Wired:
     async def speak(self, device: Any) -> None:
         device.sdo_timeout = PATIENCE
         self.far.boot()
-
-    async def power_cycle(self, _device: Any) -> None:
-        self.far.power_cycle()
 
 
 class TestDrive(Wired, ActuatorContract):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from contextlib import aclosing, suppress
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.drivers.parts import opened
+from tests.drivers.parts import OnCan, opened
 
 import esair
 from esair.buses import CanBus, Frame
@@ -60,20 +59,12 @@ def feedback(wire: Any, **keywords: Any) -> DbcSensor:
     )
 
 
-class Wired:
+class Wired(OnCan):
     """A node on the bus of a device under test, whose class has a ``make``."""
 
-    @pytest.fixture(autouse=True)
-    def _wire(self, fake_can: Callable[..., Any]) -> None:
-        self.fake_can = fake_can
-
     def node(self) -> Any:
-        self.wire = self.fake_can("drive")
         self.far = FakeDbcNode(self.wire, ROVER)
         return self.wire
-
-    async def unplug(self, _device: Any) -> None:
-        self.wire.unplug()
 
     async def silence(self, _device: Any) -> None:
         self.far.stop()
@@ -83,9 +74,6 @@ class Wired:
 
     def start(self) -> None:
         """Send what it sends, if it sends anything."""
-
-    async def power_cycle(self, _device: Any) -> None:
-        self.far.power_cycle()
 
     keeps_nothing = "each frame says all that the node needs"
 

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.drivers.parts import OnCan
 
 import esair
 from esair.drivers.odrive import (
@@ -44,27 +45,16 @@ pytestmark = pytest.mark.virtual_clock
 CLOSED_LOOP, IDLE = AxisState.CLOSED_LOOP_CONTROL, AxisState.IDLE
 
 
-class Wired:
-    @pytest.fixture(autouse=True)
-    def _wire(self, fake_can: Callable[..., Any]) -> None:
-        self.fake_can = fake_can
-
+class Wired(OnCan):
     def axis_on_bus(self) -> Any:
-        self.wire = self.fake_can("drive")
         self.far = FakeOdrive(self.wire, node=3)
         return self.wire
-
-    async def unplug(self, _device: Any) -> None:
-        self.wire.unplug()
 
     async def silence(self, _device: Any) -> None:
         self.far.stop()
 
     async def speak(self, _device: Any) -> None:
         self.far.start()
-
-    async def power_cycle(self, _device: Any) -> None:
-        self.far.power_cycle()
 
 
 class TestAxis(Wired, ActuatorContract):

@@ -131,13 +131,9 @@ def decode_feedback(side: int, data: bytes) -> WheelFeedback:
         ValueError: The length is wrong.
     """
     values = _decode(_message("Feedback", side), data)
-    return WheelFeedback(
-        float(values["Angle"]),
-        float(values["Speed"]),
-        bool(values["Enabled"]),
-        bool(values["TimedOut"]),
-        int(values["Sequence"]),
-    )
+    told = (float(values["Angle"]), float(values["Speed"]))
+    flags = (bool(values["Enabled"]), bool(values["TimedOut"]))
+    return WheelFeedback(*told, *flags, int(values["Sequence"]))
 
 
 def _decode(message: Message, data: bytes) -> dict[str, float]:

@@ -6,7 +6,6 @@ import contextlib
 import os
 import select
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 SUBSYSTEMS = ("tty", "net", "i2c-dev", "gpio", "spidev", "input", "video4linux")
@@ -78,12 +77,7 @@ class Wakes:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _drain(self, fd: int) -> None:

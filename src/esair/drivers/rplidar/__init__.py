@@ -48,9 +48,6 @@ SCAN = 0x20
 GET_INFO = 0x50
 GET_HEALTH = 0x52
 
-DESCRIPTOR = b"\xa5\x5a"
-"""How each response descriptor begins."""
-
 SCAN_DESCRIPTOR = bytes.fromhex("a55a0500004081")
 INFO_DESCRIPTOR = bytes.fromhex("a55a1400000004")
 HEALTH_DESCRIPTOR = bytes.fromhex("a55a0300000006")

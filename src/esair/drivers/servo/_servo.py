@@ -19,9 +19,6 @@ from esair.watchdog import SafeFrames
 OPERATING_MODE = 11
 TORQUE_ENABLE = 64
 
-LED = 65
-"""Lit once the servo is set up; a restart puts it out, and so it is noticed."""
-
 GOAL_CURRENT = 102
 GOAL_VELOCITY = 104
 PROFILE_VELOCITY = 112

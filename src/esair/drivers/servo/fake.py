@@ -23,7 +23,6 @@ from esair.loop import now, sleep_in_thread
 PING, READ, WRITE, STATUS = 0x01, 0x02, 0x03, 0x55
 SYNC_READ, SYNC_WRITE = 0x82, 0x83
 HEADER = b"\xff\xff\xfd\x00"
-BROADCAST = 0xFE
 
 ALERT = 0x80
 """The bit of an answer that says that the servo has shut down."""
