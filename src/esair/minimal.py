@@ -398,9 +398,11 @@ class _Output:
         else:
             loop.refused += best is not None
             best = None
+        if age >= self.timeout:
+            self.writer = None  # before a guard looks at what it stopped
         if best or self.news:
             self.review(best)
-        if self.last is not None and (not self.writer or age >= self.timeout):
+        if self.last is not None and not self.writer:
             self.tell()
 
     def review(self, port: "Any") -> None:

@@ -703,6 +703,26 @@ def rule_each_part_of_what_stands_only_gets_less():
     assert motor.told == [(0.0, 0.0), (0.5, -0.5), (0.25, -0.5)], motor.told
 
 
+def rule_a_guard_does_not_latch_at_what_has_ended_at_that_moment():
+    class Latches(Bumper):
+        motor = guards(float, latch=True)
+        eye = reads(float, max_age=1.0)
+
+    class Seldom(Reaction):
+        rate = 5
+        motor = writes(float)
+
+        def react(self):
+            return 1.0
+
+    eye, motor, guard = Sonar(0, 2, 0), Motor(), Latches()
+    eye.name, eye.rate = "eye", 10
+    loop = Loop([guard, Seldom()], [eye], [motor], rate=50)
+    for _ in range(11):
+        loop.step()
+    assert motor.told == [0.0, 1.0, 0.0, 1.0], motor.told  # its timeout is 0.1 s
+
+
 def rule_a_latching_guard_waits_for_its_first_sight():
     """What was never moving has not been moved blindly."""
 

@@ -86,17 +86,22 @@ def make_reaction(
         "kind": kind,
         "rate": rng.choice([None, 50, 25, 10, 5]),
         "inputs": [[one, make_age(rng, sensors[one])] for one in seen],
-        "outputs": [
-            [
-                one,
-                rng.randint(0, 3),  # some are equal
-                rng.choice([None, None, 0.1, 0.3]),
-                rng.choice(["safe", "safe", "release"]),
-                rng.random() < 0.2,
-            ]
-            for one in moved
-        ],
+        "outputs": [[one, *make_say(rng)] for one in moved],
     }
+
+
+def make_say(rng: random.Random) -> list[Any]:
+    """Draw a priority, a hold, what is done while blind, and whether a guard latches."""
+    return [
+        rng.randint(0, 3),  # some are equal
+        rng.choice([None, None, 0.1, 0.3]),
+        rng.choice(["safe", "safe", "release"]),
+        rng.random() < 0.2,
+    ]
+
+
+OWN = [0, None, "safe", False]
+"""What a reaction says that has its actuator for itself."""
 
 
 def add_lamp(
@@ -105,19 +110,26 @@ def add_lamp(
     actuators: list[Any],
     reactions: list[Any],
 ) -> None:
-    """Add one that goes on without its second reading, and its own actuator."""
+    """Add one that goes on without its second reading.
+
+    One without a rate is called by STD between two steps when that is lost, and by MIN at
+    the next: what it holds from then on ends a step apart, so nobody else moves the same.
+    """
     if len(sensors) == 1:
         return
     seen = rng.sample(range(len(sensors)), 2)
+    rate = rng.choice([None, 50, 25, 10, 5])
+    if rate is None:
+        actuators.append({"kind": "number", "timeout": 0.3, "limits": ""})
+    moved = rng.randrange(len(actuators)) if rate else len(actuators) - 1
     reactions.append(
         {
             "kind": "Maybe",
-            "rate": rng.choice([None, 50, 25, 10, 5]),
+            "rate": rate,
             "inputs": [[one, make_age(rng, sensors[one])] for one in seen],
-            "outputs": [[len(actuators), 0, None, "safe", False]],
+            "outputs": [[moved, *(make_say(rng) if rate else OWN)]],
         }
     )
-    actuators.append({"kind": "number", "timeout": 0.3, "limits": ""})
 
 
 def make_age(rng: random.Random, sensor: dict[str, Any]) -> float:
