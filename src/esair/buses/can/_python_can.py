@@ -19,7 +19,7 @@ from esair.buses._stats import BusStats
 from esair.buses.can import _interface as _can_interface
 from esair.buses.can._errors import CanState
 from esair.buses.can._frame import Frame, FrameLink, FrameOpener
-from esair.buses.can._socket_node import FD, SocketNode, shut_bus
+from esair.buses.can._socket_node import FD, Owner, SocketNode, shut_bus
 from esair.buses.can._thread_node import ThreadNode
 from esair.exceptions import ConfigError, describe
 from esair.loop import Executor
@@ -66,27 +66,13 @@ def python_can(
             lambda opened: shut_bus(opened[0]),
             timeout=OPEN_TIMEOUT,
         )
-        counts = stats or BusStats()
+        owner = Owner(executor, stats or BusStats(), received, gone, fd, bitrate_switch)
         try:
             if state is not None:
-                return SocketNode(
-                    bus,
-                    state,
-                    executor,
-                    counts,
-                    received,
-                    gone,
-                    fd=fd,
-                    bitrate_switch=bitrate_switch,
-                )
+                return SocketNode(bus, state, owner)
             return ThreadNode(
                 bus,
-                executor,
-                counts,
-                received,
-                gone,
-                fd=fd,
-                bitrate_switch=bitrate_switch,
+                owner,
                 echoes=bool(options.get("receive_own_messages")),
                 decodes_errors=interface not in _OWN_ERRORS,
             )
@@ -118,12 +104,8 @@ class _Opening:
             raise
 
     def _open(self) -> Any:
-        try:
-            import can
-        except ImportError as error:
-            raise ConfigError(
-                self._owner, "interface", f"python-can is needed: {describe(error)}"
-            ) from error
+        import can
+
         if self._interface == "socketcan":
             # SocketcanBus forgets its descriptor when it cannot bind it.
             self._check(_can_interface.look_up(self._channel))

@@ -10,6 +10,8 @@ import struct
 from collections.abc import Callable, Collection
 from typing import Any, Final
 
+import attrs
+
 from esair.buses._stats import BusStats
 from esair.buses.can._errors import CanState
 from esair.buses.can._frame import Frame, FrameKind
@@ -29,56 +31,47 @@ FILTER_LIMIT = 512
 """How many masks the kernel can choose by (CAN_RAW_FILTER_MAX)."""
 
 _REMOTE: Final = 0x4000_0000
-
 _ERROR: Final = 0x2000_0000
-
 _NUMBER: Final = 0x1FFF_FFFF
-
 _STANDARD: Final = 0x7FF
-
 _HEAD: Final = struct.Struct("=IB")
-
 _CLASSIC: Final = struct.Struct("=IB3x8s")
-
 FD: Final = struct.Struct("=IBB2x64s")
-
 _FD_FRAME: Final = 0x04
-
 _FD_SWITCH: Final = 0x01
-
 _FILTER: Final = struct.Struct("=II")
 
 _SO_RXQ_OVFL: Final = 40  # asm-generic/socket.h; the module socket has no name for it
-
 _SO_TIMESTAMPNS: Final = 35
+
+
+@attrs.frozen
+class Owner:
+    """The bus of esair that a node is for."""
+
+    executor: Executor
+    stats: BusStats
+    received: Callable[[Frame], None]
+    gone: Callable[[Exception], None]
+    fd: bool
+    bitrate_switch: bool
 
 
 class SocketNode:
     """A node of SocketCAN, read and written by the event loop."""
 
-    def __init__(
-        self,
-        bus: Any,
-        state: CanState,
-        executor: Executor,
-        stats: BusStats,
-        received: Callable[[Frame], None],
-        gone: Callable[[Exception], None],
-        *,
-        fd: bool,
-        bitrate_switch: bool,
-    ) -> None:
+    def __init__(self, bus: Any, state: CanState, owner: Owner) -> None:
         self.state = state
         self._bus = bus
-        self._executor = executor
-        self._stats = stats
-        self._received = received
-        self._gone = gone
+        self._executor = owner.executor
+        self._stats = owner.stats
+        self._received = owner.received
+        self._gone = owner.gone
         self._loop = asyncio.get_running_loop()
         self._time = clock_of(self._loop)
         self._socket: socket.socket = bus.socket
-        self._mtu = FD.size if fd else _CLASSIC.size
-        self._fd_flags = _FD_FRAME | (_FD_SWITCH if bitrate_switch else 0)
+        self._mtu = FD.size if owner.fd else _CLASSIC.size
+        self._fd_flags = _FD_FRAME | (_FD_SWITCH if owner.bitrate_switch else 0)
         self._may_have_missed = 0
         self._missed = 0
         self._closed = False

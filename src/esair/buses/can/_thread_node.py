@@ -10,17 +10,16 @@ import threading
 from collections.abc import Callable, Collection
 from typing import Any
 
-from esair.buses._stats import BusStats
 from esair.buses.can._errors import CanState
 from esair.buses.can._frame import Frame, FrameKind
 from esair.buses.can._ids import EXTENDED, Filter
-from esair.buses.can._socket_node import shut_bus
+from esair.buses.can._socket_node import Owner, shut_bus
 from esair.exceptions import (
     BusyError,
     DriverStuckError,
     describe,
 )
-from esair.loop import CallRefused, Executor, clock_beside
+from esair.loop import CallRefused, clock_beside
 
 POLL_PERIOD = 0.1
 """How often a reading thread looks whether it should end, in seconds."""
@@ -41,13 +40,8 @@ class ThreadNode:
     def __init__(
         self,
         bus: Any,
-        executor: Executor,
-        stats: BusStats,
-        received: Callable[[Frame], None],
-        gone: Callable[[Exception], None],
+        owner: Owner,
         *,
-        fd: bool,
-        bitrate_switch: bool,
         echoes: bool,
         decodes_errors: bool,
     ) -> None:
@@ -60,12 +54,12 @@ class ThreadNode:
         own_recv = type(bus).recv is not can.BusABC.recv
         self._recv = bus.recv if own_recv else bus._recv_internal  # noqa: SLF001
         self._own_recv = own_recv
-        self._executor = executor
-        self._stats = stats
-        self._received = received
-        self._gone = gone
-        self._fd = fd
-        self._bitrate_switch = bitrate_switch
+        self._executor = owner.executor
+        self._stats = owner.stats
+        self._received = owner.received
+        self._gone = owner.gone
+        self._fd = owner.fd
+        self._bitrate_switch = owner.bitrate_switch
         self._echoes = echoes
         self._decodes_errors = decodes_errors
         self._loop = asyncio.get_running_loop()
@@ -82,7 +76,7 @@ class ThreadNode:
         self._beats = 0
         self._missed_beats = 0
         self._reader = threading.Thread(
-            target=self._read, name=f"esair-{executor.name}-reader", daemon=True
+            target=self._read, name=f"esair-{owner.executor.name}-reader", daemon=True
         )
         self._reader.start()
         self._watch = self._loop.call_later(HEARTBEAT, self._check, self._beats)
