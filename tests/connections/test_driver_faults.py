@@ -270,26 +270,6 @@ async def test_a_stream_that_raises_is_asked_for_again(user_of: Any) -> None:
         assert await user.radar.read() == float(begun)
 
 
-@pytest.mark.promise("RES-2")
-async def test_a_stream_that_ends_is_a_loss(user_of: Any) -> None:
-    """The device is opened again."""
-
-    class Radar(esair.Sensor[float]):
-        opened = 0
-
-        async def open(self) -> None:
-            self.opened += 1
-
-        async def stream(self) -> AsyncIterator[float]:
-            yield 1.0
-
-    radar = Radar()
-    async with esair.Robot(resources=[radar]) as robot:
-        await asyncio.sleep(0.5)
-        assert radar.opened >= 3
-        assert robot.resources.query("radar").losses >= 2
-
-
 @pytest.mark.fault("D26")
 async def test_a_stream_of_wrong_values_closes_the_device(user_of: Any) -> None:
     """Wrong values count as faults of the device, also when nobody reads."""

@@ -85,7 +85,7 @@ async def test_each_output_of_a_reaction_waits_for_its_own_device(
         assert conflated >= 10
 
 
-@pytest.mark.promise("SC-1")
+@pytest.mark.promise("SC-1", "RES-2")
 @pytest.mark.parametrize("blocks", [True, False])
 async def test_a_stream_that_ends_is_a_loss(blocks: bool, user_of: Any) -> None:
     """The device is opened again, and speaks again."""

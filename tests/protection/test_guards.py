@@ -35,6 +35,16 @@ def user(priority: int = 0, kind: Any = float, name: str = "user") -> Any:
     return esair.Behavior(name=name, writes=writes)
 
 
+class Button(esair.Reaction):
+    """Lets nothing pass while it is pressed, nor afterwards."""
+
+    button = esair.reads(bool)
+    wheels = esair.guards(float, latch=True)
+
+    def react(self, button: bool, wheels: float) -> float | None:
+        return None if button else wheels
+
+
 class Half(esair.Reaction):
     """Lets half of it pass."""
 
@@ -287,13 +297,6 @@ async def test_a_guard_that_takes_too_long_is_blind(monkeypatch: Any) -> None:
 async def test_a_latched_guard_waits_for_the_user() -> None:
     """The reset is refused while its cause lasts."""
 
-    class Button(esair.Reaction):
-        button = esair.reads(bool)
-        wheels = esair.guards(float, latch=True)
-
-        def react(self, button: bool, wheels: float) -> float | None:
-            return None if button else wheels
-
     button: FakeSensor[bool] = FakeSensor("button", False, type=bool, rate=20.0)
     wheels, op = Wheels(), user()
     async with esair.Robot(
@@ -325,13 +328,6 @@ async def test_a_latched_guard_waits_for_the_user() -> None:
 @pytest.mark.promise("PRO-9")
 async def test_only_reset_ends_a_latch() -> None:
     """A restart or a replacement of the guard keeps it; so does a new actuator."""
-
-    class Button(esair.Reaction):
-        button = esair.reads(bool)
-        wheels = esair.guards(float, latch=True)
-
-        def react(self, button: bool, wheels: float) -> float | None:
-            return None if button else wheels
 
     button: FakeSensor[bool] = FakeSensor("button", False, type=bool, rate=20.0)
     wheels, op = Wheels(), user()
