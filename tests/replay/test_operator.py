@@ -91,10 +91,12 @@ def drive(client: Client, seconds: float, lease: float = 0.3) -> None:
     beat, end = found["beat"], time.monotonic() + seconds
     while time.monotonic() < end:
         fields = {"lease": found["lease"], "beat": beat, "command": random.random()}
-        with contextlib.suppress(RefusedActError):  # it has lapsed: the machine is busy
-            client.do("drive", fields)
+        name = client.send("drive", fields)
+        for came in client.lines(1.0):
+            beat = came.get("beat", beat)
+            if came.get("id") == name:  # done, or lapsed: the machine is busy
+                break
         time.sleep(0.03)
-        beat = next((t["beat"] for t in client.pushed[::-1] if "beat" in t), beat)
 
 
 def refused(client: Client, act: str, **fields: Any) -> None:
