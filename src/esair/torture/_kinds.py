@@ -280,6 +280,13 @@ def _up(world: World) -> None:
         raise NotNowError
 
 
+def _action(world: World, step: Step) -> str:
+    _up(world)
+    if step.target not in world.robot.behaviors.names():
+        raise NotNowError
+    return step.target
+
+
 def _left(world: World) -> None:
     """Take note which devices do not belong to the robot any more."""
     names = world.robot.resources.names()
@@ -353,10 +360,7 @@ def halt(world: World, _step: Step) -> Callable[[], object]:
 @_kind("user", "takers", hows=("", "cancelled"), much=(0.05, 0.5, 5.0), weight=3.0)
 def ask(world: World, step: Step) -> None:
     """It is asked for something; ``cancelled``: whoever asks does not wait."""
-    _up(world)
-    name = step.target
-    if name not in world.robot.behaviors.names():
-        raise NotNowError
+    name = _action(world, step)
     dice = random.Random(f"{world.story.seed}/{step.at}")
     types = world.robot.behaviors.takes(name)
     if not types:
@@ -404,10 +408,7 @@ def configure(world: World, step: Step) -> None:
 @_kind("user", "protections", much=(0.2, 1.0), weight=0.5)
 def mute(world: World, step: Step) -> None:
     """The user lets it pass everything for a while."""
-    _up(world)
-    name = step.target
-    if name not in world.robot.behaviors.names():
-        raise NotNowError
+    name = _action(world, step)
     try:
         world.robot.behaviors.mute(name, step.much, "torture")
     except esair.EsairError:

@@ -132,29 +132,21 @@ def _with(value: Any, bad: float) -> Any:
 
 def has_number(value: Any) -> bool:
     """Tell whether a value is a number or contains one."""
-    if isinstance(value, bool):
-        return False
-    if isinstance(value, float | int):
-        return True
-    if attrs.has(type(value)):
-        return any(
-            has_number(getattr(value, f.name)) for f in attrs.fields(type(value))
-        )
-    if isinstance(value, dict):
-        return any(map(has_number, value.values()))
-    if isinstance(value, tuple | list):
-        return any(map(has_number, value))
-    return False
+    if isinstance(value, bool | float | int):
+        return not isinstance(value, bool)
+    return any(map(has_number, _inside(value)))
 
 
 def is_good(value: Any) -> bool:
     """Tell whether all numbers of a value are finite."""
     if isinstance(value, float):
         return math.isfinite(value)
+    return all(map(is_good, _inside(value)))
+
+
+def _inside(value: Any) -> list[Any]:
     if attrs.has(type(value)):
-        return all(is_good(getattr(value, f.name)) for f in attrs.fields(type(value)))
+        return [getattr(value, each.name) for each in attrs.fields(type(value))]
     if isinstance(value, dict):
-        return all(map(is_good, value.values()))
-    if isinstance(value, tuple | list):
-        return all(map(is_good, value))
-    return True
+        return list(value.values())
+    return list(value) if isinstance(value, tuple | list) else []
