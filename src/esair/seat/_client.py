@@ -86,6 +86,8 @@ class Client:
             raise NoRobotError(f"robot {name!r} cannot be reached: {error}") from None
         self._data = bytearray()
         self._ids = (f"{uuid.uuid4().hex[:16]}-{n}" for n in itertools.count(1))
+        self.pushed: list[dict[str, Any]] = []
+        """What came beside the answers: beats, pictures, events."""
 
     def __enter__(self) -> Self:
         return self
@@ -150,6 +152,8 @@ class Client:
                 break
             if "ok" in found and found.get("id") in {name, None}:
                 return result_of(found)
+            self.pushed.append(found)
+            del self.pushed[:-1000]
         raise TimeoutError(f"robot {self.name!r} has not answered in {timeout:g} s")
 
     def lines(self, timeout: float | None = None) -> Iterator[dict[str, Any]]:

@@ -352,20 +352,14 @@ class Console:
 
     def _begin(self, act: Act, waiting: Waiting, until: float | None) -> None:
         """Do an act, in the turn that is its own."""
-        self._context.run(self._do, act, *waiting, until)
+        self._context.run(self._do, act, waiting, until)
 
-    def _do(
-        self,
-        act: Act,
-        session: Session,
-        fields: dict[str, Any],
-        outcome: asyncio.Future[Any],
-        until: float | None,
-    ) -> None:
+    def _do(self, act: Act, waiting: Waiting, until: float | None) -> None:
+        session, fields, _ = waiting
         if until is not None and self._time() > until:
             late = self._time() - until
             error = BehaviorUnavailableError("operator", act.name, late, "too late")
-            self._end(act, session, outcome, None, error)
+            self._end(waiting, error=error)
             return
         if not act.looks:
             component = str(fields.get(act.about) or self.robot.name)
@@ -379,12 +373,12 @@ class Console:
         try:
             result = act.run(self, fields, session)
         except Exception as error:
-            self._end(act, session, outcome, None, error)
+            self._end(waiting, error=error)
             return
         if not inspect.isawaitable(result):
-            self._end(act, session, outcome, result, None)
+            self._end(waiting, result)
             return
-        work = self._finish(act, result, session, outcome)
+        work = self._finish(result, waiting)
         spawn(self._loop, work, name=f"operator {act.name}")
 
     def _shown(self, act: Act, fields: dict[str, Any]) -> dict[str, Any]:
@@ -398,36 +392,32 @@ class Console:
                 return fields
         return {**fields, "value": HIDDEN}
 
-    async def _finish(
-        self, act: Act, work: Any, session: Session, outcome: asyncio.Future[Any]
-    ) -> None:
+    async def _finish(self, work: Any, waiting: Waiting) -> None:
         try:
-            result = await work
+            self._end(waiting, await work)
         except asyncio.CancelledError as error:  # the robot has stopped
-            self._end(act, session, outcome, None, error)
+            self._end(waiting, error=error)
             raise
         except Exception as error:
-            self._end(act, session, outcome, None, error)
-        else:
-            self._end(act, session, outcome, result, None)
+            self._end(waiting, error=error)
 
     def _end(
         self,
-        act: Act,
-        session: Session,
-        outcome: asyncio.Future[Any],
-        result: Any,
-        error: BaseException | None,
+        waiting: Waiting,
+        result: Any = None,
+        *,
+        error: BaseException | None = None,
     ) -> None:
-        session.busy -= 1
+        waiting.session.busy -= 1
+        outcome = waiting.outcome
         if outcome.done():
             return
         if error is None:
             self.done += 1
             outcome.set_result(result)
-        elif isinstance(error, asyncio.CancelledError):
-            self.refused += 1
+            return
+        self.refused += 1
+        if isinstance(error, asyncio.CancelledError):
             outcome.cancel()
         else:
-            self.refused += 1
             outcome.set_exception(error)
