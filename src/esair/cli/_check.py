@@ -127,21 +127,16 @@ def _actuators(report: Report) -> Panel:
             table.add_row("guarded by", Text(who))
         if not actuator.guards:
             table.add_row("guarded by", Text("nobody"))
-        safe = actuator.safe
-        table.add_row(
-            "safe command",
-            Text("none", "bold red") if safe is None else Text(safe, "green"),
-        )
+        style = "bold red" if actuator.safe is None else "green"
+        table.add_row("safe command", Text(actuator.safe or "none", style))
         table.add_row("who sends it", Text(actuator.sent_by))
-        for when, told, bad in (
-            (
-                "process",
-                actuator.when_the_process_dies,
-                actuator.when_the_process_dies.startswith(UNWATCHED),
-            ),
-            ("computer", actuator.when_the_host_dies, actuator.own_timeout is None),
-        ):
-            table.add_row(f"when this {when} dies", Text(told, "red" if bad else ""))
+        told = actuator.when_the_process_dies
+        style = "red" if told.startswith(UNWATCHED) else ""
+        table.add_row("when this process dies", Text(told, style))
+        style = "red" if actuator.own_timeout is None else ""
+        table.add_row(
+            "when this computer dies", Text(actuator.when_the_host_dies, style)
+        )
     return Panel(table, title="How each actuator is made safe", title_align="left")
 
 

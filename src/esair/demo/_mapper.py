@@ -30,14 +30,12 @@ class Belief:
         position: Where the rover is.
         floor: What stands where.
         travel: The odometry that the position comes from.
-        sweeps: How many sweeps are in the map.
         settled: Whether the zero of the gyroscope is known.
     """
 
     position: Position
     floor: FloorMap
     travel: Travel | None
-    sweeps: int
     settled: bool
 
 
@@ -72,7 +70,6 @@ class Mapper(Behavior):
         self._position = Position(*self.start)
         self._floor = FloorMap.empty(self.size)
         self._travel: Travel | None = None
-        self._sweeps = 0
         self._bias = 0.0
         self._still = 0
         self._learned = 0
@@ -100,7 +97,6 @@ class Mapper(Behavior):
             self._position,
             self._floor.copy(),
             self._travel,
-            self._sweeps,
             self._learned >= LEARNED,
         )
 
@@ -150,7 +146,6 @@ class Mapper(Behavior):
                 len(scan.ranges), dtype=np.float64
             )
             self._floor.see(self._position, angles, np.array(scan.ranges), REACH)
-            self._sweeps += 1
 
     async def _follow_bumper(self) -> None:
         async for touch in self.bumper:
