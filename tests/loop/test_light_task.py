@@ -172,3 +172,8 @@ async def test_what_waits_for_something_strange_is_told() -> None:
 
     with pytest.raises(RuntimeError, match="nothing of asyncio"):
         await drive(work)
+
+
+async def test_each_call_of_a_driver_finds_what_it_looks_at_in_slots() -> None:
+    light = LightTask(asyncio.get_running_loop())
+    assert not hasattr(light, "__dict__")  # to seek in one takes three times as long
