@@ -65,14 +65,18 @@ def test_the_map_fits_where_it_is_drawn(width: int, height: int) -> None:
 def test_the_log_goes_to_the_screen_and_back() -> None:
     """While the screen is there it takes the lines; afterwards all is as before."""
     log = logging.getLogger("esair")
+    assert not log.isEnabledFor(logging.INFO)
     before = (log.level, log.propagate, list(log.handlers))
 
     with Screen(Console(file=io.StringIO()), live=False) as screen:
         log.warning("ranges: lost")
         log.debug("a detail")
 
-    assert screen.lines == ["ranges: lost"]
+        log.info("ranges: back")
+
+    assert screen.lines == ["ranges: lost", "ranges: back"]
     assert (log.level, log.propagate, list(log.handlers)) == before
+    assert not log.isEnabledFor(logging.INFO)
 
 
 def test_events_stay_when_the_drawing_is_gone() -> None:

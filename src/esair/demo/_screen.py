@@ -71,7 +71,8 @@ class Screen(logging.Handler):
                 self.console.print(_line(event))
         log = logging.getLogger("esair")
         log.removeHandler(self)
-        log.level, log.propagate = self._before
+        level, log.propagate = self._before
+        log.setLevel(level)  # what was cached of the other level goes with it
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a line of the log, without its traceback."""
