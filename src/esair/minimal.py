@@ -264,16 +264,19 @@ class _Port:
 
     time: int
     command: "Any"
+    bar = _ENDLESS[0]
+    latched = False
 
     def __init__(self, task: "Any", key: str, need: "Any", output: "Any") -> None:
         self.said: "Any" = self
         self.task, self.key, self.output = task, key, output
         self.priority = need.priority
         if hasattr(need, "latch"):
-            self.latch, self.latched, beside = need.latch, False, output.guards
+            self.latch, beside = need.latch, output.guards
         else:
             self.hold = _ms(need.hold) if need.hold else output.timeout
-            self.bar = need.priority if need.blind == "safe" else _ENDLESS[0]
+            if (need.blind or "safe") == "safe":
+                self.bar = need.priority
             beside = output.ports
         beside.append(self)
         beside.sort(key=lambda port: (-port.priority, port.task.name))

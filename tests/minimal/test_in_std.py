@@ -284,6 +284,35 @@ def test_reactions_of_std_run_in_min() -> None:
     assert told == [0.0, 0.25]
 
 
+@pytest.mark.promise("PRO-1")
+def test_a_reaction_of_std_that_is_blind_in_min_holds_as_in_std() -> None:
+    """What it has not said of that means the same: lower priorities are refused."""
+
+    class Avoid(esair.Reaction):
+        motor = esair.writes(float, priority=10)
+        sonar = esair.reads(float)
+
+        def react(self, sonar: float) -> float | None:
+            return None
+
+    class Drive(minimal.Reaction):
+        motor = minimal.writes(float)
+        rate = 50
+
+        def react(self) -> float:
+            return 0.5
+
+    sonar, motor = rules.Sonar(0.5), rules.Motor()
+    loop = minimal.Loop([Avoid(), Drive()], [sonar], [motor], rate=50)
+    loop.step()
+    assert motor.told[-1] == 0.5
+    sonar.values = [OSError("unplugged")]
+    for _ in range(200):
+        loop.step()
+
+    assert motor.told[-1] == 0.0
+
+
 @pytest.mark.virtual_clock
 async def test_a_file_names_them(tmp_path) -> None:
     """robot.toml takes classes of MIN, their keywords and their attributes."""

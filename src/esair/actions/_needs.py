@@ -65,9 +65,7 @@ class _Declared(Generic[T]):
     configure: bool = False
     priority: int = 0
     hold: float | None = None
-    max_age: float | None = None
     optional: bool = False
-    latch: bool = False
 
     def __set_name__(self, owner: type, name: str) -> None:
         object.__setattr__(self, "attribute", name)

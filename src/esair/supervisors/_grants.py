@@ -118,7 +118,8 @@ class Grants:
         return resources.actuators.port(registration)
 
     def declare(self, attribute: str, need: Need) -> Port:
-        port = self._ports[attribute] = self.port(self.of_need(need), need.max_age)
+        max_age = need.max_age if isinstance(need, Reads) else None
+        port = self._ports[attribute] = self.port(self.of_need(need), max_age)
         return port
 
     def revive(self, needs: Mapping[str, Need], resource: str) -> None:
@@ -157,7 +158,7 @@ def bind(
             uses.append(registration)
         channel = grants.channel(need.resource)
         if isinstance(channel, SensorChannel):
-            limit = need.max_age
+            limit = need.max_age if isinstance(need, Reads) else None
             inputs[attribute] = (channel, registration, limit)
             reaction.__dict__[attribute] = grants.port(registration, limit)
         elif isinstance(need, Guards):

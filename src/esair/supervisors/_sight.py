@@ -128,6 +128,6 @@ def _entry(action: Action, need: Need, component: str, label: str) -> Protection
         need.priority,
         label=label,
         guards=guards,
-        latch=need.latch,
+        latch=isinstance(need, Guards) and need.latch,
         is_own=not guards and isinstance(action, Behavior),
     )
