@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import anyio
@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.real_clock, pytest.mark.promise("TURN-6", "REP-2")]
 TASKS = 8
 
 
-async def in_asyncio(work: Callable[[int], Awaitable[None]]) -> None:
+async def in_asyncio(work: Callable[[int], Coroutine[Any, Any, None]]) -> None:
     async def one(number: int) -> None:
         await work(number)
 
@@ -26,7 +26,7 @@ async def in_asyncio(work: Callable[[int], Awaitable[None]]) -> None:
             group.create_task(one(number))
 
 
-async def in_anyio(work: Callable[[int], Awaitable[None]]) -> None:
+async def in_anyio(work: Callable[[int], Coroutine[Any, Any, None]]) -> None:
     async with anyio.create_task_group() as group:
         for number in range(TASKS):
             group.start_soon(work, number)
