@@ -212,7 +212,7 @@ async def test_frames_that_nobody_wants_do_not_wake_the_process(vcan: str) -> No
     bus = CanBus(name="drive", channel=vcan)
     await bus.open()
     wakes: list[None] = []
-    link = bus._link
+    link: Any = bus._outbox.link
 
     def readable() -> None:
         wakes.append(None)
