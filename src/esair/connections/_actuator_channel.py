@@ -119,15 +119,6 @@ class ActuatorChannel(HeldDevice):
         """How many commands the device has taken."""
         return self.writes
 
-    @property
-    def halts(self) -> int:
-        return self._halts
-
-    @property
-    def fence(self) -> int:
-        """Grows with each safe command: what was begun before it leaves no more."""
-        return self._fence
-
     def counts(self) -> dict[str, int]:
         return {
             "writes": self.writes,
@@ -157,7 +148,7 @@ class ActuatorChannel(HeldDevice):
     def bar(self) -> None:
         """Let no command pass any more, from any thread; `halt` follows in the loop."""
         self._accepts = False
-        self._halts += 1
+        self.halts += 1
 
     def halt(self) -> None:
         """Send the safe command, and nothing but it until `resume`."""
@@ -296,8 +287,8 @@ class ActuatorChannel(HeldDevice):
 
     def _guard(self, registration: Registration) -> Guard:
         """Return the checks that a thread makes when the turn of a command comes."""
-        halts, may_leave = self._halts, self._may_leave()
-        return lambda: registration.usable and halts == self._halts and may_leave()
+        halts, may_leave = self.halts, self._may_leave()
+        return lambda: registration.usable and halts == self.halts and may_leave()
 
     def _ended(self, call: Call, end: End) -> None:
         """Apply the outcome of a write that has waited for the device."""
@@ -320,8 +311,8 @@ class ActuatorChannel(HeldDevice):
             applied = await self.calls.outcome(sending.call)
         except CallRefused:
             if (
-                sending.fence != self._fence
-                and sending.halts == self._halts
+                sending.fence != self.fence
+                and sending.halts == self.halts
                 and registration.usable
                 and self._accepts
             ):
@@ -368,7 +359,7 @@ class ActuatorChannel(HeldDevice):
     async def _when_idle(
         self, registration: Registration, command: Any, hold: float | None
     ) -> Written[Any] | Refused:
-        sent = await self._waiting.turn(registration, command, hold, self._halts)
+        sent = await self._waiting.turn(registration, command, hold, self.halts)
         return sent if isinstance(sent, Answer) else await sent
 
     def _idle(self) -> None:
@@ -387,7 +378,7 @@ class ActuatorChannel(HeldDevice):
         if not waiting:
             return
         for write in waiting:
-            accepts = self._accepts and write.halts == self._halts
+            accepts = self._accepts and write.halts == self.halts
             if not (write.registration.usable and accepts):
                 waiting.remove(write)
                 try:
