@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from esair.drivers.line import LineActuator, LineSensor
-from esair.exceptions import DriverStuckError
+from esair.exceptions import DeviceLostError, DriverStuckError
 from esair.testing import FakeSerial
 
 pytestmark = pytest.mark.virtual_clock
@@ -197,4 +197,66 @@ async def test_what_is_owed_counts_from_when_it_was_due(
             assert answer == b"range=%d" % (before + 1)
             answered += 1
     assert answered or late > 0.2
+    await line.close()
+
+
+@pytest.mark.promise("BUS-3")
+@pytest.mark.parametrize("outage", [0.0, 0.3, 60.0])
+@pytest.mark.parametrize("late", [0.01, 0.05, 0.3])
+async def test_what_is_owed_as_the_cable_is_pulled_is_owed_after_it(
+    line: FakeSerial, late: float, outage: float
+) -> None:
+    """A device with power of its own answers as soon as it can: that is no other's answer."""
+    board = LateBoard(line, 0.05)
+    board.lost = 1
+    await line.open()
+    asked = asyncio.ensure_future(line.ask(b"range?"))
+    await asyncio.sleep(0.01)
+    line.unplug()
+    await asyncio.wait({asked})
+    assert isinstance(asked.exception(), DeviceLostError)
+    await asyncio.sleep(outage)
+    line.plug()
+    asyncio.get_running_loop().call_later(late, line.say, b"range=1")
+    await line.open()
+    assert await line.ask(b"speed?") == b"speed=2"
+    assert line.stats.late == 1
+    await line.close()
+
+
+async def test_who_is_owed_nothing_does_not_wait_after_a_replug(
+    line: FakeSerial,
+) -> None:
+    """What was owed is owed once: the second replug costs nothing."""
+    loop = asyncio.get_running_loop()
+    line.answer(b"range?", b"range=1")
+    await line.open()
+    await given_up(line.ask(b"never?"))
+    for waits in (0.4, 0.0):
+        line.unplug()
+        await asyncio.sleep(0.01)
+        line.plug()
+        before = loop.time()
+        await line.open()
+        assert loop.time() - before == pytest.approx(waits)
+        assert await line.ask(b"range?") == b"range=1"
+    await line.close()
+
+
+async def test_a_loss_ends_those_too_who_wait_for_their_turn(line: FakeSerial) -> None:
+    """They have asked on a line that is gone: nothing of theirs leaves on the next one."""
+    await line.open()
+    asked = [
+        asyncio.ensure_future(line.ask(b"%d?" % number, timeout=5.0))
+        for number in range(3)
+    ]
+    await asyncio.sleep(0.01)
+    line.unplug()
+    await asyncio.wait(asked, timeout=0.01)
+    for each in asked:
+        assert isinstance(each.exception(), DeviceLostError)
+    line.plug()
+    await line.open()
+    await asyncio.sleep(1.0)
+    assert list(line.sent) == [b"0?"]
     await line.close()

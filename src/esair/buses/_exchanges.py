@@ -26,7 +26,9 @@ class Exchanges:
     A request that was sent and given up, because its time was up or its requester was
     cancelled, is still owed an answer. When that comes it is counted in
     ``bus.stats.late`` and is nobody's. Until it has come, or *late_limit* is over, a
-    request whose answer it could be taken for is not sent; the others are.
+    request whose answer it could be taken for is not sent; the others are. What is owed
+    when the bus is lost may come as soon as it is there again, however long that takes:
+    from then on it is owed for *late_limit*.
 
     A bus has one, offers it each message that comes, and asks through it::
 
@@ -49,8 +51,9 @@ class Exchanges:
         self._now: Exchange | None = None
         self._line: list[Exchange] = []
         """Who waits for the turn, in the order in which they asked."""
-        self._owed: dict[Exchange, Deadline] = {}
-        """Whose answers may still come, the oldest first, and until when."""
+        self._owed: dict[Exchange, Deadline | None] = {}
+        """Whose answers may still come, the oldest first, and until when; None if the
+        bus was lost, and nobody has asked since."""
 
     @property
     def waiting(self) -> int:
@@ -131,16 +134,29 @@ class Exchanges:
         return mine
 
     def fail(self, error: BaseException) -> None:
-        """Let the request that waits for its answer fail; after a loss none is owed."""
+        """Let the request that waits for its answer fail; after a loss all that wait."""
         if self._now is not None:
             self._now.fail(error)
         if isinstance(error, DeviceLostError):
-            if self._now is not None:
-                self._now.end()
-            self.clear()
+            for waiting in self._line:
+                waiting.fail(error)
+            for owed in self._owed:
+                self._hold(owed)
+
+    async def silence(self) -> None:
+        """Wait until nothing is owed that could be taken for the answer to another.
+
+        A bus does so as it is opened again after a loss: then nobody's time is spent.
+
+        Raises:
+            DriverStuckError: More is owed than can come in twice the ``late_limit``.
+        """
+        if self._owed:
+            async with self.request(timeout=2 * self._late_limit):
+                pass
 
     def clear(self) -> None:
-        """Owe nothing any more: what was at the other end is there anew."""
+        """Owe nothing any more: what was at the other end has started anew."""
         for owed in tuple(self._owed):
             self._forget(owed)
 
@@ -148,6 +164,9 @@ class Exchanges:
 
     async def take_turn(self, exchange: Exchange) -> None:
         """Wait until an exchange may leave."""
+        for owed, deadline in self._owed.items():
+            if deadline is None:
+                self._owe(owed, self._late_limit)
         if self._now is None and not self._is_owed_to(exchange):
             self._now = exchange
             return
@@ -168,10 +187,10 @@ class Exchanges:
         """Let the next one leave, and remember what is owed."""
         self._now = None
         if exchange.is_owed:
-            loop = asyncio.get_running_loop()
-            seconds = max(0.0, exchange.due - loop.time()) + self._late_limit
-            deadlines = Deadlines.beside(loop)
-            self._owed[exchange] = deadlines.after(seconds, self._forget, exchange)
+            left = exchange.due - asyncio.get_running_loop().time()
+            self._owe(exchange, max(0.0, left) + self._late_limit)
+            if isinstance(exchange.error, DeviceLostError):
+                self._hold(exchange)
             if len(self._owed) > self._limit:
                 self._forget(next(iter(self._owed)))
         self._let_leave()
@@ -179,8 +198,18 @@ class Exchanges:
     def _is_owed_to(self, exchange: Exchange) -> bool:
         return bool(self._owed) and any(map(exchange.is_like, self._owed))
 
+    def _owe(self, exchange: Exchange, seconds: float) -> None:
+        deadlines = Deadlines.beside(asyncio.get_running_loop())
+        self._owed[exchange] = deadlines.after(seconds, self._forget, exchange)
+
+    def _hold(self, owed: Exchange) -> None:
+        deadline, self._owed[owed] = self._owed[owed], None
+        if deadline is not None:
+            deadline.cancel()
+
     def _forget(self, owed: Exchange) -> None:
-        self._owed.pop(owed).cancel()
+        self._hold(owed)
+        del self._owed[owed]
         self._let_leave()
 
     def _let_leave(self) -> None:
@@ -209,6 +238,7 @@ class Exchange:
         answers: What tells its answer from all others; None if nothing does.
         due: When its answer is due, on the loop's clock, once it was sent: it may be given
             up much earlier, or begin late.
+        error: Why it gets no answer; None if it may.
     """
 
     name: str | bytes = "answer"
@@ -216,7 +246,7 @@ class Exchange:
     _is_sent = False
     _is_answered = False
     _message: bytes | None = None
-    _error: BaseException | None = None
+    error: BaseException | None = None
     _waiter: asyncio.Future[bytes] | None = None
 
     def __init__(
@@ -257,8 +287,8 @@ class Exchange:
         self.due = self._loop.time() + seconds
         if self._message is not None:
             return self._message
-        if self._error is not None:
-            raise self._error
+        if self.error is not None:
+            raise self.error
         return await self.wait()
 
     async def wait(self) -> bytes:
@@ -300,7 +330,7 @@ class Exchange:
 
     def fail(self, error: BaseException) -> None:
         """Have no answer, and an error instead."""
-        self._error = error
+        self.error = error
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_exception(error)
 

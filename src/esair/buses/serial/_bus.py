@@ -63,6 +63,7 @@ class SerialBus(Bus):
         late_limit: How long after it was due an answer may still come, in s; see `ask`.
             An answer that is later still is taken for that to another request: have
             ``timeout`` and this together be more than the slowest device ever takes.
+            A line that was lost with an answer owed opens when it has come, or after this.
         bad_limit: After how many damaged messages in a row everybody who listens is
             told that the device is at fault.
         wire: What is opened instead of a port, such as a line in memory.
@@ -269,7 +270,6 @@ class SerialBus(Bus):
     async def _open(self) -> None:
         await self._close()  # what a loss has left behind
         self.framing.reset()
-        self._exchanges.clear()
         self._bad_in_row = 0
         line = Line(self._received, self._gone)
         if self._wire is None:
@@ -280,6 +280,7 @@ class SerialBus(Bus):
             line.link = await far_end.open(line, port)
         line.link.set_write_buffer_limits(high=0)
         self._line = line
+        await self._exchanges.silence()
 
     async def _close(self) -> None:
         line, self._line = self._line, None

@@ -99,7 +99,7 @@ class FakeSerial(SerialBus):
 
     def feed(self, data: bytes) -> None:
         """Send bytes to the robot, as they are; lost if nobody is there to hear them."""
-        if not self.is_open or self._far is None:
+        if self._line is None or self._far is None:
             self.lost_bytes += len(data)
             return
         room = WRITTEN_LIMIT - len(self._outgoing)

@@ -220,9 +220,7 @@ class Node:
     ) -> T:
         """Call a function that waits for the node, in the thread of its network."""
         assert self.network is not None
-        if self.exchanges.owed:  # wait here: the thread has a time for its answer
-            async with self.exchanges.request(timeout=2 * LATE_LIMIT):
-                pass
+        await self.exchanges.silence()  # here: the thread has a time for its answer
         self.remote.sdo.RESPONSE_TIMEOUT = device.sdo_timeout
         try:
             return await self.network.executor.call(

@@ -376,7 +376,6 @@ class ServoBus(Bus):
 
     async def _open(self) -> None:
         await self._close()  # what a loss has left behind
-        self._exchanges.clear()
         self._snapshots.clear()
         line: ServoLink
         if self._opener is None:
@@ -397,6 +396,7 @@ class ServoBus(Bus):
             except OSError as error:  # DriverStuckError is one
                 raise DeviceLostError(self.name, describe(error)) from error
         self._link = SdkPort(line, self.baudrate)
+        await self._exchanges.silence()
 
     def _same_port(self) -> bool:
         assert self._place is not None
@@ -409,6 +409,7 @@ class ServoBus(Bus):
     async def _close(self) -> None:
         link, self._link = self._link, None
         device, self._device = self._device, None
+        self._exchanges.fail(DeviceLostError(self.name, "the line was closed"))
         if device is not None:
             await close_port(device, self.executor)
         elif link is not None:
