@@ -239,6 +239,34 @@ def test_who_calls_a_driver_himself_is_seen(monkeypatch: pytest.MonkeyPatch) -> 
     assert ("unregistered", "wheels") in outcome.keys
 
 
+@pytest.mark.promise("REC-1")
+def test_a_recording_changes_no_story(tmp_path: Path) -> None:
+    """Every device is told the same at the same moments, by many who wish the same."""
+    pytest.importorskip("foxglove", reason="needs esair[record]")
+    numbers = itertools.count()
+
+    def told(seed: int, *, recorded: bool) -> list[Any]:
+        def make() -> esair.Robot:
+            robot = maker(seed)()
+            if recorded:
+                path = tmp_path / f"{next(numbers)}.mcap"
+                robot = esair.Robot(
+                    resources=robot.plan.resources,
+                    behaviors=robot.plan.behaviors,
+                    grace=robot.grace,
+                    record=esair.Recording(path),
+                )
+            return robot
+
+        world = World(Target("robot", make), Story(seed, lasts=3.0))
+        assert world.run().violations == ()
+        return [(gate.name, each.begun, each.command, each.landed)
+                for gate in world.gates for each in gate.told]  # fmt: skip
+
+    for seed in range(60005, 60010):
+        assert told(seed, recorded=True) == told(seed, recorded=False)
+
+
 def test_what_will_not_end_is_left_behind() -> None:
     """A task that swallows every cancellation."""
     assert ("left", "hoarder") in told_to(Hoarder).keys
@@ -364,6 +392,18 @@ def test_who_drives_on_a_bad_command_is_seen(monkeypatch: pytest.MonkeyPatch) ->
                 Step(2.059, "hang", "driver_0", lasts=0.1),
             ),
             id="who-was-deaf-when-it-was-told-to-end",
+        ),
+        pytest.param(
+            60183,
+            4.724,
+            (
+                Step(1.17, "held up", much=0.05),
+                Step(1.2, "silent", "servo_1", lasts=1.0),
+                Step(1.7, "power cycled", "motor_0"),
+                Step(2.0, "late", "servo_1", lasts=0.3, how="after deaf", much=0.01),
+                Step(2.223, "held up", much=2.0),
+            ),
+            id="safe-is-sent-again-once-the-computer-lets-it",
         ),
     ],
 )

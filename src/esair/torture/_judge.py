@@ -218,20 +218,25 @@ class Judge:
             and any(each.safe and each.landed is not None for each in later)
         ):
             calls, opening = channel.calls, channel.calls.opening
+            landed = told.landed or 0.0
 
             def look() -> None:
+                left = AGAIN_WITHIN + landed + world.jumped(landed) - world.now
+                if left > 1e-9:  # time has passed at once: nobody could send it
+                    world.loop.call_later(left, look)
+                    return
                 again = gate.told[place + 1 :]
                 if (
                     world.ends is None
                     and channel.calls is calls  # else another device has its place
                     and calls.opening == opening
-                    and all(e.begun < (told.landed or 0.0) for e in again if e.safe)
+                    and all(e.begun < landed for e in again if e.safe)
                 ):
                     text = f"{told.command!r:.60} landed after the safe command that "
                     text += "it was begun before, and safe was not sent again"
                     self.say("undone", gate.name, text)
 
-            world.loop.call_soon_threadsafe(world.loop.call_later, AGAIN_WITHIN, look)
+            world.loop.call_soon_threadsafe(look)
 
     # When all is well.
 

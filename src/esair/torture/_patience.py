@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
+from esair.loop import Door
 from esair.testing import VirtualLoop
 
 PATIENCE = 10.0
@@ -88,15 +89,18 @@ def _held_in(frame: FrameType | None, seconds: float) -> HeldError:
 
 @contextlib.contextmanager
 def virtual_sleep(loop: VirtualLoop) -> Iterator[None]:
-    """Have `time.sleep` take virtual time: of all of them in the loop, else of one thread."""
-    real = time.sleep
+    """Have `time.sleep` take virtual time: of all of them in the loop, else of one thread.
+
+    That of a thread which has no work of the loop, as a recorder's, takes real time.
+    """
+    real, door = time.sleep, Door.of(loop)
     home = threading.current_thread()
 
     def sleep(seconds: float) -> None:
         current = threading.current_thread()
         if current is home and asyncio._get_running_loop() is loop:  # noqa: SLF001
             loop.advance(max(0.0, seconds))
-        elif current.name.startswith("esair-"):
+        elif any(current is at_work for at_work, *_ in door.at_hand()):
             loop.wait_in_thread(seconds)
         else:
             real(seconds)
