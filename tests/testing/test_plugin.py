@@ -80,6 +80,25 @@ def test_others_run_in_real_time(outcomes, head) -> None:
     assert outcomes(source)["passed"] == 1
 
 
+ANYIO = """
+@pytest.fixture
+def anyio_backend():
+    return "asyncio"
+
+@pytest.mark.anyio
+"""
+
+
+@pytest.mark.parametrize(
+    ("head", "mode"), [(ANYIO, "strict"), (ANYIO, "auto"), ("", "strict")]
+)
+def test_who_would_not_run_on_the_virtual_clock_fails(outcomes, head, mode) -> None:
+    """anyio's plugin has the real clock; in the mode strict nothing runs the last one."""
+    source = head + "async def test_it(fake_sensor):\n    pass\n"
+
+    assert outcomes(source, "-o", f"asyncio_mode={mode}") == {"errors": 1}
+
+
 LEAKS = {
     "task": "asyncio.get_running_loop().create_task(asyncio.sleep(1e6))",
     "thread": "threading.Thread(target=OVER.wait).start()",

@@ -13,14 +13,9 @@ from typing import Literal
 import pytest
 import pytest_asyncio
 
-from esair.buses import MEDIA
 from esair.testing._clock import VirtualLoop
 from esair.testing._leaks import Leaks
-
-FIXTURES = frozenset(
-    {"fake_sensor", "fake_actuator", *(f"fake_{kind}" for kind in MEDIA)}
-)
-"""Who uses one of these runs on the virtual clock, unless marked ``real_clock``."""
+from esair.testing.plugin import on_virtual_clock, uses_kit
 
 LoopFactory = Callable[[], asyncio.AbstractEventLoop]
 LoopScope = Literal["function", "class", "module", "package", "session"]
@@ -31,7 +26,7 @@ def pytest_asyncio_loop_factories(
     config: pytest.Config, item: pytest.Item
 ) -> Mapping[str, LoopFactory]:
     """Choose the event loop of a test."""
-    if not _on_virtual_clock(item):
+    if not on_virtual_clock(item):
         return {"real": asyncio.new_event_loop}
     marker = item.get_closest_marker("virtual_clock")
     seed = marker.kwargs.get("seed") if marker is not None else None
@@ -44,21 +39,10 @@ def pytest_asyncio_loop_factories(
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Have each test that uses the kit checked for leaks."""
     for item in items:
-        if _uses_kit(item) and isinstance(
+        if uses_kit(item) and isinstance(
             item, pytest_asyncio.plugin.PytestAsyncioFunction
         ):
             item.fixturenames.insert(0, f"esair_no_leaks_{_loop_scope(item)}")
-
-
-def _uses_kit(item: pytest.Item) -> bool:
-    names = getattr(item, "fixturenames", ())
-    return bool(FIXTURES.intersection(names)) or any(
-        item.get_closest_marker(marker) for marker in ("virtual_clock", "real_clock")
-    )
-
-
-def _on_virtual_clock(item: pytest.Item) -> bool:
-    return _uses_kit(item) and item.get_closest_marker("real_clock") is None
 
 
 def _loop_scope(item: pytest.Item) -> str:

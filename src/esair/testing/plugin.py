@@ -2,12 +2,15 @@
 
 Tests that use one of the fixtures, or the marker ``virtual_clock``, run on a virtual
 clock unless they are marked ``real_clock``; a task, thread or descriptor that they
-leave behind fails them. Without pytest-asyncio only the fixtures are there.
+leave behind fails them. An asynchronous test that something else than pytest-asyncio
+would run (anyio's plugin, nothing at all) fails and says so, unless it is marked
+``real_clock``.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -15,6 +18,11 @@ import pytest
 
 from esair.buses import MEDIA, Medium
 from esair.testing._fakes import FakeActuator, FakeSensor
+
+FIXTURES = frozenset(
+    {"fake_sensor", "fake_actuator", *(f"fake_{kind}" for kind in MEDIA)}
+)
+"""Who uses one of these runs on the virtual clock, unless marked ``real_clock``."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -37,6 +45,34 @@ def pytest_configure(config: pytest.Config) -> None:
         "real_clock: run in real time, with real threads and descriptors",
     ):
         config.addinivalue_line("markers", line)
+
+
+def uses_kit(item: pytest.Item) -> bool:
+    """Tell whether a test uses a fixture or marker of the kit."""
+    names = getattr(item, "fixturenames", ())
+    return bool(FIXTURES.intersection(names)) or any(
+        item.get_closest_marker(marker) for marker in ("virtual_clock", "real_clock")
+    )
+
+
+def on_virtual_clock(item: pytest.Item) -> bool:
+    """Tell whether a test is to run on the virtual clock."""
+    return uses_kit(item) and item.get_closest_marker("real_clock") is None
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Fail a test that would not run on the clock which it is promised."""
+    asynchronous = inspect.iscoroutinefunction(getattr(item, "function", None))
+    by_anyio = "anyio_backend" in getattr(item, "fixturenames", ())
+    by_asyncio = item.get_closest_marker("asyncio") is not None
+    if asynchronous and on_virtual_clock(item) and (by_anyio or not by_asyncio):
+        pytest.fail(
+            "on the virtual clock of esair only pytest-asyncio runs a test:"
+            " pip install 'esair[test]', set asyncio_mode = \"auto\" (or mark the test"
+            " asyncio), and take the marker anyio away; or mark it real_clock",
+            pytrace=False,
+        )
 
 
 @pytest.fixture
