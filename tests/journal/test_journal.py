@@ -329,3 +329,20 @@ async def test_a_warning_is_printed_unless_somebody_else_hears_it(
         logging.getLogger("esair").info("sonar is back")
 
     assert capsys.readouterr().err == ("" if heard else "sonar is lost\n")
+
+
+@pytest.mark.promise("ROB-5")
+def test_a_loop_closed_under_a_robot_harms_no_other(fake_actuator, caplog):
+    """Its journal hears the log no more; who writes to the log does not notice."""
+    log, loop = logging.getLogger("esair"), asyncio.new_event_loop()
+    robot = esair.Robot(resources=[fake_actuator("wheels", safe=0.0)])
+    events: list[Event] = []
+    robot.journal.listen(events.append, kinds=[Kind.LOG])
+    handlers = [*log.handlers]
+    loop.run_until_complete(robot.__aenter__())
+    loop.close()
+    try:
+        log.warning("of another robot")
+    finally:
+        log.handlers[:] = handlers
+    assert caplog.messages[-1] == "of another robot"

@@ -38,8 +38,8 @@ class LogLines(logging.Handler):
         resort = logging.lastResort
         if resort and record.levelno >= resort.level and self._is_alone(record.name):
             resort.handle(record)
-        if self._inside or not self._journal.heard:
-            return
+        if self._inside or not self._journal.heard or self._loop.is_closed():
+            return  # closed under a robot that was not stopped: others go on
         try:
             text = record.getMessage()
         except Exception as error:  # a line that cannot be formatted
