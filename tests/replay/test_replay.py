@@ -173,6 +173,19 @@ def test_what_is_no_recording_is_named(tmp_path: Path, data: bytes, words: str) 
         Replay(path)
 
 
+@pytest.mark.promise("REP-2")
+@pytest.mark.parametrize("fact", [b"exact", b"simulated", b"duration"])
+def test_damaged_facts_are_named(recording: Path, tmp_path: Path, fact: bytes) -> None:
+    """A byte of them has changed its value on the disk."""
+    data = recording.read_bytes()
+    assert fact in data
+    path = tmp_path / "run.mcap"
+    path.write_bytes(data.replace(fact, fact[:-1] + b"#"))
+
+    with pytest.raises(RecordingBrokenError, match=f"damaged.*{fact.decode()}"):
+        Replay(path)
+
+
 class Evil:
     """Would be made by a call, if it were read back."""
 

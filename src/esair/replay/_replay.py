@@ -12,7 +12,7 @@ from typing import Any
 
 import attrs
 
-from esair.exceptions import RecordingBrokenError
+from esair.exceptions import RecordingBrokenError, describe
 from esair.loop import Player, TurnLoop, run_and_end
 from esair.recording import contents_of, turns_of
 from esair.replay._compare import Comparison, Divergence
@@ -46,6 +46,10 @@ class Replay:
     Args:
         path: The recording.
 
+    Attributes:
+        file: The robot.toml that the robot was made of; None if of none.
+        is_simulated: Whether the robot was simulated.
+
     Raises:
         RecordingBrokenError: It cannot be repeated, and why.
         OSError: It cannot be read.
@@ -65,17 +69,21 @@ class Replay:
             raise RecordingBrokenError(
                 str(path), "its turns were kept by another version of esair"
             )
-        if self.about["exact"] != "yes":
+        try:
+            self.seed = int(facts["robot"]["seed"])
+            exact, why = self.about["exact"], self.about["why"]
+            self.file = Path(self.about["file"]) if self.about["file"] else None
+            self.is_simulated = self.about["simulated"] == "yes"
+            self._has_seat = self.about["seat"] == "yes"
+            lasts = self.about["duration"]
+            self._duration = float(lasts) if lasts else None
+        except (KeyError, ValueError) as error:
             raise RecordingBrokenError(
-                str(path), f"it is not exact: {self.about['why']}"
-            )
+                str(path), f"what it tells about itself is damaged: {describe(error)}"
+            ) from error
+        if exact != "yes":
+            raise RecordingBrokenError(str(path), f"it is not exact: {why}")
         self._contents = contents
-        self.seed = int(facts["robot"]["seed"])
-
-    @property
-    def file(self) -> Path | None:
-        """The robot.toml that the robot was made of; None if of none."""
-        return Path(self.about["file"]) if self.about["file"] else None
 
     @property
     def program(self) -> str:
@@ -86,11 +94,6 @@ class Replay:
     def is_virtual(self) -> bool:
         """Whether its time was virtual: then all of it happens again, devices too."""
         return bool(self.about.get("clock") == "virtual")
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether the robot was simulated."""
-        return self.about["simulated"] == "yes"
 
     def run_script(self) -> Outcome | None:
         """Repeat a run that was not one of `esair.run` alone; None if it was."""
@@ -152,14 +155,13 @@ class Replay:
             whole="end" in self.facts and not spoiled,
             diverged=diverged,
         )
-        prepare_replay(robot, self.seed, has_seat=self.about["seat"] == "yes")
+        prepare_replay(robot, self.seed, has_seat=self._has_seat)
         robot.journal.listen(comparison.hear, backlog=1 << 20)
-        duration = float(self.about["duration"]) if self.about["duration"] else None
 
         async def run() -> None:
             try:
                 if script is None:
-                    await run_to_its_end(robot, duration)
+                    await run_to_its_end(robot, self._duration)
                 else:
                     await script(robot)
             except BaseException as error:

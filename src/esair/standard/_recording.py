@@ -34,6 +34,9 @@ class Keeping:
     """Keeps a run from its start to its end, or repeats one that was kept."""
 
     def __init__(self, recording: Recording | None) -> None:
+        if recording is not None and not isinstance(recording, Recording):
+            told = f"expected esair.Recording(path), not {recording!r:.80}"
+            raise ConfigError("robot", "record", told)
         self.recording = recording
         self.duration: float | None = None
         """After how many seconds `run` stops the robot."""
