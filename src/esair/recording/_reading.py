@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import logging
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,6 +41,8 @@ class Recorded(NamedTuple):
 
 
 _MAGIC = b"\x89MCAP0\r\n"  # What every MCAP file begins with
+
+_NUMBERED = re.compile(r"(.+)\.([1-9][0-9]*)")  # The stem of a later segment
 
 _BEGUN = b"\xff" * 8
 """The length of a chunk that was begun: its writer was killed before its end."""
@@ -88,12 +91,15 @@ def records_of(path: Path) -> Iterator[Any]:
 def events_of(path: str | Path) -> Iterator[Recorded]:
     """Yield the events of a recording, as far as it is readable, in their order.
 
+    Those of its later segments too.
+
     Raises:
         RecordingBrokenError: It is no recording of esair at all.
     """
-    for kind, found in _parts_of(Path(path)):
-        if kind == "event":
-            yield found
+    for segment in segments_of(Path(path)):
+        for kind, found in _parts_of(segment):
+            if kind == "event":
+                yield found
 
 
 def facts_of(path: str | Path) -> dict[str, dict[str, str]]:
@@ -102,7 +108,7 @@ def facts_of(path: str | Path) -> dict[str, dict[str, str]]:
 
     return {
         record.name: dict(record.metadata)
-        for record in records_of(Path(path))
+        for record in records_of(next(segments_of(Path(path))))
         if isinstance(record, Metadata)
     }
 
@@ -140,13 +146,31 @@ def contents_of(path: Path) -> Contents:
 
 
 def segments_of(path: Path) -> Iterator[Path]:
-    """Yield the files of one recording: ``run.mcap``, ``run.2.mcap``, ..."""
-    yield path
-    for number in itertools.count(2):
-        later = path.with_stem(f"{path.stem}.{number}")
-        if not later.exists():
+    """Yield the files of one recording: ``run.mcap``, ``run.2.mcap``, ...
+
+    It begins with the one that is named. Where the first was deleted to make room, its
+    name means the oldest that is left.
+    """
+    stem, number = path.stem, 1
+    if not path.exists():
+        number = min(_numbers_of(path), default=1)
+    elif (found := _NUMBERED.fullmatch(stem)) and not any(_numbers_of(path)):
+        stem, number = found[1], int(found[2])
+    first = path if number == 1 else path.with_stem(f"{stem}.{number}")
+    yield first
+    for later in itertools.count(number + 1):
+        segment = path.with_stem(f"{stem}.{later}")
+        if not segment.exists():
             return
-        yield later
+        yield segment
+
+
+def _numbers_of(path: Path) -> Iterator[int]:
+    """Yield the numbers of the later segments of a recording, in any order."""
+    for other in path.parent.glob(f"*{path.suffix}"):
+        found = _NUMBERED.fullmatch(other.stem)
+        if found and found[1] == path.stem:
+            yield int(found[2])
 
 
 def _parts_of(path: Path) -> Iterator[tuple[str, Any]]:
