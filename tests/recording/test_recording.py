@@ -7,12 +7,14 @@ import json
 import logging
 import math
 import os
+import shutil
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
@@ -158,6 +160,51 @@ async def test_a_full_disk_ends_the_recording_and_never_the_robot(
 
 
 @pytest.mark.promise("REC-4")
+async def test_a_folder_that_vanishes_ends_the_recording_with_one_line(
+    fake_sensor, fake_actuator, tmp_path: Path, caplog, monkeypatch
+):
+    """Somebody has deleted it under the robot, which goes on."""
+    monkeypatch.setattr("esair.recording._recorder.SYNC", 0.0)
+    made, wheels = robot(
+        fake_sensor, fake_actuator, record=esair.Recording(tmp_path / "kept")
+    )
+    with caplog.at_level(logging.ERROR, "esair"):
+        async with made:
+            recorder = made._keeping.recorder
+            assert isinstance(recorder, Recorder)
+            shutil.rmtree(recorder.path.parent)
+            await asyncio.to_thread(recorder._thread.join, 5.0)
+            await asyncio.sleep(1.2)
+    assert ["the robot goes on" in line for line in caplog.messages] == [True]
+    assert len(wheels.commands) > 15
+
+
+@pytest.mark.promise("REC-4")
+@pytest.mark.parametrize("kind", ["pipe", "dangling", "folder", "endless", "forbidden"])
+async def test_whatever_lies_beside_it_ends_no_recording(kind: str, tmp_path: Path):
+    """A folder may have things named like recordings that are none."""
+    odd = tmp_path / "odd.mcap"
+    if kind == "pipe":
+        os.mkfifo(odd)
+    elif kind == "folder":
+        odd.mkdir()
+    else:
+        places = {"endless": "/dev/zero", "forbidden": "/proc/1/mem"}
+        odd.symlink_to(places.get(kind, "nowhere"))
+    path = tmp_path / "run.mcap"
+    recorder = await recorded(path, [(Kind.SENT, "wheels", 1.0)])
+    assert recorder.error is None
+    assert [event.value for event in events_of(path)] == [1.0]
+
+
+def test_a_path_is_no_recording(tmp_path: Path):
+    """Bounds belong to it: the message says what to write."""
+    path: Any = tmp_path / "run.mcap"
+    with pytest.raises(esair.ConfigError, match=r"record: expected esair\.Recording\("):
+        esair.Robot(record=path)
+
+
+@pytest.mark.promise("REC-4")
 async def test_a_place_that_cannot_be_written_stops_no_start(
     fake_sensor, fake_actuator, tmp_path: Path, caplog
 ):
@@ -202,6 +249,11 @@ async def test_the_oldest_segment_goes(fake_sensor, fake_actuator, tmp_path: Pat
     assert tmp_path / "run.mcap" not in files
     sizes = [path.stat().st_size for path in files]
     assert sum(sizes) <= 4000 + max(sizes)
+    oldest = min(files, key=lambda path: int(path.stem.rpartition(".")[2]))
+    whole = [event.number for event in events_of(tmp_path / "run.mcap")]
+    assert whole == [event.number for event in events_of(oldest)]
+    assert whole == [*range(whole[0], made.journal.number + 1)]
+    assert facts_of(tmp_path / "run.mcap")["robot"]["name"] == "robot"
 
 
 async def test_a_second_recording_keeps_the_first(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,8 @@ import pytest
 import esair
 from esair.journal import Journal, Kind
 from esair.recording import Recorder, events_of, is_whole, recover
+from esair.recording._file import Segment
+from esair.recording._recover import left_cut
 
 pytest.importorskip("foxglove", reason="needs esair[record]")
 
@@ -178,3 +181,16 @@ def test_the_next_start_makes_whole_what_was_cut(tmp_path: Path) -> None:
         time.sleep(0.05)
     assert is_whole(new)
     assert not is_whole(path)
+
+
+@pytest.mark.promise("REC-3")
+@pytest.mark.real_clock
+def test_what_another_robot_is_writing_is_not_cut(tmp_path: Path) -> None:
+    """Else a half of it would be recovered, and after its kill nothing more."""
+    writing = Segment(tmp_path / "writing.mcap")
+    shutil.copy(tmp_path / "writing.mcap", tmp_path / "left.mcap")
+
+    assert left_cut(tmp_path) == [tmp_path / "left.mcap"]
+
+    writing._out.close()  # as its process ends
+    assert left_cut(tmp_path) == [tmp_path / "left.mcap", tmp_path / "writing.mcap"]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from esair.exceptions import RecordingError
+from esair.exceptions import RecordingError, describe
 from esair.recording._plain import schema_of
 
 CHUNK = 1 << 20  # The largest chunk in bytes; time ends it earlier (`Segment.flush`)
@@ -20,30 +22,32 @@ class _Out:
     def __init__(self, path: Path) -> None:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         self._file = os.fdopen(descriptor, "w+b")
+        with contextlib.suppress(OSError):  # not on every file system
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.size = 0
         self.error: OSError | None = None
 
     def write(self, data: bytes) -> int:
-        try:
-            written = self._file.write(data)
-        except OSError as error:
-            self.error = error
-            raise
-        self.size = max(self.size, self._file.tell())
+        written: int = self._keeping(self._file.write, data)
+        self.size = max(self.size, self._keeping(self._file.tell))
         return written
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        return self._file.seek(offset, whence)
+        place: int = self._keeping(self._file.seek, offset, whence)
+        return place
 
     def flush(self) -> None:
+        self._keeping(self._file.flush)
+
+    def sync(self) -> None:
+        self._keeping(os.fsync, self._file.fileno())
+
+    def _keeping(self, call: Any, *args: Any) -> Any:
         try:
-            self._file.flush()
+            return call(*args)
         except OSError as error:
             self.error = error
             raise
-
-    def sync(self) -> None:
-        os.fsync(self._file.fileno())
 
     def close(self) -> None:
         self._file.close()
@@ -61,7 +65,7 @@ class Segment:
         try:
             self._out = _Out(path)
         except OSError as error:
-            raise RecordingError(str(path), error.strerror or str(error)) from error
+            raise recording_error(path, error) from error
         self._channel_of = foxglove.Channel
         self._schema_of = foxglove.Schema
         # Held here: channels of a context that nobody holds are closed silently.
@@ -127,7 +131,14 @@ class Segment:
         try:
             call(*args, **options)
         except (OSError, RuntimeError) as error:
-            cause = self._out.error or error
-            raise RecordingError(str(self.path), str(cause)) from error
+            raise recording_error(self.path, self._out.error or error) from error
         if self._out.error is not None:  # the writer logs it and goes on
-            raise RecordingError(str(self.path), str(self._out.error))
+            raise recording_error(self.path, self._out.error)
+
+
+def recording_error(path: Path, error: Exception) -> RecordingError:
+    """Return what ends a recording, with the kernel's words where there are some."""
+    if isinstance(error, RecordingError):
+        return error
+    reason = error.strerror if isinstance(error, OSError) else None
+    return RecordingError(str(path), reason or describe(error))

@@ -20,11 +20,11 @@ from esair.exceptions import RecordingError, describe
 from esair.journal import Event, Journal
 from esair.loop import TapeWriter
 from esair.messages import Recording
-from esair.recording._file import Segment
+from esair.recording._file import Segment, recording_error
 from esair.recording._messages import seen_as, size_of
 from esair.recording._plain import plain
 from esair.recording._reading import TURNS
-from esair.recording._recover import RECOVERED, is_whole
+from esair.recording._recover import left_cut
 from esair.recording._turns import TOPIC, Turns
 
 BACKLOG = 65_536
@@ -32,9 +32,6 @@ BACKLOG = 65_536
 
 FLUSH = 0.2  # How often what was written is made to survive the process, in seconds
 SYNC = 1.0  # How often it is made to survive the loss of power, in seconds
-
-OLD_FILES = 16
-"""How many recordings beside the new one are looked at, whether they were cut."""
 
 SLICE = 4
 """How many events are written at once: a thread that computes holds up the loop."""
@@ -142,24 +139,17 @@ class Recorder:
     def _work(self) -> None:
         try:
             self._write_all()
-        except RecordingError as error:
-            self.error = error
+        except Exception as error:  # whatever it is: the robot goes on
+            self.error = recording_error(self._segment.path, error)
             self._listener.stop()
-            with contextlib.suppress(RecordingError):
+            with contextlib.suppress(RecordingError, OSError):
                 self._segment.close()
             self._waiting.clear()
-            _log.error("%s; the robot goes on without it", error)
+            _log.error("%s; the robot goes on without it", self.error)
 
     def _recover_old(self) -> None:
         """Have a process make whole what an earlier robot has left cut."""
-        near = sorted(self.path.parent.glob("*.mcap"))[-OLD_FILES:]
-        cut = [
-            str(path)
-            for path in near
-            if path not in self._segments
-            and not path.with_stem(f"{path.stem}{RECOVERED}").exists()
-            and not is_whole(path)
-        ]
+        cut = [str(path) for path in left_cut(self.path.parent)]
         if cut:
             process = subprocess.Popen(
                 [sys.executable, "-m", "esair.recording", *cut],
@@ -277,7 +267,7 @@ def _place(path: Path, name: str) -> Path:
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RecordingError(str(path), error.strerror or str(error)) from error
+            raise recording_error(path, error) from error
         path /= time.strftime(f"{name}-%Y%m%d-%H%M%S.mcap")
     place, number = path, 1
     while place.exists():

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from esair.exceptions import RecordingBrokenError
 from esair.recording._reading import records_of
 
 RECOVERED = "-recovered"
 """What the name of a recovered file has more than that of the original."""
+
+OLD_FILES = 16
+"""How many recordings beside the new one are looked at, whether they were cut."""
 
 
 class Recovered(NamedTuple):
@@ -30,10 +34,36 @@ class Recovered(NamedTuple):
 
 def is_whole(path: Path) -> bool:
     """Tell whether a recording was closed in order: it ends as MCAP files end."""
-    with path.open("rb") as file, contextlib.suppress(OSError):
+    with path.open("rb") as file:
+        return _ends(file)
+
+
+def _ends(file: BinaryIO) -> bool:
+    with contextlib.suppress(OSError):
         file.seek(-8, os.SEEK_END)
         return file.read() == b"\x89MCAP0\r\n"
     return False
+
+
+def left_cut(folder: Path) -> list[Path]:
+    """Return the newest recordings of a folder that were cut and are not recovered.
+
+    One that another robot is writing is not cut; what cannot be read is left alone.
+    """
+    return [
+        path for path in sorted(folder.glob("*.mcap"))[-OLD_FILES:] if _is_cut(path)
+    ]
+
+
+def _is_cut(path: Path) -> bool:
+    try:
+        if not path.is_file() or path.with_stem(f"{path.stem}{RECOVERED}").exists():
+            return False
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # Its writer has it alone
+            return not _ends(file)
+    except OSError:
+        return False
 
 
 def recover(path: str | Path, target: str | Path | None = None) -> Recovered:
