@@ -222,11 +222,10 @@ class World:
         mediator = robot._behaviors.mediator
         assert mediator.pending.count == 0
         assert mediator.pending.of_asker == {}
-        assert mediator._gets == {}
         members = robot._behaviors.members
         for member in members.values():
             assert member.senders.count == member.askers.count == 0
-            assert member.provider is None
+            assert member.askers.task is None
             assert member.takers is None
             assert not member.steps.now
             assert member.state in {

@@ -12,8 +12,8 @@ from tests.supervisors.actors import Idle, seeds, soon
 
 import esair
 from esair.journal import Kind
+from esair.supervisors import Outcome
 from esair.supervisors._ledger import REQUESTS_PER_SENDER
-from esair.supervisors._requests import Outcome
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -1024,7 +1024,7 @@ async def test_nothing_is_kept_of_what_is_over(ends: str) -> None:
             await a.ask("docking", Dock(number))
         await asyncio.sleep(1.0)
         assert len(queue.working) <= (1 if ends == "goes on" else 0)
-        assert not queue.waiting
+        assert not queue.count
 
 
 @pytest.mark.promise("BS-5")

@@ -22,7 +22,7 @@ from hypothesis.stateful import (
 )
 
 import esair
-from esair.supervisors._requests import Outcome
+from esair.supervisors import Outcome
 from esair.testing import VirtualLoop
 
 EXAMPLES, LONG_EXAMPLES, STEPS = 50, 200, 40
@@ -285,7 +285,7 @@ class AskMachine(RuleBasedStateMachine):
         mediator = self.robot._behaviors.mediator
         assert mediator.pending.count == len(self.pending())
         members = self.robot._behaviors.members.values()
-        waiting = sum(len(q.waiting) for m in members for q in m.queues.values())
+        waiting = sum(q.count for m in members for q in m.queues.values())
         assert waiting <= len(self.pending())
         assert all(isinstance(each.outcome, Outcome) for each in mediator.outcomes())
 

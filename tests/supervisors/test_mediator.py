@@ -7,14 +7,23 @@ import itertools
 import math
 from typing import Any
 
+import attrs
 import pytest
 from tests.supervisors.actors import Idle, seeds, soon
 
 import esair
+from esair.supervisors import Outcome
 from esair.supervisors._ledger import REQUESTS_PER_SENDER
-from esair.supervisors._requests import REQUESTS_PER_TARGET, FairQueue, Outcome, Request
+from esair.supervisors._request_queue import REQUESTS_PER_TARGET
 
 pytestmark = pytest.mark.virtual_clock
+
+
+@attrs.frozen
+class Number(esair.Request[int]):
+    """Some number."""
+
+    number: int
 
 
 class Small(Idle):
@@ -617,8 +626,8 @@ async def test_a_provide_cancelled_before_its_first_step_blocks_no_other() -> No
         member = robot._behaviors.members["b"]
         get = asyncio.ensure_future(a.get("b"))
         await asyncio.sleep(0)
-        assert member.provider is not None
-        member.provider.cancel()
+        assert member.askers.task is not None
+        member.askers.task.cancel()
         with pytest.raises(esair.BehaviorFailedError):
             await get
 
@@ -854,23 +863,44 @@ async def test_a_taker_that_was_overtaken_waits_on() -> None:
         assert sorted(await asyncio.gather(*takers)) == [2, 3]
 
 
-async def test_a_queue_takes_turns_and_forgets_what_is_over() -> None:
-    """Each asker has a turn; what was answered is not asked again."""
-    queue = FairQueue()
-    loop = asyncio.get_running_loop()
-    made = [Request("put", who, "x", who, loop.create_future()) for who in "aab"]
-    for request in made:
-        queue.push(request)
-    assert queue.peek() is made[0]
-    made[0].future.cancel()
-    assert queue.peek() is made[1]
-    assert queue.discard(made[0])
-    assert not queue.discard(made[0])
-    assert [queue.pop(), queue.pop()] == [made[1], made[2]]
-    queue.push(made[0])
-    assert queue.peek() is None
-    assert queue.drain() == [made[0]]
-    assert queue.count == 0
+@pytest.mark.promise("BS-4")
+async def test_a_put_cancelled_in_the_instant_of_its_delivery_has_one_outcome() -> None:
+    """It was delivered: the ledger does not say, too, that it was withdrawn."""
+    a, b = Idle(name="a"), Small(name="b")
+    async with esair.Robot(behaviors=[a, b]) as robot:
+        await a.put("b", 1)
+        waiting = await soon(a.put("b", 2))
+        before = len(robot.behaviors.outcomes())
+        assert await b.receive() == 1
+        waiting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await waiting
+
+        last = robot.behaviors.outcomes()[before:]
+        assert [each.outcome for each in last] == [Outcome.DELIVERED]
+
+
+@pytest.mark.promise("BS-4")
+async def test_who_asks_much_lets_others_have_their_turn() -> None:
+    """Orders wait as puts and gets do: each asker has a turn, in the order it asked."""
+
+    class Takes(Idle):
+        orders = esair.takes(Number)
+
+    a, b, worker = Idle(name="a"), Idle(name="b"), Takes(name="worker")
+    async with esair.Robot(behaviors=[a, b, worker]):
+        asked = [await soon(a.ask("worker", Number(n))) for n in range(3)]
+        asked.append(await soon(b.ask("worker", Number(3))))
+        got = []
+        async for request in worker.orders:
+            async with request:
+                got.append(request.data.number)
+                request.answer(0)
+            if len(got) == 4:
+                break
+        await asyncio.gather(*asked)
+
+        assert got == [0, 3, 1, 2]
 
 
 @pytest.mark.promise("BS-9")

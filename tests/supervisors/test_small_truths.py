@@ -106,7 +106,7 @@ async def test_an_order_goes_to_the_next_if_its_taker_is_cancelled_in_that_insta
         await asyncio.sleep(0.1)
         queue: Any = vars(two)["jobs"]._source
         asking = asyncio.create_task(asker.ask("two", Job(1), timeout=1.0))
-        while not queue.waiting:  # noqa: ASYNC110 - the very instant is wanted
+        while not queue.count:  # noqa: ASYNC110 - the very instant is wanted
             await asyncio.sleep(0)
         two.first.cancel()
         assert await asking == 1

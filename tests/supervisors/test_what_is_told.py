@@ -365,7 +365,7 @@ async def test_nothing_is_kept_of_requests_that_are_over() -> None:
             assert await a.get("b") == n
             with pytest.raises(esair.BehaviorUnavailableError):
                 await a.get("b", 0.1)
-        assert not robot._behaviors.members["a"].asked
+        assert not robot._behaviors.mediator.pending.of_asker
 
 
 @pytest.mark.promise("CALL-2")

@@ -10,10 +10,12 @@ import asyncio
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from esair.supervisors._requests import Link, Peer, Request, chain
+from esair.supervisors._requests import Peer, Request, chain
 
 
-def circle_of_ask(order: Link, busy: Sequence[Link | None], member: Peer) -> list[str]:
+def circle_of_ask(
+    order: Request, busy: Sequence[Request | None], member: Peer
+) -> list[str]:
     links = list(chain())
     peer = order.peer
     if busy:
@@ -33,7 +35,7 @@ def circle_of_get(
     asker: str,
     giver: str,
     members: Mapping[str, Peer],
-    gets: Mapping[str, list[Request]],
+    pending: Mapping[str, Iterable[Request]],
 ) -> list[str]:
     if asker == giver:
         return [asker, asker]
@@ -45,10 +47,10 @@ def circle_of_get(
         member = members.get(name)
         if member is not None and member.serves in links:
             return _path(links, giver) if name == giver else [*path, asker]
-        for request in _waits(name, member, gets.get(name, ())):
+        for request in _waits(member, _gets(pending, name)):
             other = request.peer
             if other == asker:
-                if _is_stuck(members.get(asker), gets.get(asker, ()), links):
+                if _is_stuck(members.get(asker), _gets(pending, asker), links):
                     return [*path, asker]
             elif other not in seen:
                 seen.add(other)
@@ -56,25 +58,28 @@ def circle_of_get(
     return []
 
 
-def _waits(name: str, member: Peer | None, gets: Iterable[Request]) -> list[Request]:
+def _gets(pending: Mapping[str, Iterable[Request]], asker: str) -> list[Request]:
+    return [request for request in pending.get(asker, ()) if request.kind == "get"]
+
+
+def _waits(member: Peer | None, gets: list[Request]) -> list[Request]:
     """Return the gets that the next answer of a behavior waits for."""
-    pending = [request for request in gets if not request.over]
     if member is None:
-        return pending
+        return gets
     if member.can_provide:
         serves = member.serves
-        return [r for r in pending if serves is not None and r.parent is serves]
-    tasks = [request.task for request in pending]
-    return pending if pending and _all_wait(member, tasks) else []
+        return [r for r in gets if serves is not None and r.parent is serves]
+    tasks = [request.task for request in gets]
+    return gets if gets and _all_wait(member, tasks) else []
 
 
-def _is_stuck(member: Peer | None, gets: Iterable[Request], links: list[Link]) -> bool:
+def _is_stuck(member: Peer | None, gets: list[Request], links: list[Request]) -> bool:
     """Tell whether the one that asks now has nobody else who would answer."""
     if member is None:
         return True
     if member.can_provide:
         return member.serves is not None and member.serves in links
-    tasks = [request.task for request in gets if not request.over]
+    tasks = [request.task for request in gets]
     return _all_wait(member, [*tasks, asyncio.current_task()])
 
 
@@ -89,7 +94,7 @@ def _all_wait(member: Peer, waits: list[asyncio.Task[Any] | None]) -> bool:
     return living.issubset(waits)
 
 
-def _path(links: list[Link], peer: str) -> list[str]:
+def _path(links: list[Request], peer: str) -> list[str]:
     """Return the names on the circle, in the order in which they wait."""
     names = [peer]
     for link in links:

@@ -29,7 +29,7 @@ from esair.loop import Portal
 from esair.messages import Access
 from esair.plan import refuse, unmet
 from esair.supervisors._crew import Crew
-from esair.supervisors._request_queue import RequestQueue
+from esair.supervisors._orders import OrderQueue
 
 Action = Behavior | Reaction
 Port = SensorPort[Any] | ActuatorPort[Any]
@@ -177,7 +177,7 @@ def fill(
     behavior: Behavior,
     host: Any,
     grants: Grants,
-    queues: Mapping[Any, RequestQueue],
+    queues: Mapping[Any, OrderQueue],
     portal: Portal | None,
 ) -> None:
     """Give a behavior what it declares; with a portal all of it waits, in its thread."""

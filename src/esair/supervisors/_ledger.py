@@ -2,77 +2,79 @@
 
 from __future__ import annotations
 
-import asyncio
 import collections
-from collections.abc import Mapping
-from typing import Any
+import enum
+from typing import Any, NamedTuple
 
-from esair.actions import Behavior
-from esair.exceptions import BusyError, StoppingError, UnknownNameError
+from esair.exceptions import BusyError
 from esair.journal import Journal, Kind
-from esair.loop import Deadlines
-from esair.supervisors._mailbox import Mailbox
-from esair.supervisors._requests import Outcome, Record
 
 REQUESTS_PER_SENDER = 16  # how many requests of one behavior may wait at a time
 REQUESTS = 4096  # how many requests may wait in a robot at a time
 LEDGER_SIZE = 256  # how many outcomes the ledger remembers
 
 
+class Outcome(enum.Enum):
+    """How a request ended. Each ends in exactly one way."""
+
+    DELIVERED = "delivered"
+    ANSWERED = "answered"
+    REFUSED = "refused"
+    TIMED_OUT = "timed out"
+    PEER_REMOVED = "peer removed"
+    PEER_FAILED = "peer failed"
+    STOPPING = "stopping"
+    WITHDRAWN = "withdrawn"
+
+
+class Record(NamedTuple):
+    """One line of the ledger: who asked what of whom, and how it ended."""
+
+    kind: str
+    sender: str
+    receiver: str
+    outcome: Outcome
+
+
 class Pending:
-    """Counts the requests that wait."""
+    """The requests that wait, by who waits for them."""
 
     def __init__(self) -> None:
         self.count = 0
-        self.of_asker: dict[str, int] = {}
+        self.of_asker: dict[str, dict[Any, None]] = {}
+        """Those of each asker, the oldest first."""
 
-    def full(self, asker: str) -> BusyError | None:
-        """Return what an asker gets if not one more request of it may wait."""
-        if self.of_asker.get(asker, 0) >= REQUESTS_PER_SENDER:
-            return BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
+    def check(self, asker: str) -> None:
+        """Pass if one more request of an asker may wait."""
+        if len(self.of_asker.get(asker, ())) >= REQUESTS_PER_SENDER:
+            raise BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
         if self.count >= REQUESTS:
-            return BusyError("behaviors", "number of requests", REQUESTS)
-        return None
+            raise BusyError("behaviors", "number of requests", REQUESTS)
 
-    def begin(self, asker: str) -> None:
-        """Count a request that begins to wait."""
+    def begin(self, request: Any) -> None:
         self.count += 1
-        self.of_asker[asker] = self.of_asker.get(asker, 0) + 1
+        self.of_asker.setdefault(request.asker, {})[request] = None
 
-    def end(self, asker: str) -> None:
-        """Count a request that waits no more."""
+    def end(self, request: Any) -> None:
         self.count -= 1
-        left = self.of_asker[asker] - 1
-        if left:
-            self.of_asker[asker] = left
-        else:
-            del self.of_asker[asker]
+        others = self.of_asker[request.asker]
+        del others[request]
+        if not others:
+            del self.of_asker[request.asker]
 
 
 class Ledger:
-    """What is known of the behaviors, and of all that they ask of one another."""
+    """What is known of all that behaviors ask of one another."""
 
-    def __init__(self, members: Mapping[str, Mailbox], journal: Journal) -> None:
-        self._members = members
+    def __init__(self, journal: Journal) -> None:
         self.journal = journal
-        self._loop = asyncio.get_running_loop()
-        self.deadlines = Deadlines.of(self._loop)
         self.pending = Pending()
-        self.closed = False
         self.ledger: collections.deque[tuple[str, str, str, Outcome]] = (
             collections.deque(maxlen=LEDGER_SIZE)
         )
         self.delivered = 0
         self.late_answers = 0
         """How many answers came when nobody waited for them any more."""
-
-    def behaviors(self) -> list[str]:
-        """Return the names of those who can be asked: reactions cannot."""
-        return [
-            name
-            for name, member in self._members.items()
-            if isinstance(member.action, Behavior)
-        ]
 
     def outcomes(self) -> list[Record]:
         """Return the last outcomes, the oldest first."""
@@ -85,23 +87,10 @@ class Ledger:
             "late_answers": self.late_answers,
         }
 
-    def check_peer(self, peer: str, data: Any = None) -> Mailbox:
-        """Return a behavior that somebody asks something of, if it may be asked."""
-        if self.closed:
-            raise StoppingError("behaviors", "stopping")
-        member = self._members.get(peer)
-        if member is None:
-            raise UnknownNameError("behavior", peer, self._members)
-        if not member.alive:
-            raise member.absence(data)
-        return member
-
-    def check_bounds(self, kind: str, sender: str, receiver: str, asker: str) -> None:
-        """Pass if one more request of an asker may wait."""
-        busy = self.pending.full(asker)
-        if busy is not None:
-            self.record(kind, sender, receiver, Outcome.REFUSED)
-            raise busy
+    def late(self) -> bool:
+        """Count an answer that nobody waits for any more."""
+        self.late_answers += 1
+        return False
 
     def record(
         self, kind: str, sender: str, receiver: str, outcome: Outcome, data: Any = None

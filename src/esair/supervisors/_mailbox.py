@@ -19,11 +19,11 @@ from esair.exceptions import (
 )
 from esair.loop import Budget, Owner, speaks_for_nobody, wake, wake_one
 from esair.messages import BehaviorState
-from esair.supervisors._orders import Order
-from esair.supervisors._request_queue import RequestQueue
-from esair.supervisors._requests import FairQueue, Request
+from esair.supervisors._orders import OrderQueue
+from esair.supervisors._request_queue import RequestQueue, ServedQueue
+from esair.supervisors._requests import Request
 
-_NO_QUEUES: Mapping[Any, RequestQueue] = {}
+_NO_QUEUES: Mapping[Any, OrderQueue] = {}
 
 _ALIVE = frozenset(
     {
@@ -39,8 +39,6 @@ _ALIVE = frozenset(
 class Between(Protocol):
     """Who hands data from one behavior to another: the mediator."""
 
-    ask: Callable[..., Coroutine[Any, Any, Any]]
-
     def hand(self, data: Any, sender: str, receiver: str, interval: float) -> bool: ...
     def take(self, sender: str, receiver: str, interval: float) -> Any: ...
     async def put(
@@ -48,6 +46,15 @@ class Between(Protocol):
     ) -> None: ...
     async def get(
         self, sender: str, receiver: str, interval: float, by: Mailbox
+    ) -> Any: ...
+    async def ask(
+        self,
+        request: Any,
+        sender: str,
+        receiver: str,
+        timeout: float | None,
+        progress: Callable[[Any], object] | None,
+        by: Mailbox,
     ) -> Any: ...
     def admit(self, member: Mailbox) -> None: ...
     def offered(self, member: Mailbox, data: Any) -> bool: ...
@@ -61,7 +68,6 @@ class Mailbox:
         "_state",
         "action",
         "alive",
-        "asked",
         "askers",
         "budget",
         "dropped",
@@ -74,12 +80,10 @@ class Mailbox:
         "outbox",
         "outlived",
         "owner",
-        "provider",
         "queues",
         "receives",
         "room",
         "senders",
-        "serves",
         "takers",
     )
 
@@ -102,18 +106,13 @@ class Mailbox:
         self.latest: Any = NOTHING  # what everybody may get again and again
         self.outbox: list[Any] = []
         self.dropped = 0
-        self.senders = FairQueue()
-        self.askers = FairQueue()
-        self.provider: asyncio.Task[Any] | None = None
-        """Makes data for somebody who asks; one at a time."""
-        self.serves: Request | None = None  # what the provider makes data for
-        self.asked: dict[Request | Order, None] = {}
-        """The requests that it has made and that wait, the oldest first."""
-        self.queues: Mapping[Any, RequestQueue] = _NO_QUEUES
+        self.senders = RequestQueue(self)  # puts that wait until it can receive
+        self.askers = ServedQueue(self, "provide")  # gets that wait until it can send
+        self.queues: Mapping[Any, OrderQueue] = _NO_QUEUES
         """The requests that it takes, by their type."""
         if isinstance(action, Behavior) and action.takes:
             self.queues = {
-                each.type: RequestQueue(self, each)
+                each.type: OrderQueue(self, each)
                 for each in action.takes.values()
                 if not isinstance(each, ConfigError)
             }
@@ -132,6 +131,16 @@ class Mailbox:
         self.alive = state in _ALIVE
         self.is_quick = self.alive and not self.outlived
         self.receives = state is BehaviorState.RUNNING and self.room > 0
+
+    @property
+    def serves(self) -> Request | None:
+        """The get that it makes data for now."""
+        return self.askers.current
+
+    @property
+    def served(self) -> tuple[ServedQueue, ...]:
+        """What it answers by a method, or in a loop."""
+        return (self.askers, *self.queues.values())
 
     @property
     def is_leaving(self) -> bool:
@@ -246,7 +255,7 @@ class Mailbox:
 
     def run_over(self, error: BaseException | None) -> None:
         """A run has ended: nobody works on what it had taken."""
-        for queue in self.queues.values():
+        for queue in self.served:
             queue.run_ended(error)
 
     async def receive(self, timeout: float | None) -> tuple[str, Any]:

@@ -3,35 +3,33 @@
 from __future__ import annotations
 
 import asyncio
-import functools
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from esair.actions import NOTHING
+from esair.actions import NOTHING, Behavior
+from esair.actions import Request as Asked
 from esair.exceptions import (
     BadValueError,
+    BehaviorFailedError,
     BehaviorRemovedError,
-    BehaviorUnavailableError,
     BusyError,
     CircularRequestError,
     EsairError,
+    NotRegisteredError,
+    RefusedError,
     StoppingError,
-    describe,
+    UnknownNameError,
 )
 from esair.journal import Journal, Kind
-from esair.loop import fail, spawn
+from esair.loop import Budget, Deadlines
 from esair.messages import BehaviorState
-from esair.supervisors._asks import Asks, run_over
-from esair.supervisors._circles import circle_of_get
-from esair.supervisors._ledger import Ledger
+from esair.supervisors._circles import circle_of_ask, circle_of_get
+from esair.supervisors._ledger import Ledger, Outcome
 from esair.supervisors._mailbox import Mailbox
-from esair.supervisors._request_queue import Done, do_for, done_by
-from esair.supervisors._requests import (
-    REQUESTS_PER_TARGET,
-    Outcome,
-    Request,
-)
+from esair.supervisors._orders import Order, OrderQueue
+from esair.supervisors._request_queue import RequestQueue
+from esair.supervisors._requests import Request
 from esair.values import is_positive
 
 _DELIVERED = Outcome.DELIVERED
@@ -47,10 +45,10 @@ class Mediator(Ledger):
     """
 
     def __init__(self, members: Mapping[str, Mailbox], journal: Journal) -> None:
-        super().__init__(members, journal)
-        self.ask = Asks(self).ask
-        self._gets: dict[str, list[Request]] = {}
-        """For each behavior that waits in a get: its requests."""
+        super().__init__(journal)
+        self._members = members
+        self._deadlines = Deadlines.of(asyncio.get_running_loop())
+        self.closed = False
 
     # Put.
 
@@ -85,38 +83,22 @@ class Mediator(Ledger):
         by: Mailbox | None = None,
     ) -> None:
         """Hand data to a behavior; see `BehaviorSupervisor.put`."""
-        member = self._check(receiver, interval, data)
+        member = self._check(receiver, "interval", interval, data)
         if member.can_receive:
             member.deliver(data, sender)
             self.record("put", sender, receiver, _DELIVERED, data)
             return
-        request = self._begin("put", sender, receiver, data, member.senders.count, by)
-        member.senders.push(request)
-        deadline = self.deadlines.after(
-            interval, self._expire, request, interval, member
-        )
-        try:
-            await request.future
-        except BaseException as error:
-            self._members.get(receiver, member).senders.discard(request)
-            member.senders.discard(request)
-            self._withdraw(request, error)
-            raise
-        finally:
-            deadline.cancel()
-            self._finish(request)
+        request = Request("put", data, sender, member.senders, by, self)
+        self._begin(request, interval)
+        await request.outcome()
 
     def admit(self, member: Mailbox) -> None:
         """Deliver what waits for a behavior that can receive again."""
         senders = member.senders
         while senders.count and member.has_room():
             request = senders.pop()
-            future = request.future
-            if not future.done():
-                data, sender = request.data, request.sender
-                member.deliver(data, sender)
-                self.record("put", sender, request.receiver, _DELIVERED, data)
-                future.set_result(None)
+            member.deliver(request.data, request.asker)
+            request.end(_DELIVERED, request.data)
 
     # Get.
 
@@ -146,232 +128,195 @@ class Mediator(Ledger):
         offered = self.take(sender, receiver, interval)
         if offered is not NOTHING:
             return offered
-        return await self._get_slowly(sender, receiver, interval, by)
-
-    async def _get_slowly(
-        self, sender: str, receiver: str, interval: float, by: Mailbox | None
-    ) -> Any:
-        member = self._check(sender, interval)
-        path = circle_of_get(receiver, sender, self._members, self._gets)
-        if path:
-            self.record("get", sender, receiver, Outcome.REFUSED)
-            raise CircularRequestError(path)
-        if member.outbox or member.latest is not NOTHING:
+        member = self._check(sender, "interval", interval)
+        request = Request("get", None, receiver, member.askers, by, self)
+        path = circle_of_get(receiver, sender, self._members, self.pending.of_asker)
+        if not path and (member.outbox or member.latest is not NOTHING):
             offered = member.outbox.pop(0) if member.outbox else member.latest
             self.record("get", sender, receiver, _DELIVERED, offered)
             return offered
-        request = self._begin("get", sender, receiver, None, member.askers.count, by)
-        member.askers.push(request)
-        self._gets.setdefault(receiver, []).append(request)
-        self.serve(member)
-        deadline = self.deadlines.after(
-            interval, self._expire, request, interval, member
-        )
+        self._begin(request, interval, path)
+        member.askers.roused()
         try:
-            data = await request.future
-            self.record("get", sender, receiver, _DELIVERED, data)
-            return data
-        except BaseException as error:
-            self._withdraw(request, error)
-            if request.offered:
-                self._put_back(self._members.get(sender, member), request)
+            data = await request.outcome()
+        except asyncio.CancelledError:
+            if request.how is _DELIVERED:  # it came in this very instant
+                self.record("get", sender, receiver, Outcome.WITHDRAWN)
+                if request.offered:
+                    self._put_back(self._members.get(sender, member), request.value)
             raise
-        finally:
-            deadline.cancel()
-            self._finish(request)
-            waits = self._gets[receiver]
-            waits.remove(request)
-            if not waits:
-                del self._gets[receiver]
-            self._members.get(sender, member).askers.discard(request)
-            member.askers.discard(request)
-            if request.provider is not None:
-                request.provider.cancel()
+        self.record("get", sender, receiver, _DELIVERED, data)
+        return data
 
     def offered(self, member: Mailbox, data: Any) -> bool:
         """Hand offered data to whoever waits for it; tells whether somebody did."""
-        while member.askers.count:
-            request = member.askers.pop()
-            if request.future.done():
-                continue
-            request.offered = member.latest is NOTHING
-            request.future.set_result(data)
-            return True
-        return False
+        if not member.askers.count:
+            return False
+        request = member.askers.pop()
+        request.offered = member.latest is NOTHING
+        request.withdraw(_DELIVERED, data)  # what was made for it is not needed
+        return True
 
-    def _put_back(self, member: Mailbox, request: Request) -> None:
+    def _put_back(self, member: Mailbox, data: Any) -> None:
         """Give what an asker did not take, cancelled in that instant, to the next."""
-        data = request.future.result()
         if not self.offered(member, data):
             member.outbox.insert(0, data)
 
-    def serve(self, member: Mailbox) -> None:
-        """Have a behavior make the data that somebody waits for, one at a time."""
-        if not member.can_provide or member.provider is not None or self.closed:
-            return
-        request = member.askers.peek()
-        if request is None:
-            return
-        member.serves = request
-        request.provider = member.provider = spawn(
-            self._loop,
-            do_for(request, member, "provide"),
-            name=f"{member.name} provide",
-            owner=member.owner,
-        )
-        # Not in the task itself: one that is cancelled before its first step does
-        # nothing at all.
-        member.provider.add_done_callback(
-            functools.partial(self._provided, member, request)
-        )
+    # Ask.
 
-    def _provided(
-        self, member: Mailbox, request: Request, task: asyncio.Task[Done]
-    ) -> None:
-        data, error = done_by(task)
-        member.provider = member.serves = None
-        waited = member.askers.discard(request)
-        if not waited or request.future.done():
-            self.late_answers += error is None
-        elif error is None:
-            request.offered = True
-            request.future.set_result(data)
-        else:
-            failed: EsairError = member.failed_by(error)
-            if type(error) is CircularRequestError and request.asker in error.path:
-                # It waits for itself: told as plainly as to the one that closed the circle.
-                failed = CircularRequestError(error.path)
-                failed.__cause__ = error
-            self._fail(request, failed, Outcome.PEER_FAILED)
-        self.serve(member)
+    async def ask(
+        self,
+        request: Any,
+        sender: str,
+        receiver: str,
+        timeout: float | None,
+        progress: Callable[[Any], object] | None,
+        by: Mailbox | None = None,
+    ) -> Any:
+        """Ask a behavior; see `BehaviorSupervisor.ask`."""
+        await Budget.spend()
+        if not isinstance(request, Asked):
+            told = "expected an instance of a class derived from esair.Request"
+            raise BadValueError(receiver, "request", f"{told}, not {request!r:.80}")
+        member = self._check(receiver, "timeout", timeout)
+        queue = self._queue(member, request)
+        if member.state is BehaviorState.FINISHED:
+            raise _finished(member)
+        if getattr(request, "_order", None) is not None:
+            request = request.data  # it was taken, and is asked of somebody else
+        order = Order(request, sender, queue, by, self)
+        self._begin(order, timeout, circle_of_ask(order, queue.busy(), member))
+        if self.journal.heard:
+            self.journal.publish(Kind.ASKED, receiver, sender, request)
+        queue.roused()
+        return await order.outcome(progress)
+
+    def _queue(self, member: Mailbox, request: Asked[Any]) -> OrderQueue:
+        if not isinstance(member.action, Behavior):
+            there = self._members.items()
+            names = [name for name, each in there if isinstance(each.action, Behavior)]
+            raise UnknownNameError("behavior", member.name, names)
+        queues = member.queues
+        for kind in type(request).__mro__:
+            queue = queues.get(kind)
+            if queue is not None:
+                return queue
+        takes = ", ".join(sorted(kind.__name__ for kind in queues))
+        self.record("ask", "", member.name, Outcome.REFUSED)
+        raise RefusedError(
+            f"it takes no {type(request).__name__}"
+            + (f", but {takes}" if takes else ": it takes no requests"),
+            member.name,
+        )
 
     # What happens to the other side.
 
     def peer_failed(self, member: Mailbox, error: BaseException) -> None:
         """End every request that waits for a behavior that has crashed."""
-        for request in self._drain(member):
-            self._fail(request, member.failed_by(error), Outcome.PEER_FAILED)
-        if member.state is BehaviorState.FAILED:
-            for queue in member.queues.values():
-                queue.fail_all(describe(error), error)
+        for queue in _queues(member):
+            if not queue.outlives or member.state is BehaviorState.FAILED:
+                queue.end_all(Outcome.PEER_FAILED, lambda _: member.failed_by(error))
 
     def peer_finished(self, member: Mailbox) -> None:
-        """End every request that waits for a behavior whose run has ended."""
+        """End what would be worked on by a behavior whose run has ended."""
         for queue in member.queues.values():
-            queue.fail_all("its run has ended", None)
+            queue.end_all(Outcome.PEER_FAILED, lambda _: _finished(member))
 
     def asker_ended(self, member: Mailbox, *, removed: bool = False) -> None:
         """End every request of a behavior whose run has ended, whoever waits in it."""
-        make = BehaviorRemovedError if removed else run_over
-        for each in tuple(member.asked):
-            if isinstance(each, Request):
-                self._fail(each, make(member.name), Outcome.WITHDRAWN)
-            else:
-                each.withdraw(Outcome.WITHDRAWN, make(member.name))
+        for request in tuple(self.pending.of_asker.get(member.name, ())):
+            if request.by is member:
+                error: EsairError = (
+                    BehaviorRemovedError(member.name)
+                    if removed
+                    else NotRegisteredError(
+                        member.name, "robot", "this run of it has ended"
+                    )
+                )
+                request.withdraw(Outcome.WITHDRAWN, error=error)
 
     def peer_removed(self, member: Mailbox) -> None:
         """End every request that waits for a behavior that is removed."""
-        for request in self._drain(member):
-            self._fail(
-                request,
-                BehaviorRemovedError(member.name, request.data),
-                Outcome.PEER_REMOVED,
-            )
-        for queue in member.queues.values():
-            queue.end_all(
-                Outcome.PEER_REMOVED, lambda: BehaviorRemovedError(member.name)
-            )
+        for queue in _queues(member):
+            queue.end_all(Outcome.PEER_REMOVED, _removed)
 
     def moved(self, old: Mailbox, new: Mailbox) -> None:
         """Let what waits for a behavior wait for the one in its place."""
-        for before, after in ((old.senders, new.senders), (old.askers, new.askers)):
-            for request in before.drain():
-                after.push(request)
+        new.senders.adopt(old.senders)
+        new.askers.adopt(old.askers)
         for kind, queue in old.queues.items():
             takes = new.queues.get(kind)
             if takes is not None:
                 takes.adopt(queue)
-            else:
-                queue.refuse_all(
-                    f"{new.name} was replaced, and takes no {kind.__name__}"
-                )
-            queue.end_all(Outcome.PEER_REMOVED, lambda: BehaviorRemovedError(old.name))
+            told = f"{new.name} was replaced, and takes no {kind.__name__}"
+            for request in queue:
+                request.withdraw(Outcome.REFUSED, error=RefusedError(told, new.name))
+            queue.end_all(Outcome.PEER_REMOVED, _removed)
         self.admit(new)
         while new.outbox and self.offered(new, new.outbox[0]):
             del new.outbox[0]
-        self.serve(new)
+        for each in new.served:
+            each.roused()
 
     def close(self) -> None:
         """End every request: the robot stops."""
         self.closed = True
         for member in self._members.values():
-            for request in self._drain(member):
-                self._fail(
-                    request, StoppingError("behaviors", "stopping"), Outcome.STOPPING
-                )
-            for queue in member.queues.values():
+            for queue in _queues(member):
                 queue.end_all(
-                    Outcome.STOPPING, lambda: StoppingError("behaviors", "stopping")
+                    Outcome.STOPPING, lambda _: StoppingError("behaviors", "stopping")
                 )
-
-    def _drain(self, member: Mailbox) -> list[Request]:
-        return [*member.senders.drain(), *member.askers.drain()]
 
     # Requests that wait.
 
-    def _check(self, peer: str, interval: object, data: Any = None) -> Mailbox:
-        member = self.check_peer(peer, data)
-        if not is_positive(interval):
+    def _check(
+        self, peer: str, field: str, seconds: float | None, data: Any = None
+    ) -> Mailbox:
+        """Return a behavior that somebody asks something of, if it may be asked."""
+        if self.closed:
+            raise StoppingError("behaviors", "stopping")
+        member = self._members.get(peer)
+        if member is None:
+            raise UnknownNameError("behavior", peer, self._members)
+        if not member.alive:
+            raise member.absence(data)
+        no_limit = seconds is None and field == "timeout"
+        if not (no_limit or is_positive(seconds)):
+            expected = "seconds > 0" + (", or None" if field == "timeout" else "")
             raise BadValueError(
-                peer, "interval", f"expected seconds > 0, not {interval!r:.80}"
+                peer, field, f"expected {expected}, not {seconds!r:.80}"
             )
         return member
 
     def _begin(
-        self,
-        kind: str,
-        sender: str,
-        receiver: str,
-        data: Any,
-        waiting: int,
-        by: Mailbox | None,
-    ) -> Request:
-        future = self._loop.create_future()
-        request = Request(kind, sender, receiver, data, future, by)
-        if waiting >= REQUESTS_PER_TARGET:
-            self.record(kind, sender, receiver, Outcome.REFUSED)
-            raise BusyError(
-                request.peer, "number of requests to it", REQUESTS_PER_TARGET
-            )
-        self.check_bounds(kind, sender, receiver, request.asker)
-        self.pending.begin(request.asker)
-        if by is not None:
-            by.asked[request] = None
-        return request
+        self, request: Request, limit: float | None, path: Sequence[str] = ()
+    ) -> None:
+        """Have a request wait: for so many seconds at most, and within all bounds."""
+        try:
+            if path:
+                raise CircularRequestError(path)
+            self.pending.check(request.asker)
+            request.queue.push(request)
+        except (BusyError, CircularRequestError):
+            between = request.asker, request.peer
+            if request.kind == "get":
+                between = request.peer, request.asker
+            self.record(request.kind, *between, Outcome.REFUSED)
+            raise
+        self.pending.begin(request)
+        if limit is not None:
+            request.deadline = self._deadlines.after(limit, request.expire, limit)
 
-    def _finish(self, request: Request) -> None:
-        self.pending.end(request.asker)
-        if request.by is not None:
-            request.by.asked.pop(request, None)
 
-    def _withdraw(self, request: Request, error: BaseException) -> None:
-        """Record a request whose asker was cancelled before it had an outcome."""
-        if not isinstance(error, asyncio.CancelledError):
-            return
-        if request.future.cancelled() or request.future.exception() is None:
-            self.record(
-                request.kind, request.sender, request.receiver, Outcome.WITHDRAWN
-            )
+def _queues(member: Mailbox) -> tuple[RequestQueue, ...]:
+    return (member.senders, *member.served)
 
-    def _expire(self, request: Request, interval: float, member: Mailbox) -> None:
-        what = "receive" if request.kind == "put" else "send"
-        self._fail(
-            request,
-            BehaviorUnavailableError(request.peer, what, interval, member.state.value),
-            Outcome.TIMED_OUT,
-        )
 
-    def _fail(self, request: Request, error: EsairError, outcome: Outcome) -> None:
-        if not request.future.done():
-            self.record(request.kind, request.sender, request.receiver, outcome)
-            fail(request.future, error)
+def _removed(request: Request) -> BehaviorRemovedError:
+    return BehaviorRemovedError(
+        request.peer, request.data if request.kind == "put" else None
+    )
+
+
+def _finished(member: Mailbox) -> BehaviorFailedError:
+    return BehaviorFailedError(member.name, "its run has ended")

@@ -247,8 +247,7 @@ class Member(Life, Mailbox):
             self.sight.sees()
         if running:
             self.crew.mediator.admit(self)
-            self.crew.mediator.serve(self)
-            for queue in self.queues.values():
+            for queue in self.served:
                 queue.roused()
         if before is not self.state:
             self.tell(Kind.RUNNING if running else Kind.PARKED, self.error, why)
@@ -406,9 +405,8 @@ class Member(Life, Mailbox):
             fail(future, BehaviorRemovedError(self.name))
 
     def _end_requests(self) -> None:
-        if self.asked:
-            removed = self.state is BehaviorState.STOPPING
-            self.crew.mediator.asker_ended(self, removed=removed)
+        removed = self.state is BehaviorState.STOPPING
+        self.crew.mediator.asker_ended(self, removed=removed)
 
     def run_tasks(self) -> list[asyncio.Task[Any]]:
         return [] if self.task is None or self._portal is None else [self.task]
@@ -473,7 +471,7 @@ class Member(Life, Mailbox):
             runner.late if runner is not None else 0,
             self.senders.count,
             runner.overruns if runner is not None else 0,
-            sum(len(queue.waiting) for queue in self.queues.values()),
+            sum(queue.count for queue in self.queues.values()),
             sum(len(queue.working) for queue in self.queues.values()),
             self.dropped,
         )

@@ -1,95 +1,48 @@
-"""Orders: what becomes of an `ask`, from its asker to its one outcome."""
+"""Orders: what becomes of an `ask`, and who works on it."""
 
 from __future__ import annotations
 
 import asyncio
-import inspect
+import logging
 import threading
+import weakref
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
-from esair.actions import Request, taken
-from esair.exceptions import BehaviorFailedError, EsairError, RefusedError, describe
-from esair.loop import Deadline, wake
-from esair.supervisors._requests import Link, Outcome, Peer
+from esair.actions import Answers, Takes, taken
+from esair.actions import Request as Asked
+from esair.exceptions import EsairError, RefusedError, describe
+from esair.journal import Kind
+from esair.loop import wake, wake_one
+from esair.messages import BehaviorState
+from esair.supervisors._ledger import Ledger, Outcome
+from esair.supervisors._request_queue import ServedQueue
+from esair.supervisors._requests import Peer, Request, served, serving
 
-_NOTHING: Any = object()
-
-
-class Place(Protocol):
-    """Where an order waits for a behavior, and is worked on."""
-
-    @property
-    def member(self) -> Peer: ...
-    def done_with(self, order: Order) -> None: ...
-    def forget(self, order: Order) -> None: ...
+_log = logging.getLogger("esair")
 
 
-class Outcomes(Protocol):
-    """Who is told how orders end."""
+class Order(Request):
+    """A request that is answered, by who has taken it, in whatever thread."""
 
-    def late(self) -> bool: ...
-    def ended(self, order: Order, outcome: Outcome, value: object) -> None: ...
-
-
-class Order(Link):
-    """One request of one behavior to another: it ends once, whoever ends it.
-
-    Attributes:
-        data: What was asked.
-        queue: Where it waits, and who works on it.
-        cancelled: Whether the outcome came from elsewhere than from who works on it.
-    """
+    queue: OrderQueue
 
     def __init__(
         self,
-        asks: Outcomes,
-        data: Request[Any],
-        sender: str,
-        queue: Place,
+        data: Asked[Any],
+        asker: str,
+        queue: OrderQueue,
         by: Peer | None,
+        ledger: Ledger,
     ) -> None:
-        super().__init__(sender, queue.member.name)
-        self._asks = asks
-        self._loop = asyncio.get_running_loop()
-        self.data = data
+        super().__init__("ask", data, asker, queue, by, ledger)
         self.handle = taken(data, self)
-        self.queue = queue
-        self.by = by
-        self._over = False
-        self.cancelled = False
-        self.deadline: Deadline | None = None
-        self._value: Any = None
-        self._error: EsairError | None = None
-        self._news: Any = _NOTHING
-        self._wake: asyncio.Future[None] | None = None
-        self._worker: asyncio.Task[Any] | None = None
+        self.handed = (self.handle,)
         self._before = 0
-        self._cancels = False
-        self._begins: asyncio.Handle | None = None
-
-    @property
-    def over(self) -> bool:
-        return self._over
 
     @property
     def sender(self) -> str:
         return self.asker
-
-    # What the asker does.
-
-    async def outcome(self, progress: Callable[[Any], object] | None) -> Any:
-        while not self.over:
-            self._wake = self._loop.create_future()
-            await self._wake
-            while self._news is not _NOTHING and progress is not None:
-                news, self._news = self._news, _NOTHING
-                told = progress(news)
-                if inspect.isawaitable(told):
-                    await told
-        if self._error is not None:
-            raise self._error
-        return self._value
 
     # What whoever works on it does, in whatever thread.
 
@@ -109,7 +62,7 @@ class Order(Link):
         except RuntimeError:
             return  # a thread: nobody can cancel what it does
         assert task is not None
-        self._worker = task
+        self.worker = task
         self._before = task.cancelling()
         if self.cancelled:
             self._cancel_worker()
@@ -122,7 +75,7 @@ class Order(Link):
         if self._begins is not None:
             self._begins.cancel()
             self._begins = None
-        worker, self._worker = self._worker, None
+        worker, self.worker = self.worker, None
         if self._cancels:
             # Only what the withdrawal did is undone: who is removed meanwhile ends.
             self._cancels = False
@@ -141,69 +94,44 @@ class Order(Link):
         return False
 
     def _answer(self, value: Any) -> bool:
-        return self._told(Outcome.ANSWERED, value, None)
+        return self.end(Outcome.ANSWERED, value) or self._ledger.late()
 
     def _refuse(self, reason: str) -> bool:
-        return self._told(Outcome.REFUSED, None, RefusedError(str(reason), self.peer))
+        refused = RefusedError(str(reason), self.peer)
+        return self.end(Outcome.REFUSED, error=refused) or self._ledger.late()
 
     def _progress(self, value: Any) -> bool:
         if self.over:
-            return self._asks.late()
+            return self._ledger.late()
         self._news = value
-        self._rouse()
-        return True
-
-    def _told(self, outcome: Outcome, value: Any, error: EsairError | None) -> bool:
-        return self._end(outcome, value, error) or self._asks.late()
-
-    def fail(self, detail: str, cause: BaseException | None = None) -> None:
-        """Whoever worked on it gives it no answer any more."""
-        error = BehaviorFailedError(self.peer, detail)
-        error.__cause__ = cause
-        self._end(Outcome.PEER_FAILED, None, error)
-
-    # What ends it from elsewhere.
-
-    def withdraw(self, outcome: Outcome, error: EsairError | None) -> None:
-        """End it from elsewhere; the work on it, if there is any, is cancelled once."""
-        if self._end(outcome, None, error):
-            self.cancelled = True
-            self._cancel_worker()
-
-    def _end(self, outcome: Outcome, value: Any, error: EsairError | None) -> bool:
-        if self.over:
-            return False
-        self._over = True
-        self.parent = None  # nobody waits through it any more
-        self._value = value
-        self._error = error
-        self.queue.forget(self)
-        self._asks.ended(self, outcome, value if error is None else error)
-        self._rouse()
-        return True
-
-    def _rouse(self) -> None:
         wake(self._wake)
+        return True
 
-    def works(self, task: asyncio.Task[Any]) -> None:
-        self._worker = task
-        task.add_done_callback(self._rests)
+    def served(self, value: Any, error: BaseException | None) -> None:
+        if error is None:
+            if not self.over or self.cancelled:
+                self.answer(value)  # counted, if nobody waits any more
+        elif isinstance(error, RefusedError) and not error.behavior:
+            self.refuse(error.reason)
+        else:
+            if self.over and not isinstance(error, asyncio.CancelledError):
+                _log.warning(
+                    "%s: %s failed when nobody waited any more: %s",
+                    self.peer,
+                    self.queue.method,
+                    describe(error),
+                )
+            self.fail(describe(error), error)
 
-    def _rests(self, task: asyncio.Task[Any]) -> None:
-        if self._worker is task:
-            self._worker = None
-
-    def _cancel_worker(self) -> None:
-        self._begins = None
-        worker = self._worker
-        if worker is None or self._cancels:
-            return
-        if worker is asyncio.current_task():
-            # It did this itself, and must not be hit where it does not wait.
-            self._begins = self._loop.call_soon(self._cancel_worker)
-            return
-        self._cancels = True
-        worker.cancel()
+    def end(
+        self, outcome: Outcome, value: Any = None, error: EsairError | None = None
+    ) -> bool:
+        ended = super().end(outcome, value, error)
+        journal = self._ledger.journal
+        if ended and journal.heard:
+            came = value if error is None else error
+            journal.publish(Kind.ANSWERED, self.peer, self.asker, came, outcome.value)
+        return ended
 
     def _in_loop(self, function: Callable[[Any], bool], value: Any) -> bool:
         if not _is_elsewhere(self._loop):
@@ -223,6 +151,110 @@ class Order(Link):
             return False
         ready.wait()
         return outcome[0]
+
+
+class OrderQueue(ServedQueue):
+    """The orders of one type for one behavior; it is the source of its port.
+
+    Orders that wait outlive a run of the behavior; those that are worked on do not.
+    """
+
+    outlives = True
+
+    def __init__(self, member: Peer, terms: Takes[Any] | Answers) -> None:
+        method = terms.method if isinstance(terms, Answers) else None
+        bound = f"queue of {terms.type.__name__}"
+        super().__init__(member, method, limit=terms.queue, bound=bound)
+        self._newest = terms.newest
+        self.working: dict[Request, None] = {}
+        self._takers: list[asyncio.Future[None]] = []
+        self._loops: weakref.WeakSet[Loop] = weakref.WeakSet()
+
+    def busy(self) -> list[Request | None]:
+        """Return what each of those who take these requests works on, or None."""
+        if self.method is not None:
+            return [self.current]
+        return [loop.current for loop in self._loops]
+
+    def push(self, request: Request) -> None:
+        if self._newest:
+            reason, name = f"superseded by {request.asker}", self.member.name
+            self.end_all(Outcome.REFUSED, lambda _: RefusedError(reason, name))
+        super().push(request)
+
+    def roused(self) -> None:
+        if self.count:
+            wake_one(self._takers)
+        super().roused()
+
+    @property
+    def can_serve(self) -> bool:
+        return self.member.state is BehaviorState.RUNNING
+
+    def take(self) -> Request:
+        request = self.pop()
+        self.working[request] = None
+        return request
+
+    def done_with(self, request: Request) -> None:
+        self.working.pop(request, None)
+
+    def run_ended(self, error: BaseException | None) -> None:
+        super().run_ended(error)
+        self.working.clear()
+        self._loops.clear()
+        wake(*self._takers)
+        self._takers.clear()
+
+    # In a loop of the behavior.
+
+    def loop(self) -> Loop:
+        """Begin a loop over the requests (`RequestSource`)."""
+        loop = Loop(self)
+        self._loops.add(loop)
+        return loop
+
+    async def next(self) -> Order:
+        """Wait for an order, and take it."""
+        while True:
+            self.member.check_speaker()
+            if self.count:
+                order = self.take()
+                order.outer = served()
+                assert isinstance(order, Order)
+                return order
+            taker = asyncio.get_running_loop().create_future()
+            self._takers.append(taker)
+            try:
+                await taker
+            except asyncio.CancelledError:
+                if self.count and not taker.cancelled():
+                    wake_one(self._takers)  # woken in the same tick: wake the next one
+                raise
+            finally:
+                if taker in self._takers:
+                    self._takers.remove(taker)
+
+
+class Loop:
+    """One loop of a behavior over the requests that it takes (`RequestLoop`)."""
+
+    def __init__(self, queue: OrderQueue) -> None:
+        self._queue = queue
+        self.current: Order | None = None
+
+    async def next(self) -> Asked[Any]:
+        """Wait for the next request."""
+        before, self.current = self.current, None
+        if before is not None:
+            before.fail("it went on to the next request without an answer")
+            self._queue.done_with(before)
+        self.current = await self._queue.next()
+        return self.current.handle
+
+    def serve(self) -> None:
+        """What the caller does from now on, it does for this request."""
+        serving.set(self.current)
 
 
 def _is_elsewhere(loop: asyncio.AbstractEventLoop) -> bool:

@@ -1,4 +1,4 @@
-"""The requests of one type that wait for a behavior, and who works on them."""
+"""Where requests wait for a behavior, and who answers them."""
 
 from __future__ import annotations
 
@@ -6,235 +6,180 @@ import asyncio
 import collections
 import functools
 import inspect
-import logging
-import weakref
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from esair.actions import Answers, Request, Takes
-from esair.exceptions import BehaviorFailedError, BusyError, RefusedError, describe
-from esair.loop import Portal, spawn, wake, wake_one
-from esair.messages import BehaviorState
-from esair.supervisors._orders import Order
-from esair.supervisors._requests import Link, Outcome, Peer, served, serving
+from esair.exceptions import BusyError, EsairError, describe
+from esair.loop import Portal, spawn
+from esair.supervisors._ledger import Outcome
+from esair.supervisors._requests import Peer, Request, serving
 
-_log = logging.getLogger("esair")
+REQUESTS_PER_TARGET = 64  # how many puts, or gets, to one behavior may wait at a time
 
 
 class RequestQueue:
-    """Holds the orders of one type for one behavior; it is the source of its port.
+    """Requests of one kind that wait for a behavior; those who ask take turns."""
 
-    Orders that wait outlive a run of the behavior; those that are worked on do not.
-    """
+    # Slots: each behavior and reaction has some of these.
+    __slots__ = ("_bound", "_limit", "_waiting", "count", "member")
 
-    def __init__(self, member: Peer, terms: Takes[Any] | Answers) -> None:
+    outlives = False  # whether what waits outlives a run of the behavior that fails
+    working: Mapping[Request, None] = {}  # what was taken, and has no outcome
+
+    def __init__(
+        self,
+        member: Peer,
+        limit: int = REQUESTS_PER_TARGET,
+        bound: str = "number of requests to it",
+    ) -> None:
         self.member = member
-        self.type: type[Request[Any]] = terms.type
-        self.limit = terms.queue
-        self.newest = terms.newest
-        self.method = terms.method if isinstance(terms, Answers) else None
-        self.waiting: collections.deque[Order] = collections.deque()
-        self.working: dict[Order, None] = {}
-        self._takers: list[asyncio.Future[None]] = []
-        self._loops: weakref.WeakSet[Loop] = weakref.WeakSet()
-        self._task: asyncio.Task[Any] | None = None
-        self._current: Order | None = None
+        self._limit = limit
+        self._bound = bound
+        self._waiting: dict[str, collections.deque[Request]] = {}
+        self.count = 0
 
-    def busy(self) -> list[Order | None]:
-        """Return what each of those who take these requests works on, or None."""
-        if self.method is not None:
-            return [self._current]
-        return [loop.current for loop in self._loops]
+    def __iter__(self) -> Iterator[Request]:
+        return iter([each for queue in self._waiting.values() for each in queue])
 
-    def push(self, order: Order) -> None:
-        """Let an order wait for its turn."""
-        if self.newest:
-            for other in (*self.working, *self.waiting):
-                reason = f"superseded by {order.asker}"
-                other.withdraw(Outcome.REFUSED, RefusedError(reason, self.member.name))
-        if len(self.waiting) >= self.limit:
-            raise BusyError(
-                self.member.name, f"queue of {self.type.__name__}", self.limit
-            )
-        self.waiting.append(order)
+    def push(self, request: Request) -> None:
+        """Let a request wait for its turn, behind those of the same asker."""
+        if self.count >= self._limit:
+            raise BusyError(self.member.name, self._bound, self._limit)
+        self._add(request)
 
-    def roused(self) -> None:
-        """Begin to work on what waits, if somebody is free."""
-        self._wake()
-        self._serve()
+    def _add(self, request: Request) -> None:
+        queue = self._waiting.get(request.asker)
+        if queue is None:
+            queue = self._waiting[request.asker] = collections.deque()
+        queue.append(request)
+        self.count += 1
 
-    def forget(self, order: Order) -> None:
-        """An order has its outcome: it waits no more."""
-        if order in self.waiting:
-            self.waiting.remove(order)
+    def first(self) -> Request | None:
+        """Return whose turn it is, without taking it."""
+        return next((queue[0] for queue in self._waiting.values()), None)
 
-    def done_with(self, order: Order) -> None:
-        """Nobody works on an order any more."""
-        self.working.pop(order, None)
+    def pop(self) -> Request:
+        """Take the one whose turn it is; its asker comes after all the others."""
+        asker = next(iter(self._waiting))
+        queue = self._waiting.pop(asker)
+        request = queue.popleft()
+        self.count -= 1
+        if queue:
+            self._waiting[asker] = queue
+        return request
 
-    def _take(self) -> Order:
-        order = self.waiting.popleft()
-        order.outer = served()
-        self.working[order] = None
-        return order
-
-    # In a loop of the behavior.
-
-    def loop(self) -> Loop:
-        """Begin a loop over the requests (`RequestSource`)."""
-        loop = Loop(self)
-        self._loops.add(loop)
-        return loop
-
-    async def take(self) -> Order:
-        while True:
-            self.member.check_speaker()
-            if self.waiting:
-                return self._take()
-            taker = asyncio.get_running_loop().create_future()
-            self._takers.append(taker)
-            try:
-                await taker
-            except asyncio.CancelledError:
-                if not taker.cancelled():
-                    self._wake()  # it was woken in the same tick: wake the next one
-                raise
-            finally:
-                if taker in self._takers:
-                    self._takers.remove(taker)
-
-    def _wake(self) -> None:
-        if self.waiting:
-            wake_one(self._takers)
-
-    # In a method of the behavior.
-
-    def _serve(self) -> None:
-        member = self.member
-        if (
-            self.method is None
-            or self._task is not None
-            or not self.waiting
-            or member.state is not BehaviorState.RUNNING
-        ):
-            return
-        order = self._current = self._take()
-        self._task = spawn(
-            asyncio.get_running_loop(),
-            do_for(order, member, self.method, order.handle),
-            name=f"{member.name} {self.method}",
-            owner=member.owner,
-        )
-        order.works(self._task)
-        self._task.add_done_callback(functools.partial(self._served, order))
-
-    def _served(self, order: Order, task: asyncio.Task[Done]) -> None:
-        if self._task is task:
-            self._task = self._current = None
-        self.working.pop(order, None)
-        value, error = done_by(task)
-        if error is None:
-            if not order.over or order.cancelled:
-                order.answer(value)  # counted, if nobody waits any more
-        elif isinstance(error, RefusedError) and not error.behavior:
-            order.refuse(error.reason)
-        else:
-            if order.over and not isinstance(error, asyncio.CancelledError):
-                _log.warning(
-                    "%s: %s failed when nobody waited any more: %s",
-                    self.member.name,
-                    self.method,
-                    describe(error),
-                )
-            order.fail(describe(error), error)
-        self._serve()
-
-    # What happens to the behavior.
-
-    def run_ended(self, error: BaseException | None) -> None:
-        """A run has ended: nobody works on what it had taken."""
-        for order in tuple(self.working):
-            if error is None:
-                order.fail("its run ended without an answer")
-            else:
-                order.fail(describe(error), error)
-        self.working.clear()
-        self._loops.clear()
-        self._task = self._current = None
-        wake(*self._takers)
-        self._takers.clear()
-
-    def fail_all(self, detail: str, error: BaseException | None) -> None:
-        """It will never take what waits."""
-        for order in tuple(self.waiting):
-            order.fail(detail, error)
-
-    def refuse_all(self, reason: str) -> None:
-        for order in tuple(self.waiting):
-            error = RefusedError(reason, self.member.name)
-            order.withdraw(Outcome.REFUSED, error)
+    def forget(self, request: Request) -> None:
+        """A request has its outcome: it waits no more."""
+        queue = self._waiting.get(request.asker)
+        if queue is not None and request in queue:
+            queue.remove(request)
+            self.count -= 1
+            if not queue:
+                del self._waiting[request.asker]
 
     def adopt(self, other: RequestQueue) -> None:
         """Take over what waits for a behavior whose place this one takes."""
-        while other.waiting:
-            order = other.waiting.popleft()
-            order.queue = self
-            self.waiting.append(order)
+        while other.count:
+            request = other.pop()
+            request.queue = self
+            self._add(request)
+
+    def end_all(self, outcome: Outcome, error: Callable[[Request], EsairError]) -> None:
+        """End what waits and what is worked on."""
+        for request in (*self.working, *self):
+            request.withdraw(outcome, error=error(request))
+
+
+class ServedQueue(RequestQueue):
+    """Requests that a method of the behavior serves, one at a time, in tasks of their own."""
+
+    __slots__ = ("current", "method", "task")
+
+    def __init__(self, member: Peer, method: str | None, **bound: Any) -> None:
+        super().__init__(member, **bound)
+        self.method = method
+        self.task: asyncio.Task[Done] | None = None
+        self.current: Request | None = None  # what the task is for
+
+    @property
+    def can_serve(self) -> bool:
+        """Whether the behavior makes an answer on demand, now."""
+        return self.member.can_provide
+
+    def take(self) -> Request | None:
+        """Return what is served next: it waits on, as an offer may answer it, too."""
+        return self.first()
+
+    def roused(self) -> None:
+        """Begin to work on what waits, if somebody is free."""
+        if self.method is None or self.task is not None or not self.count:
+            return
+        if not self.can_serve:
+            return
+        member = self.member
+        request = self.current = self.take()
+        assert request is not None
+        self.task = spawn(
+            asyncio.get_running_loop(),
+            do_for(request, member, self.method),
+            name=f"{member.name} {self.method}",
+            owner=member.owner,
+        )
+        request.worker = self.task
+        # Not in the task itself: one that is cancelled before its first step does
+        # nothing at all.
+        self.task.add_done_callback(functools.partial(self._served, request))
+
+    def _served(self, request: Request, task: asyncio.Task[Done]) -> None:
+        is_mine = self.task is task
+        if is_mine:
+            self.task = self.current = None
+        self.done_with(request)
+        if request.worker is task:
+            request.worker = None
+        value, error = (
+            (None, asyncio.CancelledError()) if task.cancelled() else task.result()
+        )
+        if is_mine or request.over:
+            request.served(value, error)
         self.roused()
 
-    def end_all(self, outcome: Outcome, error: Any) -> None:
-        for order in (*self.waiting, *self.working):
-            order.withdraw(outcome, error())
+    def done_with(self, request: Request) -> None:
+        """Nobody works on a request any more."""
 
-    def failure(self) -> BehaviorFailedError | None:
-        """Return why it will never take another request; None if it may."""
-        member = self.member
-        if member.state is BehaviorState.FINISHED:
-            return BehaviorFailedError(member.name, "its run has ended")
-        return None
+    def adopt(self, other: RequestQueue) -> None:
+        super().adopt(other)
+        assert isinstance(other, ServedQueue)
+        other.task = other.current = None
 
-
-class Loop:
-    """One loop of a behavior over the requests that it takes (`RequestLoop`)."""
-
-    def __init__(self, queue: RequestQueue) -> None:
-        self._queue = queue
-        self.current: Order | None = None
-
-    async def next(self) -> Request[Any]:
-        """Wait for the next request."""
-        before, self.current = self.current, None
-        if before is not None:
-            before.fail("it went on to the next request without an answer")
-            self._queue.done_with(before)
-        self.current = await self._queue.take()
-        return self.current.handle
-
-    def serve(self) -> None:
-        """What the caller does from now on, it does for this request."""
-        serving.set(self.current)
+    def run_ended(self, error: BaseException | None) -> None:
+        """A run has ended: nobody works on what it had taken."""
+        for request in (*self.working, self.current):
+            if request is None:
+                continue
+            if error is None:
+                request.fail("its run ended without an answer")
+            else:
+                request.fail(describe(error), error)
+        self.task = self.current = None
 
 
 Done = tuple[Any, BaseException | None]
 
 
-async def do_for(link: Link, member: Peer, method: str, *args: Any) -> Done:
+async def do_for(request: Request, member: Peer, method: str) -> Done:
     """Have a behavior do something for a request; what it raises is returned.
 
     A plain function gets a thread of its own.
     """
-    serving.set(link)
+    serving.set(request)
     try:
         function = getattr(member.action, method)
         if inspect.iscoroutinefunction(function):
-            return await function(*args), None
+            return await function(*request.handed), None
         result: list[Any] = []
         portal = Portal(f"{member.name}_{method}", member.owner)
-        await portal.run(lambda: result.append(function(*args)))
+        await portal.run(lambda: result.append(function(*request.handed)))
         return result[0], None
     except BaseException as error:  # contained: it is the other's code
         return None, error
-
-
-def done_by(task: asyncio.Task[Done]) -> Done:
-    """Return what has come of it; it may have been cancelled before its first step."""
-    return (None, asyncio.CancelledError()) if task.cancelled() else task.result()

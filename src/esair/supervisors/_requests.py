@@ -1,186 +1,223 @@
-"""Requests between behaviors: each has one outcome, and a bounded place to wait."""
+"""A request between behaviors, whatever its kind: it ends once, and is cancelled once."""
 
 from __future__ import annotations
 
 import asyncio
-import collections
 import contextvars
-import enum
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+import inspect
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
 
-from esair.loop import Owner, current_task_of
-from esair.messages import BehaviorState
-
-REQUESTS_PER_TARGET = 64  # how many requests to one behavior may wait at a time
-
-
-class Outcome(enum.Enum):
-    """How a request ended. Each ends in exactly one way."""
-
-    DELIVERED = "delivered"
-    ANSWERED = "answered"
-    REFUSED = "refused"
-    TIMED_OUT = "timed out"
-    PEER_REMOVED = "peer removed"
-    PEER_FAILED = "peer failed"
-    STOPPING = "stopping"
-    WITHDRAWN = "withdrawn"
-
-
-class Record(NamedTuple):
-    """One line of the ledger: who asked what of whom, and how it ended."""
-
-    kind: str
-    sender: str
-    receiver: str
-    outcome: Outcome
-
-
-class Link:
-    """A request that somebody waits for, as a link in the chain of those who wait.
-
-    Attributes:
-        asker: Who waits for its outcome.
-        peer: Whom for.
-        task: The task that waits.
-        parent: The request that the asker served when it made this one.
-        outer: The request that the peer served already when it took this one.
-        over: Whether it has its outcome.
-    """
-
-    if TYPE_CHECKING:
-
-        @property
-        def over(self) -> bool: ...
-
-    def __init__(self, asker: str, peer: str) -> None:
-        self.asker = asker
-        self.peer = peer
-        self.task = current_task_of(asyncio.get_running_loop())
-        self.parent = served()
-        self.outer: Link | None = None
-
-
-serving: contextvars.ContextVar[Link | None] = contextvars.ContextVar(
-    "esair_serving", default=None
+from esair.exceptions import (
+    BehaviorFailedError,
+    BehaviorUnavailableError,
+    CircularRequestError,
+    EsairError,
+    describe,
 )
-"""The request that the code that runs now was begun for."""
+from esair.loop import Deadline, Owner, current_task_of, wake
+from esair.messages import BehaviorState
+from esair.supervisors._ledger import Ledger, Outcome
 
+_NO_NEWS: Any = object()
 
-def served() -> Link | None:
-    """Return the request that is being served by the code that runs now."""
-    link = serving.get()
-    while link is not None and link.over:
-        link = link.outer
-    return link
+_DELIVERED = Outcome.DELIVERED
 
-
-def chain() -> Iterator[Link]:
-    """Yield the requests that wait for the code that runs now, the nearest first."""
-    link = served()
-    while link is not None and not link.over:
-        yield link
-        link = link.parent
+_WANTED = {"put": "receive", "get": "send", "ask": "answer"}
+"""What the other side could not do within the time of a request."""
 
 
 class Peer(Protocol):
-    """A behavior, as requests between behaviors know it."""
+    """A behavior, as requests to it know it."""
 
     name: str
     action: Any
     owner: Owner
-    asked: dict[Any, None]
 
     @property
     def state(self) -> BehaviorState: ...
     @property
-    def serves(self) -> Link | None: ...
+    def serves(self) -> Request | None: ...
     @property
     def can_provide(self) -> bool: ...
     def check_speaker(self) -> None: ...
     def run_tasks(self) -> list[asyncio.Task[Any]]: ...
 
 
-class Request(Link):
-    """A put or a get that waits for the other side."""
+class Place(Protocol):
+    """Where a request waits for a behavior."""
+
+    member: Peer
+
+    def push(self, request: Request) -> None: ...
+    def forget(self, request: Request) -> None: ...
+
+
+class Request:
+    """A put, a get or an ask of one behavior to another: it ends once, whoever ends it.
+
+    It is also a link in the chain of those who wait for one another.
+
+    Attributes:
+        kind: ``"put"``, ``"get"`` or ``"ask"``.
+        data: What is put, or asked.
+        asker: Who waits for its outcome.
+        peer: Whom for.
+        queue: Where it waits.
+        by: The behavior that made it, unless the user did.
+        task: The task that waits.
+        parent: The request that the asker served when it made this one.
+        outer: The request that the peer served already when it took this one.
+        over: Whether it has its outcome.
+        how: What that is.
+        cancelled: Whether that came from elsewhere than from who works on it.
+        offered: It was answered with something that is there once only.
+    """
+
+    # Of most requests these stay as they are.
+    handed: tuple[Any, ...] = ()  # what a method of the peer gets that serves it
+    outer: Request | None = None
+    over = cancelled = offered = False
+    how: Outcome | None = None
+    value: Any = None
+    deadline: Deadline | None = None
+    _error: EsairError | None = None
+    _news: Any = _NO_NEWS
+    _wake: asyncio.Future[None] | None = None
+    worker: asyncio.Task[Any] | None = None  # who is cancelled with it
+    _cancels = False
+    _begins: asyncio.Handle | None = None
 
     def __init__(
         self,
         kind: str,
-        sender: str,
-        receiver: str,
         data: Any,
-        future: asyncio.Future[Any],
-        by: Peer | None = None,
+        asker: str,
+        queue: Place,
+        by: Peer | None,
+        ledger: Ledger,
     ) -> None:
-        if kind == "put":
-            super().__init__(sender, receiver)
-        else:
-            super().__init__(receiver, sender)
         self.kind = kind
-        self.sender = sender
-        self.receiver = receiver
         self.data = data
-        self.future = future
+        self.asker = asker
+        self.peer = queue.member.name
+        self.queue = queue
         self.by = by
-        """The behavior that made it, unless the user did."""
-        self.provider: asyncio.Task[Any] | None = None
-        self.offered = False
-        """It was answered with something that is there once only."""
+        self._ledger = ledger
+        self._loop = asyncio.get_running_loop()
+        self.task = current_task_of(self._loop)
+        self.parent = served()
 
-    @property
-    def over(self) -> bool:
-        """Whether it has its outcome."""
-        return self.future.done()
+    # What the asker does.
 
+    async def outcome(self, progress: Callable[[Any], object] | None = None) -> Any:
+        """Wait for the outcome; who is cancelled here withdraws it."""
+        try:
+            while not self.over:
+                self._wake = self._loop.create_future()
+                await self._wake
+                while progress is not None and self._news is not _NO_NEWS:
+                    news, self._news = self._news, _NO_NEWS
+                    told = progress(news)
+                    if inspect.isawaitable(told):
+                        await told
+        except BaseException:
+            self.withdraw(Outcome.WITHDRAWN)
+            raise
+        if self._error is not None:
+            raise self._error
+        return self.value
 
-class FairQueue:
-    """Waiting requests, one queue for each sender; they take turns."""
+    # What ends it.
 
-    def __init__(self) -> None:
-        self._queues: dict[str, collections.deque[Request]] = {}
-        self.count = 0
-
-    def push(self, request: Request) -> None:
-        """Put a request at the end of its sender's queue."""
-        queue = self._queues.get(request.asker)
-        if queue is None:
-            queue = self._queues[request.asker] = collections.deque()
-        queue.append(request)
-        self.count += 1
-
-    def pop(self) -> Request:
-        """Take the next request of the sender whose turn it is."""
-        asker = next(iter(self._queues))
-        queue = self._queues.pop(asker)
-        request = queue.popleft()
-        self.count -= 1
-        if queue:
-            self._queues[asker] = queue  # behind all the others
-        return request
-
-    def discard(self, request: Request) -> bool:
-        """Take a request out, wherever it is; tells whether it was there."""
-        queue = self._queues.get(request.asker)
-        if queue is None or request not in queue:
+    def end(
+        self, outcome: Outcome, value: Any = None, error: EsairError | None = None
+    ) -> bool:
+        """Give it its outcome; tells whether it had none yet."""
+        if self.over:
             return False
-        queue.remove(request)
-        self.count -= 1
-        if not queue:
-            del self._queues[request.asker]
+        self.over, self.how, self.value, self._error = True, outcome, value, error
+        self.parent = None  # nobody waits through it any more
+        self.queue.forget(self)
+        if self.deadline is not None:
+            self.deadline.cancel()
+        ledger = self._ledger
+        ledger.pending.end(self)
+        if self.kind != "get":
+            ledger.record(self.kind, self.asker, self.peer, outcome, value)
+        elif outcome is not _DELIVERED:
+            # What is got is delivered when it is taken: until then another may get it.
+            ledger.record("get", self.peer, self.asker, outcome)
+        wake(self._wake)
         return True
 
-    def peek(self) -> Request | None:
-        """Return the first request that nobody has answered yet, without taking it."""
-        for queue in self._queues.values():
-            for request in queue:
-                if not request.future.done():
-                    return request
-        return None
+    def withdraw(
+        self, outcome: Outcome, value: Any = None, error: EsairError | None = None
+    ) -> None:
+        """End it from elsewhere; the work on it, if there is any, is cancelled once."""
+        if self.end(outcome, value, error):
+            self.cancelled = True
+            self._cancel_worker()
 
-    def drain(self) -> list[Request]:
-        requests = [request for queue in self._queues.values() for request in queue]
-        self._queues.clear()
-        self.count = 0
-        return requests
+    def expire(self, interval: float) -> None:
+        """Its time is over."""
+        wanted, state = _WANTED[self.kind], self.queue.member.state.value
+        late = BehaviorUnavailableError(self.peer, wanted, interval, state)
+        self.withdraw(Outcome.TIMED_OUT, error=late)
+
+    def fail(self, detail: str, cause: BaseException | None = None) -> None:
+        """Whoever worked on it gives it no answer any more."""
+        error = BehaviorFailedError(self.peer, detail)
+        error.__cause__ = cause
+        self.end(Outcome.PEER_FAILED, error=error)
+
+    # Who works on it.
+
+    def served(self, value: Any, error: BaseException | None) -> None:
+        """A method of the peer has returned, or raised."""
+        if self.over:
+            self._ledger.late_answers += error is None
+        elif error is None:
+            self.offered = True
+            self.end(Outcome.DELIVERED, value)
+        elif type(error) is CircularRequestError and self.asker in error.path:
+            # It waits for itself: told as plainly as to the one that closed the circle.
+            circle = CircularRequestError(error.path)
+            circle.__cause__ = error
+            self.end(Outcome.PEER_FAILED, error=circle)
+        else:
+            self.fail(describe(error), error)
+
+    def _cancel_worker(self) -> None:
+        self._begins = None
+        worker = self.worker
+        if worker is None or self._cancels:
+            return
+        if worker is asyncio.current_task():
+            # It did this itself, and must not be hit where it does not wait.
+            self._begins = self._loop.call_soon(self._cancel_worker)
+            return
+        self._cancels = True
+        worker.cancel()
+
+
+serving: contextvars.ContextVar[Request | None] = contextvars.ContextVar(
+    "esair_serving", default=None
+)
+"""The request that the code that runs now was begun for."""
+
+
+def served() -> Request | None:
+    """Return the request that is being served by the code that runs now."""
+    request = serving.get()
+    while request is not None and request.over:
+        request = request.outer
+    return request
+
+
+def chain() -> Iterator[Request]:
+    """Yield the requests that wait for the code that runs now, the nearest first."""
+    request = served()
+    while request is not None and not request.over:
+        yield request
+        request = request.parent
