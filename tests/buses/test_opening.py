@@ -204,3 +204,45 @@ async def test_a_lost_bus_opens_again_in_a_loop_with_eager_tasks() -> None:
     assert bus.is_open
     assert bus.stats.opened == 2
     await bus.close()
+
+
+class Door(Bus):
+    """Takes three turns to open and to close, and notes what is under way."""
+
+    def __init__(self) -> None:
+        super().__init__(name="door")
+        self.doing: list[str] = []
+        self.overlaps = 0
+
+    async def _open(self) -> None:
+        await self._do("open")
+
+    async def _close(self) -> None:
+        await self._do("close")
+
+    async def _do(self, what: str) -> None:
+        self.overlaps += bool(self.doing)
+        self.doing.append(what)
+        try:
+            for _ in range(3):
+                await asyncio.sleep(0)
+        finally:
+            self.doing.remove(what)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-1")
+@pytest.mark.parametrize("turns", range(1, 9))
+async def test_an_opening_waits_for_a_close_that_is_under_way(turns: int) -> None:
+    """Another close is the same one: nobody has the wire while somebody lets it go."""
+    bus = Door()
+    await bus.open()
+    closes = [asyncio.ensure_future(bus.close()) for _ in range(2)]
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    await bus.open()
+    await asyncio.wait(closes)
+    assert bus.is_open
+    assert bus.stats.opened == 2
+    assert bus.overlaps == 0
+    await bus.close()

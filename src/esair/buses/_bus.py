@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from esair.buses._stats import BusStats
 from esair.exceptions import DeviceLostError, describe
-from esair.loop import Executor, spawn
+from esair.loop import Executor, spawn, wake
 from esair.values import check_name
 from esair.watchdog import Outlet
 
@@ -60,6 +60,7 @@ class Bus(abc.ABC):
         self.executor = Executor(name)
         """The thread for blocking calls of the devices on this bus."""
         self._opening: asyncio.Task[None] | None = None
+        self._closing: asyncio.Future[None] | None = None
         self._on_lost: list[Callable[[BaseException], None]] = []
         self._on_arrival: list[Callable[[], None]] = []
         self._seen_first: Hashable | None = None
@@ -86,10 +87,14 @@ class Bus(abc.ABC):
     async def open(self) -> None:
         """Open the bus unless it is open. All who ask at once share one opening.
 
+        While it is closed, they wait for the end of that.
+
         Raises:
             DeviceLostError: The wire is not there, or the bus was closed meanwhile.
             ConfigError: Its settings are none that it can have.
         """
+        while self._closing is not None:
+            await asyncio.wait({self._closing})
         if self.is_open:
             return
         opening = self._opening
@@ -167,7 +172,18 @@ class Bus(abc.ABC):
         self.lost(DeviceLostError(self.name, "it was unplugged"))
 
     async def close(self) -> None:
-        """Close the bus and end its thread."""
+        """Close the bus and end its thread. All who ask at once share one close."""
+        if self._closing is not None:
+            await asyncio.wait({self._closing})
+            return
+        self._closing = asyncio.get_running_loop().create_future()
+        try:
+            await self._close_once()
+        finally:
+            closing, self._closing = self._closing, None
+            wake(closing)
+
+    async def _close_once(self) -> None:
         opening = self._opening
         if opening is not None:
             opening.cancel()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Coroutine, Iterable
+from collections.abc import Callable, Coroutine, Iterable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import describe
@@ -31,13 +32,24 @@ async def open_buses(buses: Iterable[Bus]) -> None:
     await _all(open_bus(bus) for bus in buses)
 
 
-async def close_buses(buses: Iterable[Bus], within: float = BUS_TIMEOUT) -> None:
-    """Close buses, whatever state they are in; each has so many seconds."""
+async def close_buses(
+    buses: Iterable[Bus],
+    within: float = BUS_TIMEOUT,
+    unless: Callable[[Bus], bool] = lambda _bus: False,
+) -> None:
+    """Close buses, whatever state they are in; each has so many seconds.
+
+    Whether one is to be left open is asked in the very step in which it is closed.
+    """
+
+    async def close_now(bus: Bus) -> None:
+        if not unless(bus):
+            await bus.close()
 
     async def close_bus(bus: Bus) -> None:
         try:
             async with asyncio.timeout(within):
-                await outside((bus.name, "close the bus"), bus.close)
+                await outside((bus.name, "close the bus"), partial(close_now, bus))
         except Exception as error:
             _log.warning("bus %s: close: %s", bus.name, describe(error))
 

@@ -309,13 +309,16 @@ class ResourceDeployment:
         What comes next, here or in another program, may want its port.
         """
         bus = life.resource.bus
-        stay = [each.resource for each in self.lives.values() if each is not life]
-        if new is not None:
-            stay.append(new)
-        if bus is None or any(each.bus is bus for each in stay):
+
+        def is_used(bus: Bus) -> bool:
+            stay = [each.resource for each in self.lives.values() if each is not life]
+            return any(each.bus is bus for each in (*stay, new) if each is not None)
+
+        if bus is None or is_used(bus):
             return
         left = until - asyncio.get_running_loop().time()
-        await close_buses([bus], within=max(0.1, min(left, BUS_TIMEOUT)))
+        within = max(0.1, min(left, BUS_TIMEOUT))
+        await close_buses([bus], within=within, unless=is_used)
 
     async def _make_safe(self, name: str, until: float = math.inf) -> None:
         channel = self.actuators.channels.get(name)
