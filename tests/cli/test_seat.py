@@ -1,5 +1,6 @@
 """``esair top``, ``stop``, ``set`` and the others, as a user calls them."""
 
+import contextlib
 import json
 import re
 import select
@@ -242,6 +243,25 @@ def test_a_run_is_recorded_with_what_the_operator_did(esair, robot):
     lines = esair("log", str(file), "-k", "operator", "--json").splitlines()
     acts = [json.loads(line)["value"]["act"] for line in lines]
     assert acts == ["stop", "resume"]
+
+
+def test_a_long_request_is_waited_for(esair, monkeypatch):
+    """A client waits longer than what it asks for may take."""
+    waits = {}
+
+    class Robot:
+        def do(self, act, fields, timeout):
+            waits[act] = timeout
+            return "done"
+
+    monkeypatch.setattr(
+        "esair.cli._steer.connect", lambda _: contextlib.nullcontext(Robot())
+    )
+
+    assert esair("put", "planner", "3", "--interval", "60") == "done\n"
+    assert esair("ask", "docking", "Dock", "--timeout", "90") == "done\n"
+    assert waits["put"] > 60.0
+    assert waits["ask"] > 90.0
 
 
 def test_without_a_robot_it_says_so(esair, tmp_path, monkeypatch):

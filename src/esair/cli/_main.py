@@ -87,7 +87,7 @@ def make_app() -> App:
     from esair.cli._plot import plot
     from esair.cli._replay import replay
     from esair.cli._run import run, sim
-    from esair.cli._steer import VERBS, set_
+    from esair.cli._steer import VERBS, verb_of
     from esair.cli._top import top
     from esair.cli._torture import torture
     from esair.cli._view import view
@@ -103,7 +103,8 @@ def make_app() -> App:
     for other in (log, plot, replay, recover, minimal):
         app.command(other)
     running = Group("A robot that runs", sort_key=1)
-    for steer in (top, view, drive, *VERBS):
+    for steer in (top, view, drive):
         app.command(steer, group=running)
-    app.command(set_, name="set", group=running)
+    for name in VERBS:
+        app.command(verb_of(name), group=running)
     return app

@@ -4,7 +4,14 @@ One table of acts serves the control socket, ``robot.behaviors.command`` and the
 The operator is a principal with rights of its own; what it does is in the journal.
 """
 
-from esair.seat._acts import ACTS, Act, act_of, check_rights, value_of
+from esair.seat._acts import (
+    ACTS,
+    Act,
+    Field,
+    act_of,
+    check_rights,
+    table_of,
+)
 from esair.seat._client import Client, NoRobotError, RefusedActError, connect
 from esair.seat._operator import Console, Session
 from esair.seat._place import robots
@@ -21,6 +28,7 @@ __all__ = [
     "Act",
     "Client",
     "Console",
+    "Field",
     "NoRobotError",
     "RefusedActError",
     "Seat",
@@ -31,5 +39,5 @@ __all__ = [
     "check_rights",
     "connect",
     "robots",
-    "value_of",
+    "table_of",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
@@ -33,17 +33,37 @@ REQUIRED: Any = object()  # Stands for a field that must be there
 class Field(NamedTuple):
     """One thing that an act is about."""
 
-    kind: tuple[type, ...]  # The types that its value may have
+    doc: str  # What it is, in a sentence
+    kind: tuple[type, ...] = (str,)  # The types that its value may have
     default: Any = REQUIRED  # Its value if it is not given
+
+    @property
+    def is_required(self) -> bool:
+        """Whether it must be given."""
+        return self.default is REQUIRED
+
+    @property
+    def is_number(self) -> bool:
+        """Whether its values are numbers."""
+        return self.kind == NUMBER
+
+    @property
+    def is_table(self) -> bool:
+        """Whether its values are tables, typed as words ``name=value``."""
+        return self.kind == (dict,)
+
+    def of_word(self, word: str) -> Any:
+        """Return a typed word as a value: a text, or JSON if it is some."""
+        return word if self.kind == (str,) else value_of(word)
 
 
 Run = Callable[["Console", Mapping[str, Any], "Session"], Any]
 
-NAME = Field((str,))
-WHOLE = Field((int,))
-TABLE = Field((dict,), {})
-ANY = Field((object,))
 NUMBER = (int, float)
+PART = Field("The behavior or device.")
+GUARD = Field("The reaction that guards.")
+RECEIVER = Field("The behavior.")
+LEASE = Field("The number of the lease.", (int,))
 
 
 @attrs.frozen
@@ -72,13 +92,14 @@ class Act:
     def about(self) -> str:
         """The field that names the component it is done to: the first, or none."""
         first = next(iter(self.fields), "")
-        return first if self.fields.get(first) is NAME else ""
+        field = self.fields.get(first, LEASE)
+        return first if field.kind == (str,) and field.is_required else ""
 
     @property
     def usage(self) -> str:
         """How it is typed."""
         words = (
-            f"{name.upper()}" if field.default is REQUIRED else f"[{name.upper()}]"
+            name.upper() if field.is_required else f"[{name.upper()}]"
             for name, field in self.fields.items()
         )
         return " ".join((self.name, *words))
@@ -168,7 +189,7 @@ def _list(console: Console, _: Mapping[str, Any], __: Session) -> Any:
     ]
 
 
-@_act("tell what a behavior is doing", looks=True, name=NAME)
+@_act("tell what a behavior is doing", looks=True, name=RECEIVER)
 def _query(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     status = console.robot.behaviors.query(fields["name"])
     detail = f" ({status.detail})" if status.detail else ""
@@ -181,10 +202,10 @@ def _status(console: Console, _: Mapping[str, Any], __: Session) -> Any:
 
 
 @_act(
-    "tell who holds an actuator, and why",
+    "tell who holds an actuator, why, and what would free it",
     looks=True,
     tells=_told_why,
-    actuator=Field((str,), None),
+    actuator=Field("The actuator; all of them unless given.", default=None),
 )
 def _why(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     resources = console.robot.resources
@@ -202,10 +223,10 @@ def _help(_: Console, __: Mapping[str, Any], ___: Session) -> Any:
 
 
 @_act(
-    "halt: every actuator safe until resume",
+    "halt: every actuator is safe and stays so until resume",
     open=True,
     tells=_told_stop,
-    reason=Field((str,), ""),
+    reason=Field("Why, for whoever looks at it.", default=""),
 )
 async def _stop(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     reason = fields["reason"] or "the operator has stopped it"
@@ -232,7 +253,12 @@ def _resume(console: Console, _: Mapping[str, Any], __: Session) -> Any:
     return "who writes next moves"
 
 
-@_act("hand data to a behavior", receiver=NAME, data=ANY, interval=Field(NUMBER, 1.0))
+@_act(
+    "hand data to a behavior",
+    receiver=RECEIVER,
+    data=Field("JSON, or a text.", (object,)),
+    interval=Field("How long to try, in seconds.", NUMBER, 1.0),
+)
 async def _put(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     await console.robot.behaviors.put(
         fields["data"],
@@ -245,10 +271,10 @@ async def _put(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
 
 @_act(
     "ask a behavior to do something",
-    receiver=NAME,
-    request=NAME,
-    fields=TABLE,
-    timeout=Field(NUMBER, 10.0),
+    receiver=RECEIVER,
+    request=Field("The name of the request's class."),
+    fields=Field("Its fields: name=value.", (dict,), {}),
+    timeout=Field("How long it may wait and work, in seconds.", NUMBER, 10.0),
 )
 async def _ask(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     behaviors, receiver = console.robot.behaviors, fields["receiver"]
@@ -266,7 +292,7 @@ async def _ask(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     return plain(answer)
 
 
-@_act("add what the robot's file has of this name", name=NAME)
+@_act("add what the robot's file has of this name", name=PART)
 async def _add(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     name = fields["name"]
     part = await console.part(name)
@@ -274,7 +300,7 @@ async def _add(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     return f"{name} was added"
 
 
-@_act("take a behavior or resource away", name=NAME)
+@_act("take a behavior or device away; what it moves is safe first", name=PART)
 async def _remove(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     name = fields["name"]
     left = await console.supervisor_of(name).remove(name)
@@ -282,14 +308,14 @@ async def _remove(console: Console, fields: Mapping[str, Any], _: Session) -> An
     return f"{name} was removed{rest}"
 
 
-@_act("begin a component anew", name=NAME)
+@_act("begin a behavior or device anew", name=PART)
 async def _restart(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     name = fields["name"]
     await console.supervisor_of(name).restart(name)
     return f"{name} was restarted"
 
 
-@_act("put what the robot's file has now in its place", name=NAME)
+@_act("put what the robot's file has of this name now in its place", name=PART)
 async def _replace(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     name = fields["name"]
     console.supervisor_of(name)  # the word for a name that nobody has
@@ -299,7 +325,10 @@ async def _replace(console: Console, fields: Mapping[str, Any], _: Session) -> A
 
 
 @_act(
-    "change a setting: wheels.max_speed 0.2", tells=_told_set, setting=NAME, value=ANY
+    "change a setting of a device: wheels.max_speed 0.2",
+    tells=_told_set,
+    setting=Field("The device and its setting, with a dot between."),
+    value=Field("The new value; unit and limits are the setting's.", (object,)),
 )
 async def _set(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     name, dot, setting = fields["setting"].partition(".")
@@ -321,9 +350,9 @@ async def _set(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
 
 @_act(
     "have a device do what its driver can: home, tare, clear a fault",
-    resource=NAME,
-    operation=NAME,
-    fields=TABLE,
+    resource=Field("The device."),
+    operation=Field("What it does."),
+    fields=Field("What it takes: name=value.", (dict,), {}),
 )
 async def _operate(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     resources, name = console.robot.resources, fields["resource"]
@@ -333,17 +362,17 @@ async def _operate(console: Console, fields: Mapping[str, Any], _: Session) -> A
 
 
 @_act(
-    "let what a guard keeps back pass for a while",
-    name=NAME,
-    seconds=Field(NUMBER),
-    reason=NAME,
+    "let what a guard or a blind hold keeps back pass for a while",
+    name=GUARD,
+    seconds=Field("For how long.", NUMBER),
+    reason=Field("Why, for the log."),
 )
 def _mute(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     console.robot.behaviors.mute(fields["name"], fields["seconds"], fields["reason"])
     return f"{fields['name']} is mute for {fields['seconds']:g} s"
 
 
-@_act("end the latch of a guard", name=NAME)
+@_act("end the latch of a guard, after its cause is gone", name=GUARD)
 def _reset(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     console.robot.behaviors.reset(fields["name"])
     return f"{fields['name']} is reset"
@@ -351,8 +380,8 @@ def _reset(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
 
 @_act(
     "take the right to drive an actuator by hand",
-    actuator=NAME,
-    seconds=Field(NUMBER, SECONDS),
+    actuator=Field("The actuator."),
+    seconds=Field("How long it lasts without fresh input.", NUMBER, SECONDS),
 )
 def _lease(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
     if not session.drives:
@@ -367,7 +396,12 @@ def _lease(console: Console, fields: Mapping[str, Any], session: Session) -> Any
     }
 
 
-@_act("drive with fresh input", lease=WHOLE, beat=WHOLE, command=ANY)
+@_act(
+    "drive with fresh input",
+    lease=LEASE,
+    beat=Field("The beat that it answers.", (int,)),
+    command=Field("The command.", (object,)),
+)
 async def _drive(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
     answer = await console.leases.drive(
         fields["lease"],
@@ -378,7 +412,7 @@ async def _drive(console: Console, fields: Mapping[str, Any], session: Session) 
     return answer_of(answer)
 
 
-@_act("give a lease back", lease=WHOLE)
+@_act("give a lease back", lease=LEASE)
 def _release(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
     for lease in console.leases:
         if lease.number == fields["lease"] and lease.owner is session:
@@ -424,24 +458,23 @@ def fields_of_words(act: Act, words: list[str]) -> dict[str, Any]:
 
     A field that takes a table gets the words ``name=value`` that are left.
     """
-    names = list(act.fields)
     fields: dict[str, Any] = {}
-    table = next((n for n in names if act.fields[n].kind == (dict,)), None)
-    if table is not None:
-        pairs = [word for word in words if "=" in word]
+    single = {name: each for name, each in act.fields.items() if not each.is_table}
+    for table in act.fields.keys() - single.keys():
+        fields[table] = table_of(word for word in words if "=" in word)
         words = [word for word in words if "=" not in word]
-        names.remove(table)
-        fields[table] = {
-            name: value_of(value)
-            for name, _, value in (p.partition("=") for p in pairs)
-        }
-    required = [n for n in names if act.fields[n].default is REQUIRED]
-    if not len(required) <= len(words) <= len(names):
+    least = sum(each.is_required for each in single.values())
+    if not least <= len(words) <= len(single):
         raise ConfigError("command", act.name, f"expected: {act.usage}")
-    for name, word in zip(names, words, strict=False):
-        only_text = act.fields[name].kind == (str,)
-        fields[name] = word if only_text else value_of(word)
+    for (name, field), word in zip(single.items(), words, strict=False):
+        fields[name] = field.of_word(word)
     return fields
+
+
+def table_of(words: Iterable[str]) -> dict[str, Any]:
+    """Return what words ``name=value`` say."""
+    pairs = (word.partition("=") for word in words)
+    return {name: value_of(value) for name, _, value in pairs}
 
 
 def value_of(word: str) -> Any:
