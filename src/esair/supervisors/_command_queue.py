@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import math
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
@@ -129,8 +130,8 @@ class CommandQueue:
         """The configuration list is deployed: take commands from now on."""
         self._next()
 
-    async def close(self) -> None:
-        """Refuse every further command, and end those that run."""
+    async def close(self, until: float = math.inf) -> None:
+        """Refuse every further command, and end those that run, until a moment."""
         self._phase = SupervisorPhase.STOPPED
         waiting, self._waiting = self._waiting, collections.deque()
         for turn in waiting:
@@ -140,4 +141,5 @@ class CommandQueue:
         for task in running:
             task.cancel()
         if running:
-            await asyncio.wait(running)
+            left = max(0.0, until - asyncio.get_running_loop().time())
+            await asyncio.wait(running, timeout=None if left == math.inf else left)

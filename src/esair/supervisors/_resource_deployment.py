@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from esair.actions import Derived
@@ -27,7 +27,7 @@ from esair.exceptions import (
     UnknownNameError,
 )
 from esair.journal import Kind
-from esair.loop import look_at, now, spawn, wake
+from esair.loop import now, wake
 from esair.messages import Access, Policy, ResourceState, Restart
 from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
@@ -81,7 +81,6 @@ class ResourceDeployment:
         self._grace = grace
         self._stops_since = math.inf
         self._departures: dict[str, asyncio.Future[None]] = {}
-        self._works: set[asyncio.Task[Any]] = set()
         self.left: set[Call] = set()
         """The driver calls that were given up, and whose code still runs."""
         self.seed = 0
@@ -178,107 +177,46 @@ class ResourceDeployment:
             if life.reads(name):
                 life.bind()
 
-    # How one goes: fenced in one step, then closed outside the command queue.
+    # How one goes: fenced in one step, then closed while other commands go on.
 
     def deadline(self) -> float:
         """Until when a command of the user that begins now may wait, in all."""
         return asyncio.get_running_loop().time() + self._grace
 
-    def is_departing(self, name: str) -> bool:
-        """Tell whether a resource is going, or another one takes its place."""
-        return name in self._departures
-
-    async def departed(self, name: str) -> None:
-        """Wait until what has the name now, and is going, has gone."""
+    async def gone(self, name: str) -> None:
+        """Wait until what has the name now, and is going, has gone; others do not wait."""
         while (departure := self._departures.get(name)) is not None:
-            await asyncio.shield(departure)
+            self.commands.changed()
+            await asyncio.wait({departure})
 
-    async def fenced(
-        self,
-        name: str,
-        fence: Callable[[], Coroutine[Any, Any, asyncio.Task[T] | None]],
-        title: str,
-    ) -> T:
-        """Fence a resource off in one step, and wait for what that has begun."""
-        while True:
-            await self.departed(name)
-            begun = await self.commands.run(fence, name=title, undo=False)
-            if begun is not None:  # else another command for the name was first
-                return await self._join(begun)
+    async def undo(self, life: ResourceLife) -> None:
+        """Take away what was added in vain, unless somebody does so, or has done so.
 
-    def undo(self, name: str, title: str) -> asyncio.Task[None]:
-        """Take away what was added in vain; nobody was told that it is there."""
-        self._depart(name)
-        return self._apart(self._leave(name, self.lives[name], self.deadline()), title)
+        Nobody was told that it is there.
+        """
+        name = life.name
+        if self.lives.get(name) is life and name not in self._departures:
+            self._depart(name)
+            await self._leave(name, self.deadline())
 
-    def remove(self, name: str, until: float, title: str) -> asyncio.Task[None]:
-        """Fence a resource off, and begin to make it safe and to close it."""
+    async def remove(self, name: str, until: float) -> None:
+        """Fence a resource off in one step, make it safe, and close it."""
         self._depart(name)
         self._fence(name)
-        return self._apart(self._leave(name, self.lives[name], until), title)
+        await self._leave(name, until)
 
-    def replace(
-        self, name: str, resource: Resource, *, keep: bool, until: float, title: str
-    ) -> asyncio.Task[ResourceLife]:
-        """Fence a resource off, and begin to put another one in its place."""
+    async def replace(
+        self, name: str, resource: Resource, *, keep: bool, until: float
+    ) -> ResourceLife:
+        """Fence a resource off in one step, and put another one in its place."""
         self._depart(name)
-        channel = self.lives[name].channel
+        life = self.lives[name]
+        channel = life.channel
         if not keep:
             self._fence(name)
         elif isinstance(channel, ActuatorChannel):
             channel.leaving(BeingReplacedError(name, "it is being replaced"))
-        return self._apart(self._exchange(name, resource, keep, until), title)
-
-    def _depart(self, name: str) -> None:
-        self._departures[name] = asyncio.get_running_loop().create_future()
-
-    def _has_departed(self, name: str) -> None:
-        self._leaving.discard(name)
-        departure = self._departures.pop(name, None)
-        wake(departure)
-
-    def _fence(self, name: str) -> None:
-        """From now on nobody has, or gets, a right to what goes."""
-        self._leaving.add(name)
-        for part in (name, name + APPLIED):
-            for each in self.registrations.of_resource(part):
-                self.registrations.revoke(each, lambda: ResourceRemovedError(name))
-
-    async def _leave(self, name: str, life: ResourceLife, until: float) -> None:
-        """Make a resource safe, close it, and forget it; bounded."""
-        try:
-            await self._make_safe(name, until)
-        finally:
-            try:
-                if self.lives.get(name) is life:
-                    await self._undeploy(name, ResourceState.REMOVED, until)
-                    await self._let_go(life, until)
-            finally:
-                self._has_departed(name)
-        self.journal.publish(Kind.REMOVED, name, "resource")
-
-    def _apart(self, work: Coroutine[Any, Any, T], title: str) -> asyncio.Task[T]:
-        """Do what takes a while, outside the command queue, and to its end."""
-        task = spawn(asyncio.get_running_loop(), work, name=title)
-        self._works.add(task)
-        task.add_done_callback(self._works.discard)
-        task.add_done_callback(look_at)
-        return task
-
-    async def _join(self, task: asyncio.Task[T]) -> T:
-        try:
-            return await asyncio.shield(task)
-        except asyncio.CancelledError:
-            if task.cancelled():
-                raise StoppingError("resources", self.commands.phase.value) from None
-            raise
-
-    async def _exchange(
-        self, name: str, resource: Resource, keep: bool, until: float
-    ) -> ResourceLife:
-        """Put a resource in the place of one that is fenced off."""
-        life = self.lives[name]
-        channel = life.channel
+        self.commands.changed()
         try:
             await self._make_safe(name, until)
             if keep:
@@ -300,6 +238,35 @@ class ResourceDeployment:
             if self.lives.get(name) is life and keep:
                 channel.error = DeviceLostError(name, "nothing took its place")
             self._has_departed(name)
+
+    def _depart(self, name: str) -> None:
+        self._departures[name] = asyncio.get_running_loop().create_future()
+
+    def _has_departed(self, name: str) -> None:
+        self._leaving.discard(name)
+        wake(self._departures.pop(name))
+
+    def _fence(self, name: str) -> None:
+        """From now on nobody has, or gets, a right to what goes."""
+        self._leaving.add(name)
+        for part in (name, name + APPLIED):
+            for each in self.registrations.of_resource(part):
+                self.registrations.revoke(each, lambda: ResourceRemovedError(name))
+
+    async def _leave(self, name: str, until: float) -> None:
+        """Make a resource safe, close it, and forget it; bounded."""
+        life = self.lives[name]
+        self.commands.changed()
+        try:
+            await self._make_safe(name, until)
+        finally:
+            try:
+                if self.lives.get(name) is life:
+                    await self._undeploy(name, ResourceState.REMOVED, until)
+                    await self._let_go(life, until)
+            finally:
+                self._has_departed(name)
+        self.journal.publish(Kind.REMOVED, name, "resource")
 
     async def _let_go(
         self, life: ResourceLife, until: float, new: Resource | None = None
@@ -411,14 +378,9 @@ class ResourceDeployment:
         """Close every device, all at the same time; each has a deadline; then the buses."""
         self.control.closed = True
         self.actuators.protections.close()
-        await self.commands.close()
         # Deadlines do not add up: what comes last has what is left.
         until = min(self.deadline(), self._stops_since + self._grace + STOP_WITHIN)
-        for task in tuple(self._works):
-            task.cancel()
-        if self._works:
-            left = max(0.0, until - asyncio.get_running_loop().time())
-            await asyncio.wait(tuple(self._works), timeout=left)
+        await self.commands.close(until)
         closed = ResourceState.CLOSED
         await asyncio.gather(
             *(self._undeploy(name, closed, until) for name in tuple(self.lives))

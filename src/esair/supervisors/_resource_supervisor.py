@@ -127,27 +127,19 @@ class ResourceSupervisor(abc.Supervisor):
         """
         added: Resource = adapt_resource(resource)
 
-        life: ResourceLife | None = None
-
-        async def deploy() -> ResourceLife:
-            nonlocal life
+        async def work() -> None:
+            await self._deployment.gone(getattr(added, "name", ""))
             self._refuse(examine_resource(self._deployment.plan_with(added), added))
             life = self._deployment.deploy(added)
-            return life
+            self._commands.changed()
+            try:
+                await asyncio.shield(life.tried)
+            except BaseException:
+                await self._deployment.undo(life)
+                raise
+            self._deployment.came(added.name)
 
-        title = f"add {added!r:.80}"
-        await self._deployment.departed(getattr(added, "name", ""))
-        try:
-            deployed = await self._commands.run(deploy, name=title, undo=True)
-            await asyncio.shield(deployed.tried)
-        except BaseException:
-            # Undone, unless somebody takes it away, or has done so.
-            there = life is not None and self._deployment.lives.get(added.name) is life
-            if there and not self._deployment.is_departing(added.name):
-                undoing = self._deployment.undo(added.name, title)
-                await asyncio.wait({undoing})
-            raise
-        self._deployment.came(added.name)
+        await self._commands.run(work, name=f"add {added!r:.80}", undo=True)
 
     async def remove(self, name: str) -> None:
         """Take a resource away; nobody needs to agree.
@@ -161,15 +153,12 @@ class ResourceSupervisor(abc.Supervisor):
         """
         until = self._deployment.deadline()
 
-        title = f"remove {name}"
-
-        async def fence() -> asyncio.Task[None] | None:
+        async def work() -> None:
+            await self._deployment.gone(name)
             self._deployment.life(name)
-            if self._deployment.is_departing(name):
-                return None
-            return self._deployment.remove(name, until, title)
+            await self._deployment.remove(name, until)
 
-        await self._deployment.fenced(name, fence, title)
+        await self._commands.run(work, name=f"remove {name}", undo=False)
 
     async def restart(self, name: str) -> None:
         """Close a device and open it again, also one that has failed for good.
@@ -181,17 +170,13 @@ class ResourceSupervisor(abc.Supervisor):
             StoppingError: The robot is not running.
         """
 
-        async def begin() -> ResourceLife | None:
+        async def work() -> ResourceLife:
+            await self._deployment.gone(name)  # what goes is not begun again
             life = self._deployment.life(name)
-            if self._deployment.is_departing(name):
-                return None
             life.restart()
             return life
 
-        life = None
-        while life is None:
-            await self._deployment.departed(name)  # what goes is not begun again
-            life = await self._commands.run(begin, name=f"restart {name}", undo=False)
+        life = await self._commands.run(work, name=f"restart {name}", undo=False)
         await asyncio.shield(life.tried)
 
     async def replace(
@@ -208,26 +193,20 @@ class ResourceSupervisor(abc.Supervisor):
             StoppingError: The robot is not running.
         """
         added: Resource = adapt_resource(resource)
-
         until = self._deployment.deadline()
 
-        title = f"replace {name}"
-
-        async def fence() -> asyncio.Task[ResourceLife] | None:
+        async def work() -> ResourceLife:
+            await self._deployment.gone(name)
             old = self._deployment.life(name).resource
-            if self._deployment.is_departing(name):
-                return None
             if isinstance(added, Resource) and not in_use(added):
                 added._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
             plan = self._deployment.plan_with(added, without=old)
             self._refuse(examine_resource(plan, added, instead_of=old))
             same_kind = isinstance(old, Actuator) is isinstance(added, Actuator)
             keep = same_kind and same_type(added.value_type, old.value_type)
-            return self._deployment.replace(
-                name, added, keep=keep, until=until, title=title
-            )
+            return await self._deployment.replace(name, added, keep=keep, until=until)
 
-        life = await self._deployment.fenced(name, fence, title)
+        life = await self._commands.run(work, name=f"replace {name}", undo=False)
         await asyncio.shield(life.tried)
 
     # What behaviors may ask for.
