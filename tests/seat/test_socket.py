@@ -222,6 +222,23 @@ async def test_one_lane_is_kept_for_stop(rover, raw):
 
 
 @pytest.mark.promise("SEC-1")
+@pytest.mark.fault("H08")
+async def test_who_only_sits_in_the_lane_for_stop_gives_way(rover, raw):
+    """Fifty that are idle keep nobody from stopping the robot."""
+    async with rover(Wander()) as robot:
+        await robot.wheels.until(MOVES)
+        idle = [raw() for _ in range(50)]
+        for each in idle:
+            await each.__aenter__()
+
+        async with raw() as late:
+            assert (await late.do("1", "stop"))["ok"]
+            assert robot.wheels.commands[-1] == STILL
+        for each in idle:
+            await each.__aexit__()
+
+
+@pytest.mark.promise("SEC-1")
 @pytest.mark.fault("H06")
 async def test_a_client_that_never_reads_is_cut_off(rover, raw):
     """It costs a bounded buffer, then its connection; the others go on."""

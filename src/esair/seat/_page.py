@@ -282,11 +282,14 @@ class _Viewer(Visitor):
         line = line_of(found)
         if len(self._lines) >= WAITING:
             self._way.cut_off += 1
-            self.gone = True
-            self._news.set()
+            self.close()
             return
         self._lines.append(line)
         self._bytes += len(line)
+        self._news.set()
+
+    def close(self) -> None:
+        self.gone = True
         self._news.set()
 
     async def write(self) -> None:

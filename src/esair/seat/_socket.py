@@ -139,6 +139,9 @@ class _Client(Visitor, asyncio.Protocol):
 
     def end(self) -> None:
         super().end()
+        self.close()
+
+    def close(self) -> None:
         self.transport.close()
 
     def send(self, found: dict[str, Any]) -> None:

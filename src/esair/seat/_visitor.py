@@ -31,7 +31,7 @@ class Way(Generic[V]):
 
     def __init__(self, console: Console, name: str, room: int) -> None:
         self.console = console
-        self.there: set[V] = set()
+        self.there: dict[V, None] = {}  # In the order in which they came
         self.turned_away = 0  # How many came who may not, or were too many
         self.cut_off = 0  # How many were cut off because they did not read
         self._room = room
@@ -49,18 +49,26 @@ class Way(Generic[V]):
         }
 
     def has_room(self, visitor: V) -> bool:
-        """Let somebody in if there is room; one too many can still stop the robot."""
+        """Let somebody in if there is room; one too many can still stop the robot.
+
+        Who only sits where one can stop gives way to the next.
+        """
         if len(self.there) >= self._room + STOP_LANES:
             self.turned_away += 1
-            return False
+            idle = [each for each in self.there if each.narrow and not each.stops]
+            if not idle:
+                return False
+            idle[0].send(failure(None, BusyError("operators", "clients", self._room)))
+            self.forget(idle[0])
+            idle[0].close()
         visitor.narrow = self._room if len(self.there) >= self._room else 0
-        self.there.add(visitor)
+        self.there[visitor] = None
         return True
 
     def forget(self, visitor: V) -> None:
         """Somebody has gone; what it has counted stays."""
         if visitor in self.there:
-            self.there.discard(visitor)
+            del self.there[visitor]
             self._past[0] += visitor.garbage
             self._past[1] += visitor.dropped
 
@@ -84,12 +92,17 @@ class Visitor:
         self.garbage = 0  # How many of its lines were no messages
         # How many clients there are, if it is one too many: it can only stop
         self.narrow = 0
+        self.stops = False  # Whether it has stopped the robot
         self._feeds: dict[str, Feed] = {}
 
     # What a way in provides.
 
     def send(self, found: dict[str, Any]) -> None:
         """Send a line."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """End the connection, after what was sent."""
         raise NotImplementedError
 
     @property
@@ -138,6 +151,7 @@ class Visitor:
         elif message.act in FEEDS:
             self._follow(message)
         else:
+            self.stops |= message.act == "stop"
             self.console.take(message, self.session).add_done_callback(
                 lambda done: self._answer(message.id, done)
             )
