@@ -88,6 +88,27 @@ async def test_a_device_that_does_not_answer_is_not_acknowledged(rover, raw):
         robot.wheels.resume()
 
 
+@pytest.mark.promise("OPS-1", "OPS-3")
+async def test_a_stop_is_done_whatever_its_id(rover, raw):
+    """A script may give each of its lines the same id; nobody is told an old stop."""
+    async with rover(Wander()) as robot, raw() as client:
+        for _ in range(2):
+            await robot.wheels.until(MOVES)
+            assert (await client.do("one", "stop"))["ok"]
+            assert robot.wheels.commands[-1] == STILL
+            robot.resume()
+
+
+@pytest.mark.promise("OPS-1")
+async def test_an_id_is_that_of_one_act(rover, raw):
+    """Another act with it is refused, and not taken for the first one."""
+    async with rover(Wander()), raw() as client:
+        assert (await client.do("one", "resume"))["ok"]
+        refused = await client.do("one", "remove", name="wander")
+        assert "id: it was that of resume" in refused["error"]["text"]
+        assert (await client.do("two", "list"))["result"] == ["wander: running"]
+
+
 @pytest.mark.promise("OPS-1")
 @pytest.mark.fault("H11", "H18")
 async def test_the_same_id_is_done_once(rover, raw):

@@ -18,6 +18,7 @@ from esair import config
 from esair.connections import Registration
 from esair.exceptions import (
     AccessDeniedError,
+    BadValueError,
     BehaviorUnavailableError,
     BusyError,
     ConfigError,
@@ -128,7 +129,7 @@ class Console:
             robot.resources, robot.actuators, self.name, self.rights.priority
         )
         self._outcomes: collections.OrderedDict[
-            tuple[str, str], asyncio.Future[Any]
+            tuple[str, str], tuple[Act, asyncio.Future[Any]]
         ] = collections.OrderedDict()
         self._typed = itertools.count(1)
         self.done = 0
@@ -153,17 +154,22 @@ class Console:
         """Take an act in; it takes effect in the next turn, by the one door.
 
         Returns:
-            Its outcome. The same id of the same user has the same one.
+            Its outcome. The same act with the same id of the same user has the same one;
+            but who stops the robot is never told of an earlier stop.
         """
         key = (session.who, message.id)
-        known = self._outcomes.get(key)
-        if known is not None:
-            self.again += 1
-            return known
         outcome = self._outcome()
         try:
             act = self._act(message)
             fields = act.checked(message.fields)
+            known = None if act.open else self._outcomes.get(key)
+            if known is not None:
+                if known[0] is not act:
+                    raise BadValueError(
+                        "message", "id", f"it was that of {known[0].name}"
+                    )
+                self.again += 1
+                return known[1]
             self._check_right(act)
             if session.busy >= AT_A_TIME and not act.open:
                 raise BusyError("operator", "number of acts at a time", AT_A_TIME)
@@ -171,8 +177,8 @@ class Console:
             self.refused += 1
             outcome.set_exception(error)
             return outcome
-        if not act.looks:
-            self._outcomes[key] = outcome
+        if not (act.looks or act.open):
+            self._outcomes[key] = (act, outcome)
             while len(self._outcomes) > OUTCOMES:
                 self._outcomes.popitem(last=False)
         session.busy += 1
