@@ -285,6 +285,27 @@ async def test_a_stream_of_wrong_values_closes_the_device(user_of: Any) -> None:
         assert robot.resources.query("radar").state is esair.ResourceState.LOST
 
 
+@pytest.mark.promise("TURN-6")
+async def test_a_stream_that_nobody_hears_any_more_is_closed_at_once() -> None:
+    """What it has to put away is not left to the collector, whose moment is another one."""
+    closed: list[bool] = []
+
+    class Radar(esair.Sensor[float]):
+        async def stream(self) -> AsyncIterator[Any]:
+            mine = asyncio.current_task()
+            try:
+                while True:
+                    yield "?"
+                    await asyncio.sleep(0.01)
+            finally:
+                closed.append(asyncio.current_task() is mine)
+                raise ValueError("its end fails too")
+
+    async with esair.Robot(resources=[Radar()]):
+        await asyncio.sleep(0.05)
+        assert closed == [True]
+
+
 @pytest.mark.promise("RES-1")
 @pytest.mark.real_clock
 async def test_blocking_drivers_run_on_a_thread(user_of: Any) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from esair.connections._driver import Method
@@ -50,6 +50,9 @@ class Listening:
                 if isinstance(stream, AsyncIterator):
                     async for value in stream:
                         if not self._heard(value, calls, opening):
+                            if isinstance(stream, AsyncGenerator):
+                                # The collector would do it, at any moment.
+                                await stream.aclose()
                             return
                 elif not await self._listen_blocking(iter(stream), calls, opening):
                     return
