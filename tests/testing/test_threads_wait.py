@@ -164,3 +164,24 @@ async def test_a_thread_that_asks_the_loop_is_served_though_it_is_never_quiet() 
     async with esair.Robot(resources=[wheels, sonar], behaviors=[Heavy(), Drive()]):
         await asyncio.sleep(3.0)
     assert [each for each in wheels.commands if each] == [1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+@pytest.mark.promise("TURN-6")
+@pytest.mark.parametrize("real", [0.0, 0.05])
+async def test_what_a_busy_loop_does_next_depends_on_no_thread(real: float) -> None:
+    """First what threads have done, however long that took; timers that are due at last."""
+    loop: Any = asyncio.get_running_loop()
+    order: list[str] = []
+
+    def work() -> None:
+        if real:
+            threading.Event().wait(real)
+
+    working = loop.run_in_executor(None, work)
+    working.add_done_callback(lambda _: order.append("thread"))
+    loop.call_later(0.5, order.append, "timer")
+    loop.call_soon(order.append, "ready")
+    loop.advance(1.0)
+    await asyncio.sleep(0.5)
+
+    assert order == ["thread", "ready", "timer"]

@@ -141,10 +141,12 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         ready, scheduled = self._ready, self._scheduled  # type: ignore[attr-defined]
         self._turns += 1
         if self._held:
-            # Threads do not wait for a loop that is busy: they come first now.
+            # Threads do not wait for a loop that is busy: they come first now, then
+            # what was ready, and the timers of the time that has passed at last.
             self._held = False
             self._aside.extend(ready)
             ready.clear()
+            self._clock_resolution = -math.inf
         if ready:
             if self._random is not None and len(ready) > 1:
                 self._shuffle(ready)
@@ -154,7 +156,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             if not ready:
                 self._wait_for_threads()
                 return
-        elif self._aside:
+        elif self._clock_resolution < 0.0:
             self._put_back(ready)
         else:
             while scheduled and scheduled[0]._cancelled:
@@ -163,8 +165,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             if scheduled:
                 if scheduled[0]._when > self._now:
                     self._now = scheduled[0]._when
-                    # Late in a long life the clock is coarser than what asyncio adds.
-                    self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
+                    self._clock_resolution = self._resolution()
                     self._turns = 0
             elif self._threads.outside(Door.of(self)):
                 self._wait_for_threads()
@@ -180,6 +181,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def _put_back(self, ready: Any) -> None:
         ready.extend(self._aside)
         self._aside.clear()
+        self._clock_resolution = self._resolution()
+
+    def _resolution(self) -> float:
+        """Return how far ahead a timer is due: late in a long life the clock is coarse."""
+        return max(1e-9, 2 * math.ulp(self._now))
 
     def _door_is_quiet(self) -> bool:
         """Let threads begin, and what they have done come in when all have ended."""
