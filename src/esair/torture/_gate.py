@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import inspect
 import random
@@ -181,10 +182,12 @@ class Gate:
 
         @functools.wraps(values)
         async def stream() -> AsyncIterator[Any]:
-            async for value in values():
-                await self._wait(self._pause())
-                for each in self._passes(value):
-                    yield each
+            # Closed here: the collector would do it at a moment that does not repeat.
+            async with contextlib.aclosing(values()) as pushed:
+                async for value in pushed:
+                    await self._wait(self._pause())
+                    for each in self._passes(value):
+                        yield each
 
         return stream
 
