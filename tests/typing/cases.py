@@ -6,6 +6,10 @@ import attrs
 
 import esair
 from esair.actions import ActuatorPort
+from esair.buses import CanBus, I2CBus
+from esair.drivers.ads1115 import Ads1115
+from esair.drivers.gpio import DigitalOutput
+from esair.drivers.odrive import OdriveAxis
 
 
 @attrs.frozen
@@ -96,3 +100,14 @@ class InThread(esair.ThreadBehavior):
 
 class Turn(esair.Reaction):
     wheels = esair.writes(Twist)
+
+
+def parts(i2c: I2CBus, can: CanBus) -> object:
+    return [
+        Ads1115(name="light", bus=i2c, address=0x49, full_scale=2.048, rate=5.0),
+        Ads1115(bus=i2c, adress=0x49),  # type: ignore[call-arg]
+        OdriveAxis(bus=can, node=3, heartbeat_timeout=0.2, required=True),
+        OdriveAxis(bus=can, node=3, rate=5.0),  # type: ignore[call-arg]
+        DigitalOutput(chip="gpiochip0", line=17, active_low=True),
+        DigitalOutput(chip="gpiochip0", line=17, aktive_low=True),  # type: ignore[call-arg]
+    ]

@@ -31,7 +31,7 @@ def test_mypy_finds_what_is_wrong_and_no_more() -> None:
     )  # fmt: skip
 
     assert done.returncode == 0, done.stdout
-    assert len(expected()) == 8
+    assert len(expected()) == 11
 
 
 @pytest.mark.long

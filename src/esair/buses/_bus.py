@@ -50,14 +50,14 @@ class Bus(abc.ABC):
     _still_there: Callable[[], bool] | None = None
 
     def __init__(self, *, name: str, wire: Wire | None = None) -> None:
-        self.name = check_name("bus", name)
+        self.name: str = check_name("bus", name)
         self._wire = wire
-        self.is_open = False
+        self.is_open: bool = False
         self.error: BaseException | None = None
         """Why the bus is not open; None if it is, or has not been tried."""
-        self.stats = BusStats()
+        self.stats: BusStats = BusStats()
         """What happened on the bus since it was made."""
-        self.executor = Executor(name)
+        self.executor: Executor = Executor(name)
         """The thread for blocking calls of the devices on this bus."""
         self._opening: asyncio.Task[None] | None = None
         self._closing: asyncio.Future[None] | None = None

@@ -29,7 +29,7 @@ import math
 import re
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Required, TypedDict, Unpack
 
 from esair.buses import I2CBus
 from esair.buses.i2c import SILENT, probe, transfer
@@ -41,7 +41,13 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import now
-from esair.resources import Actuator, Resource, Sensor
+from esair.resources import (
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+)
 
 __all__ = ["AdafruitActuator", "AdafruitBus", "AdafruitSensor"]
 
@@ -254,6 +260,19 @@ class _OnPart(Resource):
             _one_at_a_time.release()
 
 
+class _PartSettings(TypedDict, total=False):
+    library: Required[str | Callable[..., Any]]
+    address: int | None
+    arguments: Mapping[str, Any] | None
+    set_up: Mapping[str, Any] | None
+
+
+class _SensorSettings(_PartSettings, SensorSettings): ...
+
+
+class _ActuatorSettings(_PartSettings, ActuatorSettings): ...
+
+
 class AdafruitSensor(_OnPart, Sensor[Any]):
     """A part that is read through its CircuitPython driver.
 
@@ -269,7 +288,9 @@ class AdafruitSensor(_OnPart, Sensor[Any]):
             has restarted is known by them, because they are others then.
     """
 
-    def __init__(self, *, value: str | Sequence[str], **settings: Any) -> None:
+    def __init__(
+        self, *, value: str | Sequence[str], **settings: Unpack[_SensorSettings]
+    ) -> None:
         super().__init__(**settings)
         names = [value] if isinstance(value, str) else list(value)
         if not names:
@@ -307,22 +328,21 @@ class AdafruitActuator(_OnPart, Actuator[Any]):
     def __init__(
         self,
         *,
-        library: str | Callable[..., Any],
         attribute: str,
         safe: Any,
         limits: tuple[float, float] | None = None,
-        address: int | None = None,
-        **settings: Any,
+        **settings: Unpack[_ActuatorSettings],
     ) -> None:
-        super().__init__(library=library, address=address, **settings)
+        super().__init__(**settings)
         self.safe = safe
         self.limits = limits
         self._called = attribute.endswith("()")
         self._pieces = (_pieces if self._called else _attribute)(
             self, "attribute", attribute
         )
+        address = settings.get("address")
         where = "" if address is None else f" at {address:#04x}"
-        self.claim = f"{attribute} of {library}{where}"
+        self.claim = f"{attribute} of {settings['library']}{where}"
 
     def write(self, command: Any) -> None:
         """Assign the command, or call with it; on the thread of the bus."""

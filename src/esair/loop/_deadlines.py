@@ -36,8 +36,8 @@ class Deadline:
         function: Callable[..., object],
         arguments: tuple[Any, ...],
     ) -> None:
-        self.when = when
-        self.put_off = False
+        self.when: float = when
+        self.put_off: bool = False
         self._deadlines = deadlines
         self._function = function
         self._arguments = arguments

@@ -58,8 +58,8 @@ class Door(OfLoop):
         """The threads whose work is to wait for the outside."""
         self._wakes = False
         self._works = itertools.count(1)
-        self.number = 0  # how many entries have come in
-        self.at_work = 0  # how many works threads have in hand
+        self.number: int = 0  # how many entries have come in
+        self.at_work: int = 0  # how many works threads have in hand
 
     @property
     def waiting(self) -> bool:

@@ -220,8 +220,8 @@ class Results:
     def __init__(self, executor: Executor, loop: asyncio.AbstractEventLoop) -> None:
         self._executor = executor
         self._tag = (executor.name,)
-        self.door = Door.of(loop)
-        self.deadlines = Deadlines.beside(loop)
+        self.door: Door = Door.of(loop)
+        self.deadlines: Deadlines = Deadlines.beside(loop)
         self.loop = loop
         self.held = 0
         """How many calls it was given that have not come to its thread: see `Door`."""

@@ -126,7 +126,7 @@ class Player:
         if not self.moments:
             self.moments.append(0.0)
         self.on_over = over
-        self.is_over = False
+        self.is_over: bool = False
         self._door: WayIn | None = None
         self._counts: collections.Counter[Tag] = collections.Counter()
         self._ends: dict[tuple[Tag, int], Callable[[Any], object]] = {}

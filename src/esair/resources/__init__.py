@@ -1,6 +1,6 @@
 """What the hardware is: sensors, actuators, and their settings."""
 
-from esair.resources._actuator import APPLIED, HOLD, Actuator
+from esair.resources._actuator import APPLIED, HOLD, Actuator, ActuatorSettings
 from esair.resources._from_minimal import MinimalActuator, MinimalSensor, adapt_resource
 from esair.resources._operation import (
     Operation,
@@ -10,8 +10,8 @@ from esair.resources._operation import (
     operations_of,
     wrong_operations,
 )
-from esair.resources._resource import Resource, bus_kind
-from esair.resources._sensor import Sensor
+from esair.resources._resource import Resource, ResourceSettings, bus_kind
+from esair.resources._sensor import Sensor, SensorSettings
 from esair.resources._setting import (
     HIDDEN,
     Setting,
@@ -26,12 +26,15 @@ __all__ = [
     "HIDDEN",
     "HOLD",
     "Actuator",
+    "ActuatorSettings",
     "MinimalActuator",
     "MinimalSensor",
     "Operation",
     "Parameter",
     "Resource",
+    "ResourceSettings",
     "Sensor",
+    "SensorSettings",
     "Setting",
     "adapt_resource",
     "bus_kind",

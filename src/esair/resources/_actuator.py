@@ -6,7 +6,7 @@ import enum
 from collections.abc import Awaitable, Mapping
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from esair.resources._resource import Resource
+from esair.resources._resource import Resource, ResourceSettings
 from esair.values import value_type
 
 if TYPE_CHECKING:
@@ -33,6 +33,10 @@ HOLD: Any = _Hold.HOLD
 
 Its driver gets it in ``write``, as any other command, and stops where it is.
 """
+
+
+class ActuatorSettings(ResourceSettings, total=False):
+    """What every actuator takes as keywords, beside its own; as `SensorSettings`."""
 
 
 class Actuator(Resource, Generic[T]):

@@ -7,7 +7,7 @@ import itertools
 import typing
 from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from esair import abc
 from esair.resources._operation import Operation, operations_of
@@ -17,6 +17,15 @@ from esair.values import once_for_class
 if TYPE_CHECKING:
     from esair.buses import Bus
     from esair.watchdog import Outlet
+
+
+class ResourceSettings(TypedDict, total=False):
+    """What every resource takes as keywords, beside its own; see `Resource`."""
+
+    name: str | None
+    bus: Bus | None
+    required: bool | None
+    identity: Any
 
 
 class Resource(abc.Resource):
@@ -92,7 +101,8 @@ class Resource(abc.Resource):
             self.required = required
         if identity is not None:
             self.identity = identity
-        for key, value in check_settings(self, settings).items():
+        keywords = _keywords(type(self))
+        for key, value in check_settings(self, settings, keywords).items():
             setattr(self, key, value)
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -199,6 +209,20 @@ class Resource(abc.Resource):
         listener = self._listener
         if listener is not None:
             listener(None)
+
+
+@once_for_class
+def _keywords(cls: type[Resource]) -> frozenset[str]:
+    """The keywords of its constructor, and of those that it hands the rest on to."""
+    constructors = [
+        vars(each)["__init__"] for each in cls.__mro__ if "__init__" in vars(each)
+    ]
+    return frozenset(
+        parameter.name
+        for each in constructors[:-1]  # the last is that of `object`
+        for parameter in inspect.signature(each).parameters.values()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    )
 
 
 @once_for_class

@@ -8,11 +8,27 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import attrs
 
-from esair.resources._resource import Resource
+from esair.resources._resource import Resource, ResourceSettings
 from esair.resources._setting import setting, settings_of
 from esair.values import value_type
 
 T = TypeVar("T")
+
+
+class SensorSettings(ResourceSettings, total=False):
+    """What every sensor takes as keywords, beside its own.
+
+    A driver with a constructor says by it what its ``**settings`` are, so that editors
+    and type checkers know them too.
+
+    Example:
+        >>> class Sonar(esair.Sensor[float]):
+        ...     def __init__(self, *, pin: int, **settings: Unpack[SensorSettings]) -> None:
+        ...         super().__init__(**settings)
+        ...         self.pin = pin
+    """
+
+    rate: float
 
 
 class Sensor(Resource, Generic[T]):

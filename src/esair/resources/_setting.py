@@ -159,9 +159,14 @@ def shown(resource: abc.Resource, values: Mapping[str, object]) -> dict[str, obj
 
 
 def check_settings(
-    resource: abc.Resource, changes: Mapping[str, object]
+    resource: abc.Resource,
+    changes: Mapping[str, object],
+    keywords: Collection[str] = (),
 ) -> dict[str, object]:
-    """Return the changes in the right types, or name every mistake at once."""
+    """Return the changes in the right types, or name every mistake at once.
+
+    A name that there is not may have been meant for one of the keywords.
+    """
     known = settings_of(type(resource))
     checked: dict[str, object] = {}
     mistakes: list[str] = []
@@ -169,7 +174,7 @@ def check_settings(
     for name, value in changes.items():
         if name not in known:
             there = f"there are {', '.join(sorted(known))}" if known else "it has none"
-            hint = did_you_mean(name, known) or f"; {there}"
+            hint = did_you_mean(name, [*known, *keywords]) or f"; {there}"
             mistakes.append(f"{name}: there is no such setting{hint}")
             fields.append(name)
             continue

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import asyncio
 import weakref
-from typing import Any
+from typing import Unpack
 
 import attrs
 
 from esair.buses import I2CBus
 from esair.drivers._on_bus import check_address, expected_at
 from esair.exceptions import DeviceFaultError
-from esair.resources import Sensor, setting
+from esair.resources import Sensor, SensorSettings, setting
 from esair.values import check_choice
 
 __all__ = ["Ads1115", "config_for", "decode_volts"]
@@ -77,6 +77,11 @@ def decode_volts(block: bytes, full_scale: float) -> float:
     return int.from_bytes(block, "big", signed=True) * full_scale / 32768
 
 
+class _Settings(SensorSettings, total=False):
+    full_scale: float
+    data_rate: int
+
+
 class Ads1115(Sensor[float]):
     """One input of an ADS1115, or the difference of two, in V.
 
@@ -103,7 +108,11 @@ class Ads1115(Sensor[float]):
     )
 
     def __init__(
-        self, *, channel: int | str = 0, address: int = ADDRESS, **settings: Any
+        self,
+        *,
+        channel: int | str = 0,
+        address: int = ADDRESS,
+        **settings: Unpack[_Settings],
     ) -> None:
         super().__init__(**settings)
         self.address = check_address(self, address, range(0x48, 0x4C))

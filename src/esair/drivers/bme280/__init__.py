@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from typing import Any
+from typing import Unpack
 
 import attrs
 
 from esair.buses import I2CBus
 from esair.drivers._on_bus import check_address, expected_at
 from esair.exceptions import DeviceFaultError
-from esair.resources import Sensor, setting
+from esair.resources import Sensor, SensorSettings, setting
 
 __all__ = ["Bme280", "Calibration", "Climate", "compensate"]
 
@@ -153,6 +153,11 @@ def compensate(block: bytes, calibration: Calibration) -> Climate:
     )
 
 
+class _Settings(SensorSettings, total=False):
+    oversampling: int
+    smoothing: int
+
+
 class Bme280(Sensor[Climate]):
     """A BME280 on an I²C bus, which measures when it is asked and sleeps else.
 
@@ -174,7 +179,9 @@ class Bme280(Sensor[Climate]):
     )
     deadline = 0.5
 
-    def __init__(self, *, address: int = ADDRESS, **settings: Any) -> None:
+    def __init__(
+        self, *, address: int = ADDRESS, **settings: Unpack[_Settings]
+    ) -> None:
         super().__init__(**settings)
         self.address = check_address(self, address, range(0x76, 0x78))
         self._calibration: Calibration | None = None

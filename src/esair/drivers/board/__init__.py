@@ -42,14 +42,14 @@ import logging
 import weakref
 from binascii import crc32
 from collections.abc import AsyncIterator
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import attrs
 
 from esair.boards.link import BEAT_MS, VERSION
 from esair.buses import Inbox, SerialBus
 from esair.exceptions import DeviceFaultError, DeviceLostError
-from esair.resources import Actuator, Sensor
+from esair.resources import Actuator, ActuatorSettings, Sensor, SensorSettings
 
 __all__ = ["Board", "BoardActuator", "BoardSensor", "BoardState"]
 
@@ -216,8 +216,8 @@ class Board(_OnBoard, Sensor[BoardState]):
     bus: SerialBus
     period = SILENCE
 
-    def __init__(self, *, arm: bool = True, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(self, *, arm: bool = True, **settings: Unpack[SensorSettings]) -> None:
+        super().__init__(**settings)
         self.arm = arm
 
     async def open(self) -> None:
@@ -263,7 +263,10 @@ class BoardSensor(_OnBoard, Sensor[Any]):
     """
 
     bus: SerialBus
-    _inbox: Inbox[bytes] | None = None
+
+    def __init__(self, **settings: Unpack[SensorSettings]) -> None:
+        super().__init__(**settings)
+        self._inbox: Inbox[bytes] | None = None
 
     async def open(self) -> None:
         """Wait until the board beats, and listen from now on."""
@@ -301,8 +304,8 @@ class BoardActuator(_OnBoard, Actuator[Any]):
     bus: SerialBus
     own_timeout = 0.35
 
-    def __init__(self, *, safe: Any, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(self, *, safe: Any, **settings: Unpack[ActuatorSettings]) -> None:
+        super().__init__(**settings)
         self.safe = _tuples(safe)
 
     async def write(self, command: Any) -> None:

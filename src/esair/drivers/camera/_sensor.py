@@ -6,7 +6,7 @@ import asyncio
 import functools
 import time
 from collections.abc import AsyncIterator, Callable
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, Unpack
 
 import attrs
 
@@ -20,7 +20,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import Executor
-from esair.resources import Sensor
+from esair.resources import Sensor, SensorSettings
 from esair.values import check_choice, check_seconds, check_whole
 
 if TYPE_CHECKING:  # who lists what is plugged in does not need it
@@ -105,7 +105,7 @@ class Camera(Sensor[Any]):
         colors: Literal["bgr", "rgb", "gray"] = "bgr",
         silent_after: float = 2.0,
         opener: Callable[[CameraRequest], CameraLink] | None = None,
-        **settings: Any,
+        **settings: Unpack[SensorSettings],
     ) -> None:
         super().__init__(**settings)
         for field, pixels in (("width", width), ("height", height)):

@@ -6,7 +6,7 @@ import contextlib
 import logging
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Required, Unpack
 
 from canopen.objectdictionary import FLOAT_TYPES, INTEGER_TYPES
 from canopen.sdo.exceptions import SdoAbortedError
@@ -20,10 +20,10 @@ from esair.drivers.canopen._dictionary import (
     read_eds,
 )
 from esair.drivers.canopen._node import sdo_frames
-from esair.drivers.canopen._on_node import OnNode
+from esair.drivers.canopen._on_node import NodeSettings, OnNode
 from esair.exceptions import BusyError, ConfigError, DeviceFaultError
 from esair.loop import CallRefused
-from esair.resources import Actuator, Sensor
+from esair.resources import Actuator, ActuatorSettings, Sensor, SensorSettings
 from esair.watchdog import SafeFrames
 
 # What it logs, it raises as well; a node that is not there would fill the log.
@@ -74,6 +74,18 @@ class _Object(OnNode):
         return bytes(raw) if isinstance(raw, bytearray) else raw
 
 
+class _ObjectSettings(NodeSettings, total=False):
+    eds: Required[Path | str]
+    object: Required[str | int | tuple[int, int]]
+    factor: float | None
+
+
+class _SensorSettings(_ObjectSettings, SensorSettings): ...
+
+
+class _ActuatorSettings(_ObjectSettings, ActuatorSettings): ...
+
+
 class CanopenSensor(_Object, Sensor[Any]):
     """An object of a CANopen node.
 
@@ -96,7 +108,9 @@ class CanopenSensor(_Object, Sensor[Any]):
         bad_frames: How many PDOs were too short.
     """
 
-    def __init__(self, *, pdo: bool = False, **settings: Any) -> None:
+    def __init__(
+        self, *, pdo: bool = False, **settings: Unpack[_SensorSettings]
+    ) -> None:
         super().__init__(**settings)
         self.pdo = pdo
         self.bad_frames = 0
@@ -181,7 +195,11 @@ class CanopenActuator(_Object, Actuator[Any]):
     """
 
     def __init__(
-        self, *, safe: Any, limits: tuple[float, float] | None = None, **settings: Any
+        self,
+        *,
+        safe: Any,
+        limits: tuple[float, float] | None = None,
+        **settings: Unpack[_ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
         if not self.variable.writable:

@@ -13,10 +13,11 @@ from esair.buses import Frame, Inbox
 from esair.drivers.canopen import _profile as profile
 from esair.drivers.canopen._dictionary import read_eds
 from esair.drivers.canopen._node import Emergency, sdo_frames
-from esair.drivers.canopen._on_node import OnNode
+from esair.drivers.canopen._on_node import NodeSettings, OnNode
 from esair.drivers.canopen._profile import State, state_of
 from esair.drivers.canopen._sync import SYNC, Sync, sync_of
 from esair.exceptions import BusyError, ConfigError, DeviceFaultError
+from esair.resources import ActuatorSettings
 from esair.values import check_choice, check_seconds
 from esair.watchdog import SafeFrames, can_frame
 
@@ -31,6 +32,11 @@ LONGEST_SYNC: Final = 0.1
 
 TOLD: Final = (profile.STATUSWORD, profile.POSITION), (profile.VELOCITY,)
 """What is in the PDOs of a drive."""
+
+
+class DriveSettings(NodeSettings, total=False):
+    eds: Path | str | None
+    tell_every: float
 
 
 class OnDrive(OnNode):
@@ -101,6 +107,12 @@ class OnDrive(OnNode):
         if sync is not None:
             await sync.leave(self)
         await super().close()
+
+
+class DriveActuatorSettings(DriveSettings, ActuatorSettings, total=False):
+    factor: float
+    limits: tuple[float, float] | None
+    stop: Literal["quick_stop", "halt"]
 
 
 class DriveActuator(OnDrive):

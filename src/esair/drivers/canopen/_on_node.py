@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import collections
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Required, TypedDict
 
 from canopen.objectdictionary import ObjectDictionary
 
@@ -13,6 +13,12 @@ from esair.drivers.canopen._node import Emergency, Node, T, nodes_of_bus
 from esair.exceptions import ConfigError, DeviceLostError
 from esair.resources import Resource
 from esair.values import check_seconds, check_whole
+
+
+class NodeSettings(TypedDict, total=False):
+    node: Required[int]
+    heartbeat: float | None
+    sdo_timeout: float
 
 
 class OnNode(Resource):

@@ -26,14 +26,19 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator
-from typing import Any
+from typing import Unpack
 
 import attrs
 
 from esair.drivers.canopen import _profile as profile
-from esair.drivers.canopen._on_drive import DriveActuator, OnDrive
+from esair.drivers.canopen._on_drive import (
+    DriveActuator,
+    DriveActuatorSettings,
+    DriveSettings,
+    OnDrive,
+)
 from esair.drivers.canopen._profile import State, state_of
-from esair.resources import Actuator, Sensor
+from esair.resources import Actuator, Sensor, SensorSettings
 
 __all__ = ["Drive", "DriveReading", "DriveState", "State"]
 
@@ -51,6 +56,9 @@ class DriveReading:
     position: float
     velocity: float
     state: State
+
+
+class _StateSettings(DriveSettings, SensorSettings): ...
 
 
 class DriveState(OnDrive, Sensor[DriveReading]):
@@ -77,7 +85,7 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         position_factor: float = 1.0,
         velocity_factor: float = 1.0,
         sync: float | None = None,
-        **settings: Any,
+        **settings: Unpack[_StateSettings],
     ) -> None:
         super().__init__(**settings)
         self.sync = self._check_sync(sync)
@@ -132,7 +140,9 @@ class Drive(DriveActuator, Actuator[float]):
     mode = profile.PROFILE_VELOCITY
     target = profile.TARGET_VELOCITY
 
-    def __init__(self, *, sync: float | None = None, **settings: Any) -> None:
+    def __init__(
+        self, *, sync: float | None = None, **settings: Unpack[DriveActuatorSettings]
+    ) -> None:
         super().__init__(**settings)
         self.sync = self._check_sync(sync)
         self.limits = self._allowed

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Unpack
 
 import attrs
 
 from esair.drivers.canopen import _profile as profile
-from esair.drivers.canopen._on_drive import DriveActuator
+from esair.drivers.canopen._on_drive import DriveActuator, DriveActuatorSettings
 from esair.resources import Actuator
 
 __all__ = ["Move", "PositionDrive"]
@@ -47,7 +47,7 @@ class PositionDrive(DriveActuator, Actuator[Move]):
     mode = profile.PROFILE_POSITION
     target = profile.TARGET_POSITION
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, **settings: Unpack[DriveActuatorSettings]) -> None:
         super().__init__(**settings)
         self.limits = {"position": self._allowed}
 

@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from cantools.database.can import Signal
 
@@ -31,7 +31,7 @@ from esair.exceptions import (
     DeviceLostError,
     did_you_mean,
 )
-from esair.resources import Actuator
+from esair.resources import Actuator, ActuatorSettings
 from esair.values import check_seconds
 from esair.watchdog import SafeFrames, can_frame
 
@@ -97,7 +97,7 @@ class DbcActuator(Actuator[Any]):
         limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
         slew: float | Mapping[str, float] | None = None,
         own_timeout: float | None = None,
-        **settings: Any,
+        **settings: Unpack[ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
         self.codec = codec = MessageCodec(find_message(self.name, database, message))

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 from esair.buses import CanBus, Frame, Inbox
 from esair.buses.can import Mask
@@ -16,7 +16,7 @@ from esair.drivers.dbc._file import find_message, find_signal, modulus_of
 from esair.drivers.dbc._j1939 import SOURCE, Source, ids_from
 from esair.drivers.dbc._transport import TRANSPORT, Reassembly
 from esair.exceptions import DeviceFaultError, DeviceLostError
-from esair.resources import Sensor
+from esair.resources import Sensor, SensorSettings
 from esair.values import check_choice, check_seconds, check_whole
 
 
@@ -69,7 +69,7 @@ class DbcSensor(Sensor[Any]):
         source: Source = None,
         silent_after: float | None = None,
         buffer: int = 64,
-        **settings: Any,
+        **settings: Unpack[SensorSettings],
     ) -> None:
         super().__init__(**settings)
         check_choice(self.name, "choices", choices, ("numbers", "names"))

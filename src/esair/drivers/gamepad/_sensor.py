@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, Unpack
 
 from esair.drivers._on_descriptor import arrivals
 from esair.drivers.gamepad._find import find_pad
@@ -19,7 +19,7 @@ from esair.drivers.gamepad._pad import (
     PadState,
 )
 from esair.exceptions import ConfigError, DeviceLostError, describe, did_you_mean
-from esair.resources import Sensor, setting
+from esair.resources import Sensor, SensorSettings, setting
 from esair.values import check_seconds
 
 
@@ -44,6 +44,10 @@ class PadLink(Protocol):
 
     def close(self) -> None:
         """Let it go."""
+
+
+class _Settings(SensorSettings, total=False):
+    repeat: float
 
 
 class Gamepad(Sensor[Pad]):
@@ -79,7 +83,7 @@ class Gamepad(Sensor[Pad]):
         dead_zone: float = 0.1,
         still_after: float | None = None,
         opener: Callable[[str], PadLink] | None = None,
-        **settings: Any,
+        **settings: Unpack[_Settings],
     ) -> None:
         super().__init__(**settings)
         if dead_man is not None and dead_man not in BUTTONS.values():

@@ -27,7 +27,16 @@ import select
 import struct
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import (
+    Any,
+    Literal,
+    NamedTuple,
+    Protocol,
+    Required,
+    TypedDict,
+    Unpack,
+    get_args,
+)
 
 import attrs
 
@@ -40,7 +49,14 @@ from esair.exceptions import (
     did_you_mean,
 )
 from esair.loading import of_extra
-from esair.resources import Actuator, Resource, Sensor, setting
+from esair.resources import (
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+    setting,
+)
 from esair.values import check_choice, check_whole
 from esair.watchdog import Outlet, SafeFrames
 
@@ -165,6 +181,20 @@ class _OnLine(Resource):
         return self._line
 
 
+class _LineSettings(TypedDict, total=False):
+    chip: Required[str]
+    line: Required[int | str]
+    active_low: bool
+    opener: LineOpener | None
+
+
+class _InputSettings(_LineSettings, SensorSettings, total=False):
+    debounce: float
+
+
+class _OutputSettings(_LineSettings, ActuatorSettings): ...
+
+
 class DigitalInput(_OnLine, Sensor[bool]):
     """A line that is read: a value when it is asked, and one at each change.
 
@@ -187,7 +217,9 @@ class DigitalInput(_OnLine, Sensor[bool]):
         doc="how long a new value must be steady before it counts",
     )
 
-    def __init__(self, *, bias: Bias = "as_is", **settings: Any) -> None:
+    def __init__(
+        self, *, bias: Bias = "as_is", **settings: Unpack[_InputSettings]
+    ) -> None:
         super().__init__(**settings)
         check_choice(self.name, "bias", bias, get_args(Bias))
         self._request = attrs.evolve(self._request, bias=bias)
@@ -245,7 +277,11 @@ class DigitalOutput(_OnLine, Actuator[bool]):
     """
 
     def __init__(
-        self, *, safe: bool = False, drive: Drive = "push_pull", **settings: Any
+        self,
+        *,
+        safe: bool = False,
+        drive: Drive = "push_pull",
+        **settings: Unpack[_OutputSettings],
     ) -> None:
         super().__init__(**settings)
         if type(safe) is not bool:

@@ -24,7 +24,7 @@ import datetime
 import errno
 import math
 from collections.abc import AsyncIterator, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import attrs
 
@@ -33,7 +33,7 @@ from esair.drivers._on_bus import check_bus, heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Looks, Sentences
 from esair.loading import of_extra
-from esair.resources import Sensor
+from esair.resources import Sensor, SensorSettings
 
 with of_extra("gps"):
     from pynmeagps import NMEAReader, exceptions  # type: ignore[import-untyped]
@@ -251,9 +251,12 @@ class Gps(Sensor[Fix]):
     deadline = 2.5
 
     def __init__(
-        self, *, sentences: tuple[str, ...] = SENTENCES, **keywords: Any
+        self,
+        *,
+        sentences: tuple[str, ...] = SENTENCES,
+        **settings: Unpack[SensorSettings],
     ) -> None:
-        super().__init__(**keywords)
+        super().__init__(**settings)
         if not sentences or not set(sentences) <= set(SENTENCES):
             raise ConfigError(
                 self.name,

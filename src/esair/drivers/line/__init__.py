@@ -21,13 +21,19 @@ import contextlib
 import math
 import re
 from collections.abc import AsyncIterator
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from esair.buses import Inbox, SerialBus
 from esair.drivers._on_bus import check_bus, hear_first, heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Raw
-from esair.resources import Actuator, Resource, Sensor
+from esair.resources import (
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+)
 from esair.values import check_seconds
 from esair.watchdog import SafeFrames
 
@@ -109,6 +115,16 @@ class _OnLine(Resource):
         return answer.partition(b"=")[2].strip().decode("ascii", "replace")
 
 
+class _LineSettings(TypedDict, total=False):
+    key: str | None
+
+
+class _SensorSettings(_LineSettings, SensorSettings): ...
+
+
+class _ActuatorSettings(_LineSettings, ActuatorSettings): ...
+
+
 class LineSensor(_OnLine, Sensor[float]):
     """One number that a board tells.
 
@@ -124,9 +140,13 @@ class LineSensor(_OnLine, Sensor[float]):
     """
 
     def __init__(
-        self, *, ask: bool = False, silent_after: float | None = None, **keywords: Any
+        self,
+        *,
+        ask: bool = False,
+        silent_after: float | None = None,
+        **settings: Unpack[_SensorSettings],
     ) -> None:
-        super().__init__(**keywords)
+        super().__init__(**settings)
         self.ask = ask
         self.silent_after = silent_after
         if silent_after is not None:
@@ -199,9 +219,9 @@ class LineActuator(_OnLine, Actuator[float]):
         ack: bool = False,
         limits: tuple[float, float] | None = None,
         own_timeout: float | None = None,
-        **keywords: Any,
+        **settings: Unpack[_ActuatorSettings],
     ) -> None:
-        super().__init__(**keywords)
+        super().__init__(**settings)
         self.claim = f"the value {self.key!r}"
         self.safe = safe
         self.ack = ack

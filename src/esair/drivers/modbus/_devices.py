@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, Required, TypedDict, Unpack, get_args
 
 from pymodbus.client.mixin import ModbusClientMixin
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
@@ -22,7 +22,13 @@ from esair.buses import SerialBus
 from esair.drivers._on_bus import check_bus
 from esair.exceptions import ConfigError, DeviceFaultError, describe
 from esair.framing import ModbusRtu, ModbusTcp
-from esair.resources import Actuator, Resource, Sensor
+from esair.resources import (
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+)
 from esair.values import check_choice, check_seconds, check_whole
 from esair.watchdog import SafeFrames
 
@@ -68,7 +74,7 @@ class _OnUnit(Resource):
         word_order: Literal["big", "little"] = "big",
         factor: float = 1.0,
         timeout: float = 0.5,
-        **settings: Any,
+        **settings: Unpack[SensorSettings],
     ) -> None:
         super().__init__(**settings)
         check_bus(self, SerialBus, ModbusRtu, ModbusTcp)
@@ -145,6 +151,19 @@ class _OnUnit(Resource):
         return number * self.factor
 
 
+class _UnitSettings(TypedDict, total=False):
+    unit: int
+    register: Required[int]
+    table: Table
+    type: Kind
+    word_order: Literal["big", "little"]
+    factor: float
+    timeout: float
+
+
+class _ActuatorSettings(_UnitSettings, ActuatorSettings): ...
+
+
 class ModbusSensor(_OnUnit, Sensor[Any]):
     """A value that a unit is asked for: a float, or a bool in a bit.
 
@@ -193,7 +212,7 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
         safe: float | bool,
         limits: tuple[float, float] | None = None,
         own_timeout: float | None = None,
-        **settings: Any,
+        **settings: Unpack[_ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
         self.own_timeout = own_timeout

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any
+from typing import Unpack
 
 import attrs
 
 from esair.buses import I2CBus
 from esair.drivers._on_bus import check_address, expected_at
 from esair.exceptions import DeviceFaultError
-from esair.resources import Sensor, setting
+from esair.resources import Sensor, SensorSettings, setting
 
 __all__ = ["Motion", "Mpu6050", "decode_motion", "encode_motion"]
 
@@ -84,6 +84,11 @@ def encode_motion(motion: Motion, accel_step: int = 0, gyro_step: int = 0) -> by
     return _BLOCK.pack(*(max(-32768, min(32767, round(value))) for value in values))
 
 
+class _Settings(SensorSettings, total=False):
+    gyro_range: int
+    accel_range: int
+
+
 class Mpu6050(Sensor[Motion]):
     """An MPU-6050 on an I²C bus.
 
@@ -106,7 +111,9 @@ class Mpu6050(Sensor[Motion]):
     )
     deadline = 0.5
 
-    def __init__(self, *, address: int = ADDRESS, **settings: Any) -> None:
+    def __init__(
+        self, *, address: int = ADDRESS, **settings: Unpack[_Settings]
+    ) -> None:
         super().__init__(**settings)
         self.address = check_address(self, address, range(0x68, 0x6A))
         self._gyro_step = self._accel_step = 0

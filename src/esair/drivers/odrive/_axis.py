@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
-from typing import Any, Literal
+from typing import Any, Literal, Required, TypedDict, Unpack
 
 import attrs
 
@@ -25,7 +25,14 @@ from esair.drivers.odrive._codec import (
     frame_id,
 )
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError, EsairError
-from esair.resources import HOLD, Actuator, Resource, Sensor
+from esair.resources import (
+    HOLD,
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+)
 from esair.values import check_choice, check_seconds, check_whole
 from esair.watchdog import SafeFrames, can_frame
 
@@ -95,6 +102,17 @@ class _OnAxis(Resource):
         )
 
 
+class _AxisSettings(TypedDict, total=False):
+    node: Required[int]
+    heartbeat_timeout: float
+
+
+class _SensorSettings(_AxisSettings, SensorSettings): ...
+
+
+class _ActuatorSettings(_AxisSettings, ActuatorSettings): ...
+
+
 class OdriveState(_OnAxis, Sensor[AxisReading]):
     """What an axis measures, each time that it tells, and how it is.
 
@@ -109,7 +127,7 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
         bad_frames: How many frames were too short.
     """
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, **settings: Unpack[_SensorSettings]) -> None:
         super().__init__(**settings)
         self.bad_frames = 0
 
@@ -180,7 +198,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         control: Literal["velocity", "position", "torque"] = "velocity",
         safe: float | None = None,
         idle: bool = False,
-        **settings: Any,
+        **settings: Unpack[_ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
         check_choice(self.name, "control", control, ("velocity", "position", "torque"))

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import asyncio
 import weakref
-from typing import Any, TypeVar
+from typing import Any, Required, TypeVar, Unpack
 
 import attrs
 
 from esair.buses import I2CBus, RegisterLink
 from esair.drivers._on_bus import check_address, expected_at
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
-from esair.resources import Actuator
+from esair.resources import Actuator, ActuatorSettings
 from esair.values import check_whole
 from esair.watchdog import SafeFrames
 
@@ -90,6 +90,12 @@ class Chip:
 _chips: weakref.WeakKeyDictionary[I2CBus, dict[int, Chip]] = weakref.WeakKeyDictionary()
 
 
+class ChannelSettings(ActuatorSettings, total=False):
+    channel: Required[int]
+    address: int
+    frequency: float
+
+
 class OnChannel(Actuator[T]):
     """What all that is on a channel has in common."""
 
@@ -101,7 +107,7 @@ class OnChannel(Actuator[T]):
         channel: int,
         address: int = 0x40,
         frequency: float = 50.0,
-        **settings: Any,
+        **settings: Unpack[ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
         self.address = check_address(self, address, ADDRESSES)

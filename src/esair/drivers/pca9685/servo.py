@@ -7,11 +7,17 @@ the pulses of a servo are those of its own data sheet.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Unpack
 
 import attrs
 
-from esair.drivers.pca9685._chip import STEPS, OnChannel, frequency_of, prescale
+from esair.drivers.pca9685._chip import (
+    STEPS,
+    ChannelSettings,
+    OnChannel,
+    frequency_of,
+    prescale,
+)
 from esair.exceptions import ConfigError
 from esair.watchdog import SafeFrames
 
@@ -59,7 +65,7 @@ class PwmServo(OnChannel[ServoPosition]):
         max_angle: float = math.pi / 4,
         min_pulse: float = 0.001,
         max_pulse: float = 0.002,
-        **settings: Any,
+        **settings: Unpack[ChannelSettings],
     ) -> None:
         super().__init__(**settings)
         period = 1.0 / self.frequency

@@ -28,7 +28,7 @@ import math
 import re
 import struct
 from collections.abc import AsyncIterator
-from typing import Any
+from typing import Unpack
 
 import attrs
 
@@ -36,7 +36,7 @@ from esair.buses import Inbox, SerialBus
 from esair.drivers._on_bus import check_bus, heard
 from esair.exceptions import DeviceFaultError
 from esair.framing import Looks, Raw
-from esair.resources import Sensor
+from esair.resources import Sensor, SensorSettings
 
 __all__ = ["Health", "Info", "RpLidar", "Scan", "ScanDecoder"]
 
@@ -284,8 +284,8 @@ class RpLidar(Sensor[Scan]):
     bus: SerialBus
     deadline = 1.0
 
-    def __init__(self, **keywords: Any) -> None:
-        super().__init__(**keywords)
+    def __init__(self, **settings: Unpack[SensorSettings]) -> None:
+        super().__init__(**settings)
         check_bus(self, SerialBus, Raw)
         self.decoder = ScanDecoder()
         self.info: Info | None = None

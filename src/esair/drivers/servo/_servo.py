@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, Unpack
 
 import attrs
 
@@ -12,7 +12,14 @@ from esair.drivers._on_bus import check_bus
 from esair.drivers.servo._bus import ServoBus
 from esair.drivers.servo._tables import Snapshot
 from esair.exceptions import DeviceLostError
-from esair.resources import Actuator, Resource, Sensor, setting
+from esair.resources import (
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+    setting,
+)
 from esair.values import check_whole
 from esair.watchdog import SafeFrames
 
@@ -82,8 +89,13 @@ class _OnServo(Resource):
 
     bus: ServoBus
 
-    def __init__(self, *, id: int = 1, **keywords: Any) -> None:  # noqa: A002 - the maker's word
-        super().__init__(**keywords)
+    def __init__(
+        self,
+        *,
+        id: int = 1,  # noqa: A002 - the maker's word
+        **settings: Unpack[SensorSettings],
+    ) -> None:
+        super().__init__(**settings)
         check_bus(self, ServoBus)
         self.id = check_whole(self.name, "id", id, 0, 252)
 
@@ -115,13 +127,17 @@ class ServoPosition(_OnServo, Sensor[float]):
         return (seen.position - CENTER) * math.tau / STEPS
 
 
+class TorquedSettings(ActuatorSettings, total=False):
+    id: int
+
+
 class Torqued(_OnServo, Actuator[T]):
     """What servos have in common in each mode: a torque, and a light that is lit."""
 
     mode: int
 
-    def __init__(self, **keywords: Any) -> None:
-        super().__init__(**keywords)
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
         self.claim = f"servo {self.id}"
         self._torque = False
 
@@ -157,6 +173,10 @@ class Torqued(_OnServo, Actuator[T]):
             raise DeviceLostError(self.name, "it has restarted: its torque is off")
 
 
+class _ServoSettings(TorquedSettings, total=False):
+    speed: float
+
+
 class Servo(Torqued[Goal]):
     """A servo that goes to an angle and holds it.
 
@@ -179,9 +199,9 @@ class Servo(Torqued[Goal]):
         *,
         safe: Goal,
         limits: tuple[float, float] = (to_angle(0), to_angle(STEPS - 1)),
-        **keywords: Any,
+        **settings: Unpack[_ServoSettings],
     ) -> None:
-        super().__init__(**keywords)
+        super().__init__(**settings)
         self.safe = safe
         self._told_speed: int | None = None
         self.limits = {"angle": tuple(limits)}  # type: ignore[dict-item]

@@ -13,9 +13,9 @@ torque. Source: see `esair.drivers.servo`.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Unpack
 
-from esair.drivers.servo._servo import CURRENT, VELOCITY, Torqued
+from esair.drivers.servo._servo import CURRENT, VELOCITY, Torqued, TorquedSettings
 from esair.drivers.servo._tables import Entry
 from esair.exceptions import ConfigError
 from esair.watchdog import SafeFrames
@@ -64,9 +64,12 @@ class ServoVelocity(_Turned):
     mode = VELOCITY
 
     def __init__(
-        self, *, limits: tuple[float, float] = (-6.0, 6.0), **keywords: Any
+        self,
+        *,
+        limits: tuple[float, float] = (-6.0, 6.0),
+        **settings: Unpack[TorquedSettings],
     ) -> None:
-        super().__init__(**keywords)
+        super().__init__(**settings)
         self.limits = limits
         self._entry = self.bus.table.velocity
 
@@ -93,9 +96,9 @@ class ServoCurrent(_Turned):
         *,
         unit: float | None = None,
         limits: tuple[float, float] = (-0.5, 0.5),
-        **keywords: Any,
+        **settings: Unpack[TorquedSettings],
     ) -> None:
-        super().__init__(**keywords)
+        super().__init__(**settings)
         table = self.bus.table
         if table.current is None:
             raise ConfigError(self.name, "bus", "its servos have no current mode")
