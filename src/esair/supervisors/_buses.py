@@ -59,13 +59,5 @@ async def close_buses(
 async def _all(work: Iterable[Coroutine[Any, Any, None]]) -> None:
     """Do several things at a time, whatever factory of tasks the loop has."""
     loop = asyncio.get_running_loop()
-    tasks = [spawn(loop, each, name="esair bus") for each in work]
-    if not tasks:
-        return
-    try:
-        await asyncio.wait(tasks)
-    except asyncio.CancelledError:
-        for task in tasks:
-            task.cancel()
-        await asyncio.wait(tasks)
-        raise
+    tasks = (spawn(loop, each, name="esair bus") for each in work)
+    await asyncio.gather(*tasks, return_exceptions=True)

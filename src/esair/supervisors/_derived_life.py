@@ -117,7 +117,6 @@ class DerivedLife(ResourceLife):
             source = self._deployment.lives.get(name)
             if source is not None and not source.tried.done():
                 await asyncio.wait({source.tried})
-        self._calls.next_opening(DeviceLostError(self.name, "it is opened again"))
         if self._derivation is None:
             raise self._absence()
         self._derivation.begin()

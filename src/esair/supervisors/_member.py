@@ -267,7 +267,6 @@ class Member(Life, Mailbox):
         if error is None:
             self.state = BehaviorState.FINISHED
             self.tell(Kind.FINISHED)
-            self.sight.sees()  # it has nothing more to say: that is no blindness
             self.fence()
             self._end_requests()
             self.crew.mediator.peer_finished(self)

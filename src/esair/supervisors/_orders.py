@@ -136,12 +136,12 @@ class Order(Request):
     def _in_loop(self, function: Callable[[Any], bool], value: Any) -> bool:
         if not _is_elsewhere(self._loop):
             return function(value)
-        outcome = [False]
+        outcome: list[bool] = []
         ready = threading.Event()
 
         def call() -> None:
             try:
-                outcome[0] = function(value)
+                outcome.append(function(value))
             finally:
                 ready.set()
 

@@ -135,8 +135,6 @@ class ServedQueue(RequestQueue):
         if is_mine:
             self.task = self.current = None
         self.done_with(request)
-        if request.worker is task:
-            request.worker = None
         value, error = (
             (None, asyncio.CancelledError()) if task.cancelled() else task.result()
         )

@@ -137,7 +137,6 @@ class Request:
         if self.over:
             return False
         self.over, self.how, self.value, self._error = True, outcome, value, error
-        self.parent = None  # nobody waits through it any more
         self.queue.forget(self)
         if self.deadline is not None:
             self.deadline.cancel()

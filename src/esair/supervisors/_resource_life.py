@@ -264,7 +264,6 @@ class ResourceLife(Life):
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=LAST_TRY)
         fail(self.tried, self.channel.error or DeviceLostError(self.name, "closed"))
-        self._calls.next_opening(DeviceLostError(self.name, "it was closed"))
         if self._is_open:
             await self._calls.quiet(until - LAST_CLOSE)
             stuck = ask_outside((self.name, "stuck"), lambda: self._driver.is_stuck)
