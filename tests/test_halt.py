@@ -379,3 +379,47 @@ async def test_no_reason_reaches_the_log_raw(caplog: pytest.LogCaptureFixture) -
     told = [record.getMessage() for record in caplog.records]
     assert sum("a cat\\x1b[2J\\u202e" in line for line in told) >= 4
     assert [line for line in told if not line.isprintable()] == []
+
+
+@pytest.mark.promise("ROB-4")
+async def test_resume_lets_no_decision_from_before_leave() -> None:
+    """What a reaction has decided waits until the driver is done: that too is forgotten."""
+
+    class Follow(esair.Reaction):
+        sonar = esair.reads(float, every=True)
+        wheels = esair.writes(float)
+
+        def react(self, sonar: float) -> float:
+            return sonar
+
+    class Slow(FakeActuator[float]):
+        async def write(self, command: float) -> None:
+            await super().write(command)
+            await asyncio.sleep(0.2)
+
+    sonar: FakeSensor[float] = FakeSensor("sonar", type=float)
+    wheels = Slow("wheels", safe=0.0, command_timeout=5.0)
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Follow()]) as robot:
+        await asyncio.sleep(0.5)
+        for value in (0.5, 0.7):
+            sonar.feed(value)
+            await asyncio.sleep(0.05)
+        assert wheels.commands[-1] == 0.5
+        robot.halt("somebody is in the cell")
+        robot.resume()
+        await asyncio.sleep(2.0)
+        assert 0.7 not in wheels.commands
+        assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("ROB-4")
+async def test_a_halt_after_the_stop_is_answered_at_once(fake_actuator: Any) -> None:
+    """Nothing is sent to what is closed, and the journal ends with the stop."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels]) as robot:
+        pass
+    seen: list[Any] = []
+    robot.journal.listen(seen.append)
+    told = robot.halt("too late")
+    assert told.done()
+    assert seen == []

@@ -37,7 +37,7 @@ REMOVED = (
 )
 NOT_LOOKED_AT = {"annotation", "returns", "decorator_list", "bases", "keywords"}
 """Fields of functions, classes and assignments that say what things are."""
-TOLERANCES = {"_EARLY", "EARLY", "REACHED"}
+TOLERANCES = {"_EARLY", "AHEAD", "EARLY", "REACHED"}
 NOT_CALLED = {"__repr__", "__str__"}
 
 

@@ -489,3 +489,31 @@ async def test_each_time_of_blindness_has_its_own_time_limit() -> None:
         gone = asyncio.get_running_loop().time()
         await asyncio.sleep(3.0)
     assert ended == [pytest.approx(gone + 1.0, abs=0.05)]
+
+
+@pytest.mark.promise("PRO-1", "AC-2")
+async def test_a_hold_that_ends_leaves_nothing_moving_after_a_loss_either() -> None:
+    """Who is above the blind one moves as long as its hold lasts: each time it does."""
+    sonar = ranges()
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=5.0)
+    above: Any = esair.Behavior(
+        name="above", writes={"wheels": esair.writes(float, priority=1000)}
+    )
+    robot = esair.Robot(resources=[sonar, wheels], behaviors=[above, ObstacleStop()])
+    async with robot:
+        sonar.unplug()
+        await asyncio.sleep(0.1)
+        for _ in range(2):
+            assert await above.wheels.write(1.0, hold=0.3)
+            await asyncio.sleep(0.1)
+            assert wheels.commands[-1] == 1.0
+            wheels.unplug()
+            await asyncio.sleep(0.1)
+            wheels.plug()
+            await asyncio.sleep(0.5)
+            for _ in range(2):
+                assert await above.wheels.write(1.0, hold=0.3)
+                await asyncio.sleep(0.2)
+            assert wheels.commands[-1] == 1.0
+            await asyncio.sleep(0.2)
+            assert wheels.commands[-1] == 0.0

@@ -32,3 +32,17 @@ async def test_a_mute_ends_with_its_robot() -> None:
         robot.behaviors.mute("shut", 20.0, "a trial")
         assert await turn.belt.write(0.8)
     assert belt.commands[-1] == 0.0
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("PRO-10")
+async def test_a_behavior_cannot_be_muted() -> None:
+    """Its blind hold is its own: it has no limit up to which somebody may."""
+
+    class Turn(esair.Behavior):
+        belt = esair.writes(float, blind="safe")
+
+    belt: FakeActuator[float] = FakeActuator("belt", safe=0.0)
+    async with esair.Robot(resources=[belt], behaviors=[Turn()]) as robot:
+        with pytest.raises(esair.BadValueError, match="seconds"):
+            robot.behaviors.mute("turn", 0.5, "a trial")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import pytest
@@ -74,3 +75,31 @@ def test_what_could_not_be_made_is_not_said_to_be_missing() -> None:
     assert bare == ["protect"]
     unmade = Plan(**parts, missing={"keep_clear": "behavior"})
     assert [each.rule for each in examine(unmade)] == []
+
+
+async def test_the_log_says_that_a_guard_stops_and_lets_pass_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Once each, although the guard is asked at every command."""
+    caplog.set_level(logging.INFO, "esair")
+
+    class Slowly(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(float)
+
+        def react(self, sonar: float, wheels: float) -> float | None:
+            return wheels if wheels < 0.8 else None
+
+    sonar = FakeSensor("sonar", 1.0, type=float)
+    wheels = FakeActuator("wheels", safe=0.0)
+    drive: Any = esair.Behavior(name="drive", writes={"wheels": esair.writes(float)})
+    robot = esair.Robot(resources=[sonar, wheels], behaviors=[drive, Slowly()])
+    async with robot:
+        caplog.clear()
+        for speed in (1.0, 1.0, 0.5, 0.5):
+            assert bool(await drive.wheels.write(speed)) == (speed < 0.8)
+        told = [r.getMessage() for r in caplog.records if "slowly" in r.getMessage()]
+    assert [line.partition(" lets ")[2] for line in told] == [
+        "nothing pass",
+        "commands pass again",
+    ]

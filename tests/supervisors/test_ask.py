@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import dataclasses
 from typing import Any
 
@@ -526,9 +527,11 @@ async def test_an_asker_that_is_cancelled_withdraws(worker: Any, seed: int) -> N
         working = await soon(a.ask("b", Dock(1)))
         waiting = await soon(a.ask("b", Dock(2)))
         other = await soon(a.ask("b", Dock(3)))
+        began = asyncio.get_running_loop().time()
         for each in (working, waiting):
             each.cancel()
         assert await other == Docked(3)
+        assert asyncio.get_running_loop().time() - began == pytest.approx(1.0)
         assert robot.behaviors.query("b").restarts == 0
         assert sorted(o.name for o in outcomes(robot)) == [
             "ANSWERED",
@@ -1079,3 +1082,22 @@ async def test_the_journal_has_every_request_and_its_outcome() -> None:
     ]
     assert isinstance(told[3][3], esair.BehaviorUnavailableError)
     assert len(told) == 4
+
+
+@pytest.mark.promise("BS-7", "BS-11")
+async def test_who_gives_up_waiting_for_a_request_leaves_nothing() -> None:
+    """However often it looks whether there is one."""
+
+    class Glance(Docking):
+        async def run(self) -> None:
+            for _ in range(50):
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(0.01):
+                        async for _ in self.orders:
+                            pytest.fail("nobody has asked")
+            await asyncio.sleep(1000.0)
+
+    async with esair.Robot(behaviors=[Glance(name="docking")]) as robot:
+        await asyncio.sleep(1.0)
+        (queue,) = robot._behaviors.members["docking"].queues.values()
+        assert queue._takers == []

@@ -104,3 +104,20 @@ async def test_one_of_another_type_gets_no_registrations(fake_sensor: Any) -> No
         await asyncio.sleep(0.5)
         assert reader.met
         assert "far" not in reader.met
+
+
+async def test_what_is_still_missing_is_not_told_again(
+    fake_sensor: Any, fake_actuator: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Only the ports of what is back live again; nobody fails at those of the others."""
+    devices = [fake_sensor("sonar", 1.0), fake_actuator("wheels", safe=0.0)]
+    drive = Drive()
+    async with esair.Robot(resources=devices, behaviors=[drive]) as robot:
+        for device in devices:
+            await robot.resources.remove(device.name)
+        caplog.clear()
+        await robot.resources.add(fake_actuator("wheels", safe=0.0))
+        assert await drive.wheels.write(1.0)
+        with pytest.raises(esair.ResourceRemovedError):
+            await drive.sonar.read()
+    assert not [r for r in caplog.records if r.levelname == "WARNING"]

@@ -94,3 +94,17 @@ def test_one_that_is_added_as_the_last_one_goes_has_an_open_bus(turns: int) -> N
     for seed in range(1, 16):
         with asyncio.Runner(loop_factory=partial(VirtualLoop, seed=seed)) as loop:
             assert loop.run(added_beside(turns)) == (ResourceState.READY, 0, True)
+
+
+@pytest.mark.promise("BUS-1", "ROB-2")
+async def test_the_stop_closes_the_bus_of_what_came_later() -> None:
+    """A bus that no device of the start was on; it is counted as the others are."""
+    bus = SerialBus(wire=wired(), name="later")
+
+    async with esair.Robot() as robot:
+        await robot.resources.add(scale("scale", bus))
+        await asyncio.sleep(0.1)
+        assert bus.is_open
+        assert "bus later" in robot.journal.counts()
+
+    assert not bus.is_open

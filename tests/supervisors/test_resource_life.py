@@ -212,6 +212,51 @@ async def test_an_arrival_reported_while_it_is_closed_is_not_forgotten() -> None
 
 
 @pytest.mark.promise("RES-2")
+@pytest.mark.fault("D19")
+async def test_an_arrival_reported_while_it_is_opened_is_not_forgotten() -> None:
+    """The opening that was on its way fails; the next one does not wait for long."""
+    tries: list[float] = []
+    arrives = 16.0
+
+    class Sonar(esair.Sensor[float]):
+        async def open(self) -> None:
+            now = asyncio.get_running_loop().time()
+            tries.append(now)
+            await asyncio.sleep(0.3)
+            if now > arrives:
+                self.report_arrived()
+            raise ConnectionError("it answers nothing yet")
+
+        async def read(self) -> float:
+            return 1.0
+
+    arrives += asyncio.get_running_loop().time()
+    async with esair.Robot(resources=[Sonar()]):
+        await asyncio.sleep(30.0)
+    late = [b - a for a, b in itertools.pairwise(tries) if a > arrives]
+    assert late
+    assert max(late) == pytest.approx(0.4)
+
+
+@pytest.mark.promise("RES-2")
+async def test_a_loss_names_its_cause() -> None:
+    """What the driver has raised can be seen in the traceback of whoever reads."""
+    bug = KeyError("scale")
+
+    class Sonar(esair.Sensor[float]):
+        async def open(self) -> None:
+            raise bug
+
+        async def read(self) -> float:
+            return 1.0
+
+    async with esair.Robot(resources=[Sonar()]) as robot:
+        error = robot.resources.query("sonar").error
+        assert isinstance(error, esair.DeviceLostError)
+        assert error.__cause__ is bug
+
+
+@pytest.mark.promise("RES-2")
 async def test_out_and_in_within_one_moment(fake_sensor: Any) -> None:
     """A wiggle of the cable closes and opens it once."""
     sonar = fake_sensor("sonar", 1.0)
