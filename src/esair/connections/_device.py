@@ -11,7 +11,7 @@ from esair.connections._calls import Calls
 from esair.connections._driver import Driver
 from esair.connections._operations import Operating, Operations
 from esair.connections._registrations import Registrations
-from esair.exceptions import EsairError, ResourceRemovedError
+from esair.exceptions import DeviceLostError, EsairError, ResourceRemovedError
 from esair.loop import clock_of
 from esair.messages import ResourceState
 from esair.resources import Resource
@@ -74,6 +74,12 @@ class Device:
             left=self._left,
         )
         self.configured()
+
+    def absence(self) -> EsairError:
+        """Return what whoever needs the device gets while it is not ready."""
+        error = self.error or DeviceLostError(self.name, f"it is {self.state.value}")
+        # Anew: else each who asks would leave its frames in the traceback.
+        return error.with_traceback(None)
 
     def removed(self) -> None:
         """The user took the device away."""

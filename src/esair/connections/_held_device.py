@@ -201,9 +201,7 @@ class HeldDevice(ActuatorDevice):
             return self.registrations.refusal(registration)
         if self.latched:
             return StoppingError(self.name, "stopping")
-        error = self.error or DeviceLostError(self.name, f"it is {self.state.value}")
-        # Anew: else each who asks would leave its frames in the traceback.
-        return error.with_traceback(None)
+        return self.absence()
 
     # The safe command.
 

@@ -29,10 +29,12 @@ class Device(Protocol):
 
     name: str
     state: ResourceState
-    error: EsairError | None
     driver: Driver
     calls: Calls
     registrations: Registrations
+
+    def absence(self) -> EsairError:
+        """Return what whoever needs the device gets while it is not ready."""
 
     def ready_for(self, operation: Operating) -> bool:
         """Tell whether it may begin now; or see to it that it soon may."""
@@ -152,8 +154,7 @@ class Operations:
         if table.halt is not None:
             raise HaltedError(device.name, table.halt.reason)
         if device.state is not ResourceState.READY:
-            error = device.error or DeviceLostError(device.name)
-            raise error.with_traceback(None)
+            raise device.absence()
 
     def end(self, error: EsairError) -> None:
         """End what waits or runs, because it must not go on."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import attrs
 
+from esair.connections._command_check import limits_by_field, part_of
 from esair.exceptions import describe
 from esair.messages import Stamped
 from esair.resources import Sensor
@@ -30,14 +31,7 @@ class ReadingCheck:
 
     def __init__(self, sensor: Sensor[Any]) -> None:
         self._wanted = checked_class(sensor.value_type)
-        limits = sensor.limits
-        self._limits = (
-            {}
-            if limits is None
-            else limits
-            if isinstance(limits, Mapping)
-            else {"": limits}
-        )
+        self._limits = limits_by_field(sensor.limits)
         self._low, self._high = self._limits.get("", (math.nan, math.nan))
         bounded = math.isfinite(self._low) and math.isfinite(self._high)
         self.wrong: Callable[[Any], str | None] = self._any
@@ -80,10 +74,7 @@ class ReadingCheck:
 
     def _outside(self, value: Any) -> str | None:
         for field, (low, high) in self._limits.items():
-            number = value
-            if field:
-                mapping = isinstance(value, Mapping)
-                number = value[field] if mapping else getattr(value, field)
+            number = part_of(value, field)
             if not low <= number <= high:
                 what = f"{field} = {number!r:.80}" if field else f"{number!r:.80}"
                 return f"expected {low:g} to {high:g}, it gave {what}"

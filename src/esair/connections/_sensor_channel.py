@@ -17,7 +17,6 @@ from esair.connections._sensor_device import READY, SensorDevice
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
-    DeviceLostError,
     EsairError,
     StaleReadingError,
 )
@@ -213,9 +212,8 @@ class SensorChannel(SensorDevice):
         need = (
             self.transactions if self._asking and not fresh else self.transactions + 1
         )
-        waiter = self._waiting.add(need)
-        self._ask()
-        reading = await self._waiting.reading(waiter, timeout)
+        self._ask()  # in the next turn, for all who wait then
+        reading = await self._waiting.reading(need, timeout)
         self._check(registration)
         age = self.time() - reading.time
         if age > max_age:
@@ -236,11 +234,7 @@ class SensorChannel(SensorDevice):
         if not registration.usable:
             raise self.registrations.refusal(registration)
         if self.state is not READY:
-            error = self.error or DeviceLostError(
-                self.name, f"it is {self.state.value}"
-            )
-            # Anew: else each who asks would leave its frames in the traceback.
-            raise error.with_traceback(None)
+            raise self.absence()
 
     def _silent(self, timeout: float) -> StaleReadingError:
         """Make the error of a reader whom the device has not answered in time."""

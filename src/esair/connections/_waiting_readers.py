@@ -33,16 +33,13 @@ class WaitingReaders:
         self._deadlines = Deadlines.of(loop)
         self.readers: list[Waiter] = []  # who waits
 
-    def add(self, need: float) -> Waiter:
-        """Take a reader in; it gets what transaction `need` gives, or a later one."""
+    async def reading(self, need: float, timeout: float) -> Reading[Any]:
+        """Wait for what transaction `need` gives, or a later one."""
         if len(self.readers) >= WAITING_LIMIT:
             raise BusyError(self._name, "number of waiting readers", WAITING_LIMIT)
-        waiter = (need, self._loop.create_future())
+        future: asyncio.Future[Reading[Any]] = self._loop.create_future()
+        waiter = (need, future)
         self.readers.append(waiter)
-        return waiter
-
-    async def reading(self, waiter: Waiter, timeout: float) -> Reading[Any]:
-        future = waiter[1]
         deadline = self._deadlines.after(timeout, self._expire, future, timeout)
         try:
             return await future

@@ -21,15 +21,7 @@ _log = logging.getLogger("esair")
 
 async def open_buses(buses: Iterable[Bus]) -> None:
     """Open buses; one that is not there is tried again by the devices on it."""
-
-    async def open_bus(bus: Bus) -> None:
-        try:
-            async with asyncio.timeout(BUS_TIMEOUT):
-                await outside((bus.name, "open the bus"), bus.open)
-        except Exception as error:
-            _log.debug("bus %s: %s", bus.name, describe(error))
-
-    await _all(open_bus(bus) for bus in buses)
+    await _each(buses, "open", lambda bus: bus.open(), BUS_TIMEOUT, logging.DEBUG)
 
 
 async def close_buses(
@@ -42,22 +34,29 @@ async def close_buses(
     Whether one is to be left open is asked in the very step in which it is closed.
     """
 
-    async def close_now(bus: Bus) -> None:
+    async def close(bus: Bus) -> None:
         if not unless(bus):
             await bus.close()
 
-    async def close_bus(bus: Bus) -> None:
+    in_order = sorted(buses, key=lambda bus: bus.name)
+    await _each(in_order, "close", close, within, logging.WARNING)
+
+
+async def _each(
+    buses: Iterable[Bus],
+    verb: str,
+    work: Callable[[Bus], Coroutine[Any, Any, None]],
+    within: float,
+    level: int,
+) -> None:
+    async def one(bus: Bus) -> None:
         try:
             async with asyncio.timeout(within):
-                await outside((bus.name, "close the bus"), partial(close_now, bus))
+                await outside((bus.name, f"{verb} the bus"), partial(work, bus))
         except Exception as error:
-            _log.warning("bus %s: close: %s", bus.name, describe(error))
+            _log.log(level, "bus %s: %s: %s", bus.name, verb, describe(error))
 
-    await _all(close_bus(bus) for bus in sorted(buses, key=lambda bus: bus.name))
-
-
-async def _all(work: Iterable[Coroutine[Any, Any, None]]) -> None:
-    """Do several things at a time, whatever factory of tasks the loop has."""
+    # Whatever factory of tasks the loop has.
     loop = asyncio.get_running_loop()
-    tasks = (spawn(loop, each, name="esair bus") for each in work)
+    tasks = (spawn(loop, one(bus), name="esair bus") for bus in buses)
     await asyncio.gather(*tasks, return_exceptions=True)

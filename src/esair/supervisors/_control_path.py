@@ -175,7 +175,7 @@ class ControlPath:
             )
         life = self._lives[registration.resource]
         if life.channel.state is not ResourceState.READY:
-            raise life.channel.error or DeviceLostError(registration.resource)
+            raise life.channel.absence()
         return life
 
     async def _configure(

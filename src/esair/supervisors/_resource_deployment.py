@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from esair.actions import Derived
 from esair.connections import (
@@ -41,8 +41,6 @@ from esair.supervisors._rules import Declared, Rules
 if TYPE_CHECKING:
     from esair.buses import Bus
     from esair.watchdog import Watchdog
-
-T = TypeVar("T")
 
 STOP_WITHIN = 1.8
 """How long a stop may take beside the grace period until all is closed, in seconds:
