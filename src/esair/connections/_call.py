@@ -31,16 +31,6 @@ class Engine(Protocol):
         """Ask the driver's code to end."""
 
 
-class Ends(Protocol):
-    """Who is told of the end of a call."""
-
-    def ended(self, call: Call, end: End) -> None:
-        """Apply it; in the loop, where it came in from outside."""
-
-    def over(self, call: Call, end: End) -> None:
-        """Bring it in; it has come about in the loop."""
-
-
 @attrs.define(eq=False, repr=False)
 class Call:
     """One call of a driver that waits; one that ends in its first step is over at once."""

@@ -9,11 +9,11 @@ from typing import Any
 
 from esair.connections._call import Apply, Call, End
 from esair.connections._driver import Driver, Guard, Method
-from esair.connections._threaded_call import ThreadedCall, awaited
 from esair.exceptions import DeviceFaultError, DriverStuckError, describe
 from esair.loop import (
     ENDED,
     REACHED,
+    WAITS,
     Deadlines,
     Door,
     First,
@@ -29,9 +29,6 @@ from esair.loop import (
 
 UNWIND = 0.1
 """How long a call that was given up may take to end, before its device is closed, in s."""
-
-_REST = Method(awaited, None)
-"""What goes on with what a plain method has returned, if that has to be awaited."""
 
 ABANDONED_LIMIT = 8
 """How many abandoned calls of one device may be alive; with more, none is begun."""
@@ -158,7 +155,7 @@ class Calls:
                 value = self.context.run(method.function, *args)
                 if value is None or not hasattr(value, "__await__"):
                     return value
-                coroutine = awaited(value)
+                coroutine = _awaited(value)
             else:
                 coroutine = method.function(*args)
             value = self._steps.begin(coroutine, self)
@@ -374,3 +371,69 @@ class Calls:
             raise DriverStuckError(
                 self.resource, f"{kind}: {alive} calls have not ended; one call", UNWIND
             )
+
+
+class ThreadedCall:
+    """A call on a worker thread; what the function returns may have to be awaited."""
+
+    def __init__(
+        self, calls: Calls, call: Call, method: Method, guard: Guard | None
+    ) -> None:
+        assert method.executor is not None
+        self.executor = method.executor()
+        self._calls = calls
+        self._call = call
+        self._function = method.function
+        self._guard = guard
+        self._wanted = True
+        self._rest: LightTask | None = None
+
+    def submit(self, loop: asyncio.AbstractEventLoop) -> None:
+        guard = None if self._guard is None else self._may_begin
+        self.executor.submit(loop, self, self._function, *self._call.args, guard=guard)
+
+    def _may_begin(self) -> bool:
+        return self._wanted and (self._guard is None or self._guard())
+
+    def cancel(self) -> None:
+        self._wanted = False
+        if self._rest is not None:
+            self._rest.cancel()
+
+    def expired(self) -> None:
+        if self._rest is None:
+            self.executor.expired()
+
+    # The outcome of the executor.
+
+    def done(self) -> bool:
+        return False  # its end is wanted, however late
+
+    def set_result(self, result: Any, /) -> None:
+        if not hasattr(result, "__await__"):
+            self._calls.ended(self._call, End(result, None))
+            return
+        rest = self._rest = LightTask(asyncio.get_running_loop(), str(self._call))
+        try:
+            value = rest.begin(_awaited(result))
+        except BaseException as error:  # contained: it is the driver's
+            self.set_exception(error)
+            return
+        if value is WAITS:
+            rest.then(
+                lambda value, error: self._calls.over(self._call, End(value, error))
+            )
+        else:
+            self._calls.ended(self._call, End(value, None))
+
+    def set_exception(self, error: BaseException, /) -> None:
+        self._calls.ended(self._call, End(None, error))
+
+
+async def _awaited(awaitable: Any) -> Any:
+    """Wait for what a plain method has returned."""
+    return await awaitable
+
+
+_REST = Method(_awaited, None)
+"""What goes on with what a plain method has returned, if that has to be awaited."""

@@ -106,7 +106,7 @@ class FrozenCheck:
 
     def __call__(self, value: Any) -> str | None:
         """Return what is wrong, in words; None if nothing is."""
-        if self._repeats == 0 or not _equal(value, self._last):
+        if self._repeats == 0 or not equal(value, self._last):
             self._last, self._repeats = value, 0
         self._repeats += 1
         if self._repeats <= self._limit:
@@ -114,7 +114,8 @@ class FrozenCheck:
         return f"frozen: it gave {value!r:.80} {self._repeats} times in a row"
 
 
-def _equal(one: Any, other: Any) -> bool:
+def equal(one: Any, other: Any) -> bool:
+    """Tell whether two values are equal; an array is if each of its parts is."""
     try:
         same = one == other
         return bool(same.all()) if hasattr(same, "all") else bool(same)

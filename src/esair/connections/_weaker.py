@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from esair.connections._command_check import changed
-from esair.connections._reading_check import fields_of
+from esair.connections._reading_check import equal, fields_of
 
 _MISSING: Any = object()
 
@@ -62,11 +62,7 @@ def _is_number(value: Any) -> bool:
 
 def is_same(one: Any, other: Any) -> bool:
     """Tell whether two commands ask for the same."""
-    try:
-        same = one == other
-        same = bool(same.all()) if hasattr(same, "all") else bool(same)
-    except Exception:  # a command may be an object of any class
-        return False
+    same = equal(one, other)
     if same or _compares(one):
         return same
     parts = _parts(one, other)

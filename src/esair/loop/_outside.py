@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextvars
+import threading
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
@@ -88,6 +89,7 @@ class News:
         self, loop: asyncio.AbstractEventLoop, tag: Tag, function: Callable[..., object]
     ) -> None:
         self._loop = loop
+        self._home = threading.get_ident()
         self._door = Door.of(loop)
         self._tag = tag
         self._function = function
@@ -95,8 +97,10 @@ class News:
             self._door.player.listen(tag, lambda told: function(*told))
 
     def tell(self, *told: Any) -> None:
-        """Tell it in the loop; where turns have a border it takes effect at one."""
-        self._door.end(self._tag, self._take, told)
+        """Tell it, in any thread; where turns have a border it takes effect at one."""
+        in_loop = threading.get_ident() == self._home
+        bring = self._door.end if in_loop else self._door.tell
+        bring(self._tag, self._take, told)
 
     def tell_from_thread(self, *told: Any) -> None:
         if self._door.has_border:

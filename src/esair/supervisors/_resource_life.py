@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import threading
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -23,8 +22,7 @@ from esair.journal import Kind
 from esair.loop import (
     Deadline,
     Deadlines,
-    Door,
-    TapeWriter,
+    News,
     ask_outside,
     fail,
     outside,
@@ -84,11 +82,7 @@ class ResourceLife(Life):
         """Held while settings are applied: one change at a time, none in an opening."""
         self.operations = 0  # how many operations wait or run
         self._loop = asyncio.get_running_loop()
-        self._door = Door.of(self._loop)
-        self._tag = (resource.name, "news")
-        if self._door.player is not None:
-            self._door.player.listen(self._tag, lambda news: self._hear_of(*news))
-        self._thread = threading.current_thread()
+        self._told_of = News(self._loop, (resource.name, "news"), self._hear_of)
         self._news: asyncio.Future[BaseException | None] | None = None
         self._lost: BaseException | None = None
         """A loss that was reported while the device was being opened."""
@@ -285,15 +279,9 @@ class ResourceLife(Life):
 
     def _told(self, error: BaseException | None) -> None:
         """Hear from a driver or a bus, on any thread."""
-        opening = self._calls.opening
-        if threading.current_thread() is self._thread:
-            self._door.end(self._tag, self._hear_of, opening, error)
-        else:
-            self._door.tell(self._tag, self._hear_of, opening, error)
+        self._told_of.tell(self._calls.opening, error)
 
     def _hear_of(self, opening: int, error: BaseException | None) -> None:
-        if isinstance(self._door.tape, TapeWriter):
-            self._door.tape.arrived(self._tag, (opening, error))
         if error is None or opening == self._calls.opening:
             self._hear(error)  # the loss of an earlier opening is no news
 
