@@ -7,10 +7,9 @@ from typing import Any, Final
 
 from esair.actions import Reaction
 from esair.config._draft import Draft, Part
-from esair.config._mistakes import dotted, show
+from esair.config._mistakes import dotted, show, unknown
 from esair.config._source import Source, read_source
 from esair.config._tables import named_tables
-from esair.config._words import unknown
 from esair.exceptions import ConfigError
 from esair.resources import Actuator, Sensor
 

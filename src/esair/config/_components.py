@@ -9,11 +9,11 @@ from esair.actions import Behavior, Derived, ProfiledAction, Reaction, adapt_act
 from esair.buses import Bus
 from esair.config._construct import construct
 from esair.config._draft import Draft, Part, Variant
-from esair.config._mistakes import below
+from esair.config._mistakes import below, unknown
 from esair.config._profiles import FLOWS, set_profile
 from esair.config._records import hints_of
 from esair.config._tables import class_of, variant_of
-from esair.config._words import unknown, wanted
+from esair.config._values import wanted
 from esair.plan import wrong_bus
 from esair.resources import Actuator, Resource, adapt_resource
 from esair.values import value_type

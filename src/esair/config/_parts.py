@@ -8,12 +8,11 @@ from esair.config._boards import add_boards
 from esair.config._components import make_behavior, make_bus, make_device
 from esair.config._construct import keywords_of
 from esair.config._draft import Draft, Part
-from esair.config._mistakes import below, dotted
+from esair.config._mistakes import below, dotted, unknown
 from esair.config._policies import read_policies
 from esair.config._source import Source
 from esair.config._tables import named_tables
 from esair.config._values import INVALID
-from esair.config._words import unknown
 from esair.exceptions import ConfigError, EsairError
 from esair.resources import Actuator, Sensor
 from esair.values import check_name

@@ -8,11 +8,10 @@ from typing import Any, Final
 import attrs
 
 from esair.actions import Derived, Guards, Need, ProfiledAction, Reads, Writes
-from esair.config._mistakes import below
+from esair.config._mistakes import below, unknown
 from esair.config._records import fields_of
 from esair.config._source import Source
-from esair.config._values import INVALID
-from esair.config._words import unknown, wanted
+from esair.config._values import INVALID, wanted
 from esair.exceptions import ConfigError
 from esair.resources import APPLIED
 from esair.values import check_name

@@ -12,7 +12,7 @@ from esair.config._classes import BUSES, find_class
 from esair.config._draft import Draft, Variant
 from esair.config._mistakes import below, dotted
 from esair.config._source import Source
-from esair.config._words import wanted
+from esair.config._values import wanted
 from esair.exceptions import ConfigError
 from esair.resources import Actuator, Sensor
 from esair.values import check_name

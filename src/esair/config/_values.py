@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import collections.abc
 import enum
+import inspect
+import os
 import types
 import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from esair.config._mistakes import below, reason_of, show
-from esair.config._records import fields_of
-from esair.config._words import LISTS, PATHS, unknown, wanted
+import attrs
+
+from esair.config._mistakes import below, reason_of, show, unknown
+from esair.config._records import Field, fields_of
 
 Report = Callable[[str, str], None]
 """Called with a key and with what is wrong there."""
@@ -30,6 +33,68 @@ class Invalid(enum.Enum):
 
 
 INVALID: Final = Invalid.INVALID
+
+_WRONG: Any = object()  # A value that is not of a form; nothing was reported
+
+_PATHS: Final = (Path, os.PathLike)  # Types whose values are paths
+
+_LISTS: Final[dict[type, type]] = {
+    list: list,
+    tuple: tuple,
+    set: set,
+    frozenset: frozenset,
+    collections.abc.Sequence: tuple,
+    collections.abc.Iterable: tuple,
+    collections.abc.Collection: tuple,
+}
+"""What a list becomes, by the type that is asked for."""
+
+_TABLES: Final = (dict, collections.abc.Mapping, collections.abc.MutableMapping)
+
+_NUMBERS_AND_TEXTS: Final = {
+    float: "a number",
+    int: "a whole number",
+    str: "a string",
+    bool: "true or false",
+}
+
+
+@attrs.frozen
+class Converter:
+    """Makes values of a TOML file into what types ask for.
+
+    Attributes:
+        report: Is told what is wrong, once for each mistake.
+        folder: Where relative paths begin.
+    """
+
+    report: Report
+    folder: Path
+
+    def convert(self, value: Any, kind: Any, key: str) -> Any:
+        """Return a value as a type, or `INVALID` if something was reported."""
+        if value is INVALID:
+            return value
+        form = form_of(kind)
+        found = form.take(value, key, self)
+        if found is not _WRONG:
+            return found
+        self.report(key, f"expected {form.words}, not {show(value)}")
+        return INVALID
+
+
+Take = Callable[[Any, str, Converter], Any]
+"""Returns what becomes of a value at a key: `INVALID` if it told why not, `_WRONG` if
+it is not of the form."""
+
+
+@attrs.frozen
+class Form:
+    """What a type asks of a TOML file."""
+
+    words: str
+    take: Take
+    shape: type = object  # ``dict`` for a table, ``list`` for a list
 
 
 def convert(value: object, kind: Any, key: str, report: Report, folder: Path) -> Any:
@@ -45,160 +110,180 @@ def convert(value: object, kind: Any, key: str, report: Report, folder: Path) ->
     Returns:
         The value, or `INVALID` if something was reported.
     """
-    loose = kind is Any or kind is object or isinstance(kind, typing.TypeVar)
-    if loose or value is INVALID:
-        return value
-    origin = typing.get_origin(kind)
+    return Converter(report, folder).convert(value, kind, key)
+
+
+def wanted(kind: Any) -> str:
+    """Say in words what a type asks of a TOML file."""
+    return form_of(kind).words
+
+
+def form_of(kind: Any) -> Form:
+    """Return what a type asks of a TOML file."""
+    loose = kind is Any or kind is object or kind is inspect.Parameter.empty
+    if loose or isinstance(kind, typing.TypeVar):
+        return Form("a value", lambda value, _key, _to: value)
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in {typing.Union, types.UnionType}:
-        return _one_of(value, kind, key, report, folder)
+        return _one_of(arguments)
     if origin is typing.Annotated:
-        return convert(value, typing.get_args(kind)[0], key, report, folder)
+        return form_of(arguments[0])
     if origin is typing.Literal:
-        for choice in typing.get_args(kind):
-            if type(choice) is type(value) and choice == value:
-                return value
-        return _wrong(value, kind, key, report)
-    if isinstance(origin or kind, type):
-        return _convert_class(value, kind, origin or kind, key, report, folder)
-    supertype = getattr(kind, "__supertype__", None)  # typing.NewType
-    return (
-        value if supertype is None else convert(value, supertype, key, report, folder)
-    )
-
-
-def _convert_class(
-    value: object, kind: Any, base: type, key: str, report: Report, folder: Path
-) -> Any:
-    if base is float and type(value) in {int, float}:
-        return float(typing.cast("float", value))
-    if base in {int, bool, str, float}:
-        return value if type(value) is base else _wrong(value, kind, key, report)
-    if base is bytes and isinstance(value, str):
-        return value.encode()
-    if base in PATHS:
-        if not isinstance(value, str) or not value or "\0" in value:
-            return _wrong(value, kind, key, report)
-        return folder / value
-    if issubclass(base, enum.Enum):
-        return _member(value, base, key, report)
-    if fields_of(base) is not None:
-        return make_record(value, kind, key, report, folder)
-    if isinstance(value, dict):
-        return _convert_table(value, kind, base, key, report, folder)
-    if isinstance(value, list):
-        return _convert_list(value, kind, base, key, report, folder)
-    return value if isinstance(value, base) else _wrong(value, kind, key, report)
-
-
-def _one_of(value: object, kind: Any, key: str, report: Report, folder: Path) -> Any:
-    failures: list[tuple[Any, list[tuple[str, str]]]] = []
-    # A path is a better reading of a string than the string itself.
-    for choice in sorted(typing.get_args(kind), key=lambda each: each not in PATHS):
-        problems: list[tuple[str, str]] = []
-
-        def note(where: str, reason: str, to: list[tuple[str, str]] = problems) -> None:
-            to.append((where, reason))
-
-        result = convert(value, choice, key, note, folder)
-        if result is not INVALID:
-            return result
-        failures.append((choice, problems))
-    meant = [problems for choice, problems in failures if _is_meant(value, choice)]
-    if len(meant) == 1:
-        for problem in meant[0]:
-            report(*problem)
-        return INVALID
-    return _wrong(value, kind, key, report)
-
-
-def _is_meant(value: object, kind: Any) -> bool:
-    """Tell whether a table or list has the form of a type, if not its parts."""
-    base = typing.get_origin(kind) or kind
+        return _choice({each: each for each in arguments})
+    base = origin or kind
     if not isinstance(base, type):
-        return False
-    if isinstance(value, dict):
-        return fields_of(base) is not None or issubclass(base, Mapping)
-    return isinstance(value, list) and base in LISTS
+        supertype = getattr(kind, "__supertype__", Any)  # typing.NewType
+        return form_of(supertype)
+    if base in _NUMBERS_AND_TEXTS:
+        return Form(_NUMBERS_AND_TEXTS[base], _exactly(base))
+    if base is bytes:
+        return Form("a string", lambda v, *_: v.encode() if type(v) is str else _WRONG)
+    if base in _PATHS:
+        return Form("a path", _path)
+    if issubclass(base, enum.Enum):
+        return _choice({each.value: each for each in base})
+    if (fields := fields_of(base)) is not None:
+        words = f"a table with the keys {', '.join(fields)}"
+        return Form(words, _record(base, fields), dict)
+    if base in _LISTS:
+        return _list(base, arguments)
+    if issubclass(base, collections.abc.Mapping):
+        return _table(base, arguments)
+    if base is types.NoneType:
+        return Form("nothing", _instance(base))
+    article = "an" if base.__name__[0] in "AEIOU" else "a"
+    return Form(f"{article} {base.__name__}", _instance(base))
 
 
-def _member(value: object, base: type[enum.Enum], key: str, report: Report) -> Any:
-    for member in base:
-        if value == member.value and type(value) is type(member.value):
-            return member
-        if isinstance(value, str) and value.lower() == (member.name or "").lower():
-            return member
-    return _wrong(value, base, key, report)
+def _exactly(base: type) -> Take:
+    def take(value: Any, _key: str, _to: Converter) -> Any:
+        if base is float and type(value) is int:
+            return float(value)
+        return value if type(value) is base else _WRONG
+
+    return take
 
 
-def _convert_table(
-    value: dict[str, Any], kind: Any, base: type, key: str, report: Report, folder: Path
-) -> Any:
-    if base not in {dict, collections.abc.Mapping, collections.abc.MutableMapping}:
-        return value if isinstance(value, base) else _wrong(value, kind, key, report)
-    item_kind = (typing.get_args(kind) or (Any, Any))[1]
-    items = {
-        name: convert(item, item_kind, below(key, name), report, folder)
-        for name, item in value.items()
-    }
-    return INVALID if INVALID in items.values() else items
+def _instance(base: type) -> Take:
+    return lambda value, _key, _to: value if isinstance(value, base) else _WRONG
 
 
-def _convert_list(
-    value: list[Any], kind: Any, base: type, key: str, report: Report, folder: Path
-) -> Any:
-    if base not in LISTS:
-        return value if isinstance(value, base) else _wrong(value, kind, key, report)
-    arguments = typing.get_args(kind) or (Any, ...)
-    if base is tuple and arguments[-1] is not ...:
-        if len(arguments) != len(value):
-            return _wrong(value, kind, key, report)
-        kinds: list[Any] = list(arguments)
-    else:
-        kinds = [arguments[0]] * len(value)
-    items = [
-        convert(item, item_kind, f"{key}.{index}", report, folder)
-        for index, (item, item_kind) in enumerate(zip(value, kinds, strict=True))
-    ]
-    if any(item is INVALID for item in items):
-        return INVALID
-    try:
-        return LISTS[base](items)
-    except TypeError:  # a table in a set
-        return _wrong(value, kind, key, report)
+def _path(value: Any, _key: str, to: Converter) -> Any:
+    good = isinstance(value, str) and value and "\0" not in value
+    return to.folder / value if good else _WRONG
 
 
-def make_record(
-    value: object, kind: Any, key: str, report: Report, folder: Path
-) -> Any:
-    """Return a table as an object of a class with fields; see `convert`."""
-    base: type = typing.get_origin(kind) or kind
-    fields = fields_of(base)
-    if fields is None or not isinstance(value, dict):
-        return _wrong(value, kind, key, report)
-    sound = True
-    arguments: dict[str, Any] = {}
-    for name, item in value.items():
-        if name not in fields:
-            report(below(key, name), unknown("key", name, fields))
-            sound = False
-            continue
-        result = convert(item, fields[name].kind, below(key, name), report, folder)
-        sound = sound and result is not INVALID
-        arguments[name] = result
-    for name, field in fields.items():
-        if field.required and name not in value:
-            report(key, f"{name!r} is missing: expected {wanted(field.kind)}")
-            sound = False
-    if not sound:
-        return INVALID
-    try:
-        return base(**arguments)
-    except Exception as error:  # a validator of the user's class may raise anything
-        where = getattr(error, "field", "")
-        report(f"{key}.{where}" if where in fields else key, reason_of(error))
+def _choice(choices: Mapping[Any, Any]) -> Form:
+    def take(value: Any, _key: str, _to: Converter) -> Any:
+        for known, found in choices.items():
+            if type(known) is type(value) and known == value:
+                return found
+            name = getattr(found, "name", None)  # of a member
+            if name and isinstance(value, str) and value.lower() == name.lower():
+                return found
+        return _WRONG
+
+    return Form(f"one of {', '.join(map(show, choices))}", take)
+
+
+def _one_of(kinds: tuple[Any, ...]) -> Form:
+    # A path is a better reading of a string than the string itself.
+    forms = [(each, form_of(each)) for each in sorted(kinds, key=_is_no_path)]
+
+    def take(value: Any, key: str, to: Converter) -> Any:
+        meant: list[list[tuple[str, str]]] = []
+        for kind, form in forms:
+            problems: list[tuple[str, str]] = []
+
+            def note(*told: str, to: list[Any] = problems) -> None:
+                to.append(told)
+
+            found = Converter(note, to.folder).convert(value, kind, key)
+            if found is not INVALID:
+                return found
+            if type(value) is form.shape:
+                meant.append(problems)
+        if len(meant) != 1:
+            return _WRONG
+        for problem in meant[0]:
+            to.report(*problem)
         return INVALID
 
+    words = [form_of(each).words for each in kinds if each is not types.NoneType]
+    return Form(" or ".join(dict.fromkeys(words)), take)
 
-def _wrong(value: object, kind: Any, key: str, report: Report) -> Invalid:
-    report(key, f"expected {wanted(kind)}, not {show(value)}")
-    return INVALID
+
+def _is_no_path(kind: Any) -> bool:
+    return kind not in _PATHS
+
+
+def _table(base: type, arguments: tuple[Any, ...]) -> Form:
+    kind = (arguments or (Any, Any))[1]
+
+    def take(value: Any, key: str, to: Converter) -> Any:
+        if not isinstance(value, dict) or base not in _TABLES:
+            return _instance(base)(value, key, to)
+        items = {
+            name: to.convert(item, kind, below(key, name))
+            for name, item in value.items()
+        }
+        return INVALID if any(each is INVALID for each in items.values()) else items
+
+    each = f", each {wanted(kind)}" if arguments else ""
+    return Form(f"a table{each}", take, dict)
+
+
+def _list(base: type, arguments: tuple[Any, ...]) -> Form:
+    fixed = base is tuple and bool(arguments) and arguments[-1] is not ...
+    words = f"a list, each {wanted(arguments[0])}" if arguments else "a list"
+    if fixed:
+        parts = ", ".join(map(wanted, arguments))
+        words = f"a list of {len(arguments)} ({parts})"
+
+    def take(value: Any, key: str, to: Converter) -> Any:
+        if not isinstance(value, list):
+            return _instance(base)(value, key, to)
+        kinds = arguments if fixed else (arguments or (Any,))[:1] * len(value)
+        if len(kinds) != len(value):
+            return _WRONG
+        items = [
+            to.convert(item, kind, f"{key}.{index}")
+            for index, (item, kind) in enumerate(zip(value, kinds, strict=True))
+        ]
+        if any(item is INVALID for item in items):
+            return INVALID
+        try:
+            return _LISTS[base](items)
+        except TypeError:  # a table in a set
+            return _WRONG
+
+    return Form(words, take, list)
+
+
+def _record(base: type, fields: Mapping[str, Field]) -> Take:
+    def take(value: Any, key: str, to: Converter) -> Any:
+        if not isinstance(value, dict):
+            return _WRONG
+        found: dict[str, Any] = {}
+        sound = True
+        for name, item in value.items():
+            if name in fields:
+                found[name] = to.convert(item, fields[name].kind, below(key, name))
+                sound = sound and found[name] is not INVALID
+            else:
+                to.report(below(key, name), unknown("key", name, fields))
+                sound = False
+        for name, field in fields.items():
+            if field.required and name not in value:
+                to.report(key, f"{name!r} is missing: expected {wanted(field.kind)}")
+                sound = False
+        if not sound:
+            return INVALID
+        try:
+            return base(**found)
+        except Exception as error:  # a validator of the user's class may raise anything
+            where = getattr(error, "field", "")
+            to.report(f"{key}.{where}" if where in fields else key, reason_of(error))
+            return INVALID
+
+    return take
