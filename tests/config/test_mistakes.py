@@ -85,7 +85,7 @@ CASES = [
         "[access.wheels]",
         '[access.behaviors]\nwander = "command"\n[access.wheels]',
         "access.behaviors.wander",
-        'expected "manage"',
+        "expected 'manage', not",
     ),
     (
         "[access.wheels]",

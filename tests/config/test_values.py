@@ -99,7 +99,7 @@ DOES_NOT = [
     ("a\0", Path, "at", "expected a path"),
     (2, Gear, "at", "expected one of 1, 'fast', not 2"),
     (True, Gear, "at", "expected one of 1, 'fast', not true"),
-    (True, Literal[1], "at", "expected one of 1, not true"),
+    (True, Literal[1], "at", "expected 1, not true"),
     (
         [1],
         tuple[int, int],

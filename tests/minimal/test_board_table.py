@@ -102,9 +102,12 @@ def test_what_a_board_stands_for_has_its_line(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('[board.base]\nrobot = "base.toml"', "board.base.port: expected the serial"),
-        ('[board.base]\nport = "x"', "board.base.robot: expected the file"),
-        ('[board.base]\nport = 3\nrobot = "base.toml"', "expected a string, not 3"),
+        ('[board.base]\nrobot = "base.toml"', "'port' is missing: expected its serial"),
+        ('[board.base]\nport = "x"', "'robot' is missing: expected the file"),
+        (
+            '[board.base]\nport = 3\nrobot = "base.toml"',
+            "board.base.port: expected a string, not 3",
+        ),
         (
             '[board.base]\nport = "x"\nrobot = "gone.toml"',
             "gone.toml: there is no such file",

@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final
+
+import attrs
 
 from esair.actions import Reaction
 from esair.config._draft import Draft, Part
-from esair.config._mistakes import dotted, show, unknown
+from esair.config._mistakes import dotted
+from esair.config._records import WORDS
 from esair.config._source import Source, read_source
 from esair.config._tables import named_tables
+from esair.config._values import INVALID
 from esair.exceptions import ConfigError
 from esair.resources import Actuator, Sensor
 
-KEYS: Final = {"port": str, "robot": str, "baudrate": int, "arm": bool}
-"""What a table ``[board.NAME]`` may say, and of which type."""
+
+@attrs.frozen
+class _Board:
+    """A table ``[board.NAME]``."""
+
+    port: str = attrs.field(metadata={WORDS: "its serial port, as 'usb:2e8a:0005'"})
+    robot: Path = attrs.field(
+        metadata={WORDS: "the file that its firmware is built from, as 'base.toml'"}
+    )
+    baudrate: int | None = None
+    arm: bool | None = None
+
 
 _DRIVERS: Final = "esair.drivers.board"
 
@@ -26,43 +41,21 @@ def add_boards(source: Source, make: Callable[[Source], Draft]) -> None:
     actuators have the names of its own file. A table of such a name adds keys to it.
     """
     for name, table in named_tables(source, "board"):
-        if _is_sound(source, name, table):
-            _add_board(source, name, table, make)
-
-
-def _is_sound(source: Source, name: str, table: dict[str, Any]) -> bool:
-    add, sound = source.mistakes.add, True
-    for key, value in table.items():
-        where = dotted("board", name, key)
-        if key not in KEYS:
-            add(where, unknown("key", key, KEYS))
-        elif type(value) is not KEYS[key]:
-            add(where, f"expected {_WORDS[KEYS[key]]}, not {show(value)}")
-        else:
-            continue
-        sound = False
-    for key, what in (
-        ("port", "the serial port of the board, such as 'usb:2e8a:0005'"),
-        ("robot", "the file that its firmware is built from, such as 'base.toml'"),
-    ):
-        if key not in table:
-            add(dotted("board", name, key), f"expected {what}")
-            sound = False
-    if name in source.data.get("bus", {}):
-        add(dotted("bus", name), f"the board {name!r} has a bus of this name already")
-        sound = False
-    return sound
-
-
-_WORDS: Final = {str: "a string", int: "a whole number", bool: "true or false"}
+        key = dotted("board", name)
+        board = source.convert(table, _Board, key)
+        if name in source.data.get("bus", {}):
+            told = f"the board {name!r} has a bus of this name already"
+            source.mistakes.add(dotted("bus", name), told)
+        elif board is not INVALID:
+            _add_board(source, name, board, make)
 
 
 def _add_board(
-    source: Source, name: str, table: dict[str, Any], make: Callable[[Source], Draft]
+    source: Source, name: str, board: _Board, make: Callable[[Source], Draft]
 ) -> None:
     where = dotted("board", name, "robot")
     try:
-        inner = read_source(source.folder / table["robot"])
+        inner = read_source(board.robot)
         parts = make(inner).parts
         inner.mistakes.raise_all()
     except ConfigError as error:
@@ -72,14 +65,14 @@ def _add_board(
         for each in group.exceptions:
             source.mistakes.add(where, str(each))
         return
-    bus = {"type": "serial", "port": table["port"], "framing": "cobs"}
-    if "baudrate" in table:
-        bus["baudrate"] = table["baudrate"]
+    bus: dict[str, Any] = {"type": "serial", "port": board.port, "framing": "cobs"}
+    if board.baudrate is not None:
+        bus["baudrate"] = board.baudrate
     source.data.setdefault("bus", {})[name] = bus
     source.mistakes.lines.put(dotted("bus", name), dotted("board", name))
-    state = {"driver": f"{_DRIVERS}:Board"}
-    if "arm" in table:
-        state["arm"] = table["arm"]
+    state: dict[str, Any] = {"driver": f"{_DRIVERS}:Board"}
+    if board.arm is not None:
+        state["arm"] = board.arm
     _add(source, "sensor", name, {**state, "bus": name}, name)
     for part in parts:
         found = _table_of(part, parts)

@@ -13,11 +13,10 @@ from esair.config._policies import read_policies
 from esair.config._source import Source
 from esair.config._tables import named_tables
 from esair.config._values import INVALID
-from esair.exceptions import ConfigError, EsairError
+from esair.exceptions import EsairError
 from esair.resources import Actuator, Sensor
-from esair.values import check_name
 
-OF_ROBOT: Final = ("operator", "record", "page")
+OF_ROBOT: Final = frozenset({"operator", "record", "page"})
 """The tables that are keywords of the robot with fields of their own."""
 
 TABLES: Final = (
@@ -57,27 +56,17 @@ def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:
     table = source.data.get("robot", {})
     parts = {"resources", "behaviors", "policies", "buses", *OF_ROBOT}
     keywords = keywords_of(robot_class).fields
-    known = {name: field for name, field in keywords.items() if name not in parts}
     settings: dict[str, Any] = {"name": "robot"}
-    for name, value in table.items():
-        key = below("robot", name)
-        if name not in known:
-            source.mistakes.add(key, unknown("key", name, known))
+    given = {below("robot", name): (name, value) for name, value in table.items()}
+    given |= {each: (each, source.data[each]) for each in OF_ROBOT & source.data.keys()}
+    for key, (name, value) in given.items():
+        if name not in keywords or (name in parts and key != name):
+            source.mistakes.add(key, unknown("key", name, keywords.keys() - parts))
             continue
-        result = source.convert(value, known[name].kind, key)
+        result = source.convert(value, keywords[name].kind, key)
         if result is not INVALID:
             settings[name] = result
-    for name in OF_ROBOT:
-        if name in source.data and name in keywords:
-            result = source.convert(source.data[name], keywords[name].kind, name)
-            if result is not INVALID:
-                settings[name] = result
-    try:
-        check_name("robot", settings["name"])
-    except ConfigError as error:
-        source.mistakes.add(
-            "robot.name", f"expected {str(error).rpartition('expected ')[2]}"
-        )
+    source.is_name("robot", settings["name"], "robot.name")
     return settings
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
+import operator
+from collections.abc import Mapping
 from typing import Any, Final, Literal
 
 from esair.config._mistakes import below, dotted, show
 from esair.config._source import Source
-from esair.exceptions import ConfigError, did_you_mean
+from esair.config._values import INVALID, Invalid
+from esair.exceptions import did_you_mean
 from esair.messages import Access, BehaviorsPolicy, Policy
-from esair.values import check_name
 
 BEHAVIORS: Final = "behaviors"
 """The table of those who may manage others; no resource's."""
@@ -39,80 +42,54 @@ def read_policies(source: Source) -> dict[str, Policy | BehaviorsPolicy]:
 def _managers(
     source: Source, key: str, name: str, table: dict[str, Any]
 ) -> BehaviorsPolicy:
-    allow: dict[str, Literal["manage"]] = {}
-    for behavior, value in table.items():
-        where = below(key, behavior)
-        if not _is_name(source, where, behavior):
-            continue
-        if value == "manage":
-            allow[behavior] = "manage"
-        else:
-            right = '"manage", the right to add, remove, replace and restart behaviors'
-            source.wrong(where, right, value)
-    return BehaviorsPolicy(allow)
+    return BehaviorsPolicy(_by_behavior(source, key, table, Literal["manage"]))
 
 
 def _policy(source: Source, key: str, name: str, table: dict[str, Any]) -> Policy:
-    allow: Any = {}
-    levels: Any = {}
-    exclusive = False
+    rest = dict(table)
+    exclusive = rest.pop("exclusive", False)
+    levels = rest.pop("max_priority", {})
+    if not isinstance(levels, dict):
+        source.wrong(
+            below(key, "max_priority"), "a table such as { wander = 5 }", levels
+        )
+        levels = {}
+    return Policy(
+        name,
+        allow=_by_behavior(source, key, rest, Access),
+        exclusive=source.convert(exclusive, bool, below(key, "exclusive")) is True,
+        max_priority=_by_behavior(source, below(key, "max_priority"), levels, int),
+    )
+
+
+def _by_behavior(
+    source: Source, key: str, table: Mapping[str, object], kind: Any
+) -> dict[str, Any]:
+    """Return what a table says of each behavior, and of all others by ``*``."""
+    found: dict[str, Any] = {}
     for behavior, value in table.items():
         where = below(key, behavior)
-        if behavior == "exclusive":
-            exclusive = source.convert(value, bool, where) is True
-        elif behavior == "max_priority":
-            levels = _levels(source, where, value)
-        elif _is_name(source, where, behavior):
-            access = _access(source, where, value)
-            if access is not None:
-                allow[behavior] = access
-    return Policy(name, allow=allow, exclusive=exclusive, max_priority=levels)
-
-
-def _levels(source: Source, key: str, value: object) -> dict[str, int]:
-    if not isinstance(value, dict):
-        source.wrong(key, "a table such as { wander = 5 }", value)
-        return {}
-    levels: dict[str, int] = {}
-    for behavior, level in value.items():
-        where = below(key, behavior)
-        if not _is_name(source, where, behavior):
+        if behavior != "*" and not source.is_name("behavior", behavior, where):
             continue
-        if type(level) is int:
-            levels[behavior] = level
-        else:
-            source.wrong(where, "a whole number", level)
-    return levels
-
-
-def _is_name(source: Source, key: str, behavior: str) -> bool:
-    if behavior == "*":
-        return True
-    try:
-        check_name("behavior", behavior)
-    except ConfigError:
-        source.mistakes.add(
-            key, "expected the name of a behavior, or '*' for all others"
+        result = (
+            _access(source, where, value)
+            if kind is Access
+            else source.convert(value, kind, where)
         )
-        return False
-    return True
+        if result is not INVALID:
+            found[behavior] = result
+    return found
 
 
-def _access(source: Source, key: str, value: object) -> Access | None:
+def _access(source: Source, key: str, value: object) -> Access | Invalid:
     if not isinstance(value, str):
         source.wrong(key, 'rights such as "read, write"', value)
-        return None
-    access = Access(0)
-    sound = True
-    for word in value.split(","):
-        right = word.strip()
-        if right in _RIGHTS:
-            access |= _RIGHTS[right]
-        else:
-            source.mistakes.add(
-                key,
-                f"expected some of {', '.join(_RIGHTS)}, with commas between them, "
-                f"not {show(right)}{did_you_mean(right, _RIGHTS)}",
-            )
-            sound = False
-    return access if sound else None
+        return INVALID
+    words = [word.strip() for word in value.split(",")]
+    for word in words:
+        if word not in _RIGHTS:
+            told = f"expected some of {', '.join(_RIGHTS)}, with commas between them, "
+            told += f"not {show(word)}{did_you_mean(word, _RIGHTS)}"
+            source.mistakes.add(key, told)
+            return INVALID
+    return functools.reduce(operator.or_, (_RIGHTS[word] for word in words))

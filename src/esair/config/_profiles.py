@@ -12,9 +12,7 @@ from esair.config._mistakes import below, unknown
 from esair.config._records import fields_of
 from esair.config._source import Source
 from esair.config._values import INVALID, wanted
-from esair.exceptions import ConfigError
 from esair.resources import APPLIED
-from esair.values import check_name
 
 FLOWS: Final = ("reads", "writes", "guards")
 """The keys that change the profile of a behavior or reaction."""
@@ -92,19 +90,12 @@ def _changed(
         if field in {"max_age", "hold"} and not result > 0:
             source.wrong(where, f"{wanted(float)} > 0, in seconds", value)
             continue
-        if field == "name" and not _is_name(result, where, source):
-            continue
+        if field == "name":
+            resource = result.removesuffix(APPLIED)
+            if not source.is_name("resource", resource, where):
+                continue
         values[field] = result
     if declared is not None:
         changed: Need = attrs.evolve(declared, **values)
         return changed
     return _KINDS[flow](Any, **values)
-
-
-def _is_name(name: str, key: str, source: Source) -> bool:
-    try:
-        check_name("resource", name.removesuffix(APPLIED))
-    except ConfigError as error:
-        source.mistakes.add(key, f"expected {str(error).rpartition('expected ')[2]}")
-        return False
-    return True

@@ -15,12 +15,17 @@ _KNOWN: Final = {"Path": Path}
 """What many import for type checkers only, and is a path here all the same."""
 
 
+WORDS: Final = "words"
+"""The key in the metadata of an attrs field that says what it is, for who left it out."""
+
+
 @attrs.frozen
 class Field:
     """One field of a record, or one keyword of a constructor."""
 
     kind: Any
     required: bool  # Whether it has no default
+    words: str = ""  # What it is, if its type does not tell enough
 
 
 def fields_of(kind: type) -> Mapping[str, Field] | None:
@@ -34,10 +39,16 @@ def fields_of(kind: type) -> Mapping[str, Field] | None:
     if not (attrs.has(kind) or dataclasses.is_dataclass(kind) or is_tuple):
         return None
     hints = hints_of(kind)
+    words: dict[str, str] = {}
     if attrs.has(kind):
         hints |= {f.alias: hints.get(f.name, Any) for f in attrs.fields(kind)}
+        words = {f.alias: f.metadata.get(WORDS, "") for f in attrs.fields(kind)}
     return {
-        each.name: Field(hints.get(each.name, Any), each.default is each.empty)
+        each.name: Field(
+            hints.get(each.name, Any),
+            each.default is each.empty,
+            words.get(each.name, ""),
+        )
         for each in inspect.signature(kind).parameters.values()
         if each.kind in {each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY}
     }

@@ -16,6 +16,8 @@ import attrs
 
 from esair.config._mistakes import ConfigFileError, Lines, Mistakes, below, dotted, show
 from esair.config._values import INVALID, convert
+from esair.exceptions import ConfigError
+from esair.values import check_name
 
 LIMIT: Final = 1_048_576  # How large a configuration file may be, in bytes
 TABLES: Final = 512  # How many tables a configuration file may have
@@ -43,6 +45,16 @@ class Source:
     def wrong(self, key: str, expected: str, value: object) -> None:
         """Note that something else was expected."""
         self.mistakes.add(key, f"expected {expected}, not {show(value)}")
+
+    def is_name(self, kind: str, name: str, key: str) -> bool:
+        """Tell whether something may have a name; if not, that is a mistake."""
+        try:
+            check_name(kind, name)
+        except ConfigError as error:
+            told = f"a name is {str(error).rpartition('expected ')[2]}"
+            self.mistakes.add(key, told)
+            return False
+        return True
 
     def value(self, key: str) -> object:
         """Return what stands at a key; None if nothing does."""

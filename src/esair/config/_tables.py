@@ -13,9 +13,7 @@ from esair.config._draft import Draft, Variant
 from esair.config._mistakes import below, dotted
 from esair.config._source import Source
 from esair.config._values import wanted
-from esair.exceptions import ConfigError
 from esair.resources import Actuator, Sensor
-from esair.values import check_name
 
 
 def named_tables(source: Source, kind: str) -> list[tuple[str, dict[str, Any]]]:
@@ -23,19 +21,13 @@ def named_tables(source: Source, kind: str) -> list[tuple[str, dict[str, Any]]]:
     found: list[tuple[str, dict[str, Any]]] = []
     for name, table in list(holder.items()):
         key = dotted(kind, name)
-        try:
-            check_name(kind, name)
-        except ConfigError as error:
-            source.mistakes.add(
-                key, f"a name is {str(error).rpartition('expected ')[2]}"
-            )
-            del holder[name]
-            continue
-        if isinstance(table, dict):
+        good = source.is_name(kind, name, key)
+        if good and isinstance(table, dict):
             found.append((name, table))
-        else:
+            continue
+        if good:
             source.wrong(key, f"a table [{kind}.NAME]", table)
-            del holder[name]
+        del holder[name]
     return found
 
 

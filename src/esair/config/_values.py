@@ -183,7 +183,8 @@ def _choice(choices: Mapping[Any, Any]) -> Form:
                 return found
         return _WRONG
 
-    return Form(f"one of {', '.join(map(show, choices))}", take)
+    words = ", ".join(map(show, choices))
+    return Form(f"one of {words}" if len(choices) > 1 else words, take)
 
 
 def _one_of(kinds: tuple[Any, ...]) -> Form:
@@ -275,7 +276,8 @@ def _record(base: type, fields: Mapping[str, Field]) -> Take:
                 sound = False
         for name, field in fields.items():
             if field.required and name not in value:
-                to.report(key, f"{name!r} is missing: expected {wanted(field.kind)}")
+                words = field.words or wanted(field.kind)
+                to.report(key, f"{name!r} is missing: expected {words}")
                 sound = False
         if not sound:
             return INVALID
