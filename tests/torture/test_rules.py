@@ -239,6 +239,28 @@ def test_who_calls_a_driver_himself_is_seen(monkeypatch: pytest.MonkeyPatch) -> 
     assert ("unregistered", "wheels") in outcome.keys
 
 
+def test_who_gives_back_what_its_thread_has_not_begun_with_is_no_finding() -> None:
+    """The command was by right when it was sent on its way."""
+
+    class Blocking(Wheels):
+        def write(self, command: float) -> None: ...  # type: ignore[override]
+
+    class Gives(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            async for _ in esair.every(0.3):
+                writing = asyncio.ensure_future(self.wheels.write(0.5))
+                await asyncio.sleep(0.0)
+                self.wheels.release()
+                await writing
+
+    def make() -> esair.Robot:
+        return esair.Robot(resources=[Blocking(name="wheels")], behaviors=[Gives()])
+
+    assert World(Target("robot", make), Story(0, (), 1.0)).run().violations == ()
+
+
 @pytest.mark.promise("REC-1")
 def test_a_recording_changes_no_story(tmp_path: Path) -> None:
     """Every device is told the same at the same moments, by many who wish the same."""

@@ -119,6 +119,8 @@ class Judge:
         if not _same(channel.told().command, command):
             self.say("unregistered", name, f"{what} by somebody who calls its driver")
         holder = channel.holder
+        if holder is None and gate.in_thread:
+            return  # given back while the command was on its way into the thread
         if holder is None or holder.reason is not None:
             self.say("unregistered", name, f"{what}, and nobody holds it by right")
             return
