@@ -237,3 +237,34 @@ async def test_a_writer_cancelled_in_the_instant_of_its_turn(
         assert second.cancelled()
         await asyncio.sleep(0.15)
         assert (2.0 in motor.commands) is (takes == 0.0)
+
+
+@pytest.mark.promise("CALL-2")
+async def test_a_safe_command_that_is_not_answered_holds_up_no_other(
+    user_of: Any,
+) -> None:
+    """It was on the wire before the motion; that has ended, and undone it, meanwhile."""
+    told: list[tuple[float, float]] = []
+
+    class Motor(esair.Actuator[float]):
+        safe = 0.0
+        deadline = 2.0
+
+        async def write(self, command: float) -> None:
+            if command:
+                await asyncio.sleep(0.7)
+            told.append((loop.time(), command))
+            if not command and len(told) == 2:
+                await asyncio.sleep(1.9)
+
+    loop = asyncio.get_running_loop()
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[Motor()], behaviors=[user]) as robot:
+        begin = loop.time()
+        await user.motor.write(1.0)
+        assert [command for _, command in told] == [0.0, 0.0, 1.0]
+        await asyncio.sleep(0.5)
+        assert {command for _, command in told[3:]} == {0.0}
+        assert told[3][0] - begin == pytest.approx(0.7 + 0.2)
+        assert robot.resources.query("motor").state is esair.ResourceState.READY
+        await user.motor.write(2.0)

@@ -29,6 +29,10 @@ TURN_WITHIN = 0.3
 _log = logging.getLogger("esair")
 
 
+class _SentAgainError(Exception):
+    """A motion has ended since: nobody waits for the answer to this safe command."""
+
+
 class Watched(Protocol):
     """The watchdog, as an actuator sees it."""
 
@@ -256,10 +260,16 @@ class ActuatorDevice(Device):
         return None
 
     def _repeat_safe(self) -> None:
-        if self._safe_task is not None or self.state is not ResourceState.READY:
-            self._again = True
-        else:
+        if self._safe_task is None and self.state is ResourceState.READY:
             self.make_safe(stay=self._told is HOLD)
+            return
+        self._again = True
+        safe = self.calls.alive.get(self._safe_number)
+        if safe is not None:  # its answer may be long in coming
+            again = _SentAgainError()
+            Deadlines.of(self._loop).after(
+                self._turn_within, self.calls.give_up, safe, again
+            )
 
     async def _send_safe(self) -> bool:
         try:
@@ -290,6 +300,8 @@ class ActuatorDevice(Device):
             opening = self.calls.opening
             try:
                 await self._tell_safe()
+            except _SentAgainError:
+                return True
             except Exception as raised:
                 if opening == self.calls.opening:
                     error = self._failed(raised, "safe")
