@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Protocol
 
 from dynamixel_sdk import Protocol2PacketHandler  # type: ignore[import-untyped]
 
@@ -116,6 +117,13 @@ class FakeServo:
         return bytes([error])
 
 
+class _Obeying(Protocol):
+    """A servo of any make; who returns nothing from ``obey`` is silent."""
+
+    def power_cycle(self) -> None: ...
+    def obey(self, instruction: int, parameters: bytes) -> bytes: ...
+
+
 class FakeServos:
     """Servos on one line; ``open`` is the opener of a `ServoBus`.
 
@@ -130,12 +138,17 @@ class FakeServos:
         turns: How often the wire was turned, from asking to answering.
     """
 
+    _header = HEADER
+    _word = 2  # the bytes of a length, an address and a size
+    _in_turn = True
+
     def __init__(self, servos: dict[int, FakeServo] | Iterable[int] = (1,)) -> None:
         self.servos: dict[int, FakeServo] = (
             servos
             if isinstance(servos, dict)
             else {number: FakeServo() for number in servos}
         )
+        self._there: Mapping[int, _Obeying] = self.servos
         self.written: list[tuple[int, int, bytes]] = []
         self.plugged = True
         self.delay = 0.0
@@ -154,7 +167,7 @@ class FakeServos:
 
     def power_cycle(self) -> None:
         """Lose the power for a moment, all of them."""
-        for servo in self.servos.values():
+        for servo in self._there.values():
             servo.power_cycle()
 
     def stall(self) -> None:
@@ -186,51 +199,59 @@ class FakeServos:
 
     def heard(self, data: bytes) -> bytes:
         """Take bytes from the line; return the answers of the servos."""
-        data = self._rest + data
-        answers = b""
-        while (begin := data.find(HEADER)) >= 0 and len(data) >= begin + 7:
-            end = begin + 7 + int.from_bytes(data[begin + 5 : begin + 7], "little")
+        data, answers = self._rest + data, b""
+        header, size_at = self._header, len(self._header) + 1
+        head = size_at + self._word
+        while (begin := data.find(header)) >= 0 and len(data) >= begin + head:
+            size = int.from_bytes(data[begin + size_at : begin + head], "little")
+            end = begin + head + size
             if len(data) < end:
                 break
-            answers += self._answer(data[begin:end])
-            data = data[end:]
+            request, data = self._opened(data[begin:end]), data[end:]
+            if request is not None:
+                self.written.append(request)
+                answers += b"" if self._stalled else self._reply(*request)
         self._rest = data[-1024:]
         return answers
 
-    def _answer(self, request: bytes) -> bytes:
-        number, instruction = request[4], request[7]
-        parameters = request[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+    def _opened(self, request: bytes) -> tuple[int, int, bytes] | None:
+        """Return id, instruction and parameters of a packet, if it is not damaged."""
         if _crc(0, request, len(request) - 2) != int.from_bytes(request[-2:], "little"):
-            return b""
-        self.written.append((number, instruction, parameters))
-        if self._stalled:
-            return b""
+            return None
+        plain = request[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+        return request[4], request[7], plain
+
+    def _reply(self, number: int, instruction: int, parameters: bytes) -> bytes:
+        two = 2 * self._word
+        entry, rest = parameters[:two], parameters[two:]
         if instruction == SYNC_WRITE:
-            place, size = parameters[:2], int.from_bytes(parameters[2:4], "little")
-            for begin in range(4, len(parameters), size + 1):
-                one, *data = parameters[begin : begin + size + 1]
-                if one in self.servos:
-                    self.servos[one].obey(WRITE, place + bytes(data))
+            size = 1 + int.from_bytes(entry[self._word :], "little")
+            for begin in range(0, len(rest), size):
+                one, *data = rest[begin : begin + size]
+                if one in self._there:
+                    self._there[one].obey(WRITE, entry[: self._word] + bytes(data))
             return b""
         if instruction != SYNC_READ:
             return self._status(number, instruction, parameters)
         answers = b""
-        for one in parameters[4:]:
-            if one not in self.servos:
+        for one in rest:
+            if self._in_turn and one not in self._there:
                 break  # those after it wait for its answer
-            answers += self._status(one, READ, parameters[:4])
+            answers += self._status(one, READ, entry)
         return answers
 
     def _status(self, number: int, instruction: int, parameters: bytes) -> bytes:
-        if number not in self.servos:
+        if number not in self._there:
             return b""
-        answer = packet(
-            number, STATUS, self.servos[number].obey(instruction, parameters)
-        )
-        if self._garble:
+        told = self._there[number].obey(instruction, parameters)
+        answer = self._packed(number, told) if told else b""
+        if answer and self._garble:
             self._garble -= 1
             answer = answer[:-1] + bytes([answer[-1] ^ 0x55])
         return answer
+
+    def _packed(self, number: int, told: bytes) -> bytes:
+        return packet(number, STATUS, told)
 
 
 class _MemoryLink:

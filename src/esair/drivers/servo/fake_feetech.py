@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from esair.drivers.servo._tables import FEETECH_STS
-from esair.drivers.servo.fake import (
-    PING,
-    READ,
-    SYNC_READ,
-    SYNC_WRITE,
-    WRITE,
-    FakeServos,
-)
+from esair.drivers.servo.fake import PING, READ, WRITE, FakeServos
 
 TABLE_SIZE = 71
 
@@ -57,8 +50,19 @@ class FakeFeetechServo:
         """Change an entry of two bytes."""
         self.table[address : address + 2] = value.to_bytes(2, "little")
 
-    def write(self, address: int, data: bytes) -> None:
-        """Be told something."""
+    def obey(self, instruction: int, parameters: bytes) -> bytes:
+        """Return what stands in the answer: the faults, and what was asked for."""
+        told = b""
+        if instruction == READ:
+            address, size = parameters
+            told = bytes(self.table[address : address + size])
+        elif instruction == WRITE:
+            self._write(parameters[0], parameters[1:])
+        elif instruction != PING:
+            return b""
+        return bytes([self.faults]) + told
+
+    def _write(self, address: int, data: bytes) -> None:
         if address == FEETECH_STS.mode and self.table[55]:
             return  # it is locked
         self.table[address : address + len(data)] = data
@@ -69,57 +73,18 @@ class FakeFeetechServo:
 class FakeFeetechServos(FakeServos):
     """Servos on one line; ``open`` is the opener of a `FeetechBus`."""
 
+    _header = b"\xff\xff"
+    _word = 1
+    _in_turn = False
+
     def __init__(self, servos: Iterable[int] = (1,)) -> None:
         super().__init__(())
-        self.feetech = {number: FakeFeetechServo() for number in servos}
+        self._there = self.feetech = {number: FakeFeetechServo() for number in servos}
 
-    def power_cycle(self) -> None:
-        """Lose the power for a moment, all of them."""
-        for servo in self.feetech.values():
-            servo.power_cycle()
+    def _opened(self, request: bytes) -> tuple[int, int, bytes] | None:
+        if len(request) < 6 or ~sum(request[2:-1]) & 0xFF != request[-1]:
+            return None
+        return request[2], request[4], request[5:-1]
 
-    def heard(self, data: bytes) -> bytes:
-        """Take bytes from the line; return the answers of the servos."""
-        data, answers = self._rest + data, b""
-        while (begin := data.find(b"\xff\xff")) >= 0 and len(data) >= begin + 4:
-            end = begin + 4 + data[begin + 3]
-            if len(data) < end:
-                break
-            body = data[begin + 2 : end]
-            data = data[end:]
-            if ~sum(body[:-1]) & 0xFF == body[-1]:
-                self.written.append((body[0], body[2], body[3:-1]))
-                answers += self._reply(body[0], body[2], body[3:-1])
-        self._rest = data[-1024:]
-        return answers
-
-    def _reply(self, number: int, instruction: int, parameters: bytes) -> bytes:
-        if self._stalled:
-            return b""
-        if instruction == SYNC_WRITE:
-            address, size = parameters[:2]
-            for at in range(2, len(parameters), size + 1):
-                one, *told = parameters[at : at + size + 1]
-                if one in self.feetech:
-                    self.feetech[one].write(address, bytes(told))
-            return b""
-        if instruction == SYNC_READ:
-            address, size = parameters[:2]
-            asked = [one for one in parameters[2:] if one in self.feetech]
-            return b"".join(self._say(one, address, size) for one in asked)
-        servo = self.feetech.get(number)
-        if servo is None:
-            return b""
-        if instruction == READ:
-            return self._say(number, parameters[0], parameters[1])
-        if instruction == WRITE:
-            servo.write(parameters[0], parameters[1:])
-        elif instruction != PING:
-            return b""
-        return packet(number, servo.faults, b"")
-
-    def _say(self, number: int, address: int, size: int) -> bytes:
-        servo = self.feetech[number]
-        return packet(
-            number, servo.faults, bytes(servo.table[address : address + size])
-        )
+    def _packed(self, number: int, told: bytes) -> bytes:
+        return packet(number, told[0], told[1:])
