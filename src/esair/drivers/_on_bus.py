@@ -5,9 +5,11 @@ Which kind of bus that is says the annotation ``bus:`` of a class, and the ruleb
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import weakref
 from collections.abc import AsyncIterator, Iterator
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from esair.buses import Bus, Inbox
 from esair.buses.i2c import SILENT
@@ -16,6 +18,25 @@ from esair.framing import FRAMINGS, Framing
 from esair.resources import Resource
 
 T = TypeVar("T")
+
+_shared: weakref.WeakKeyDictionary[Bus, dict[type, dict[Any, Any]]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def shared(bus: Bus, kind: type[T]) -> dict[Any, T]:
+    """Return what devices on a bus share, of one kind, by a key of theirs.
+
+    It is there as long as the bus, so it has to hold that weakly.
+    """
+    return _shared.setdefault(bus, {}).setdefault(kind, {})
+
+
+async def ended(task: asyncio.Task[Any] | None) -> None:
+    """End a task that a device has while it is open, if it has one."""
+    if task is not None:
+        task.cancel()
+        await asyncio.wait({task})
 
 
 def check_bus(device: Resource, kind: type[Bus], *framings: type[Framing]) -> None:

@@ -6,13 +6,12 @@ Source: ADS111x Ultra-Small, Low-Power, I2C-Compatible, 860-SPS, 16-Bit ADCs, SB
 from __future__ import annotations
 
 import asyncio
-import weakref
 from typing import Unpack
 
 import attrs
 
 from esair.buses import I2CBus
-from esair.drivers._on_bus import check_address, expected_at
+from esair.drivers._on_bus import check_address, expected_at, shared
 from esair.exceptions import DeviceFaultError
 from esair.resources import Sensor, SensorSettings, setting
 from esair.values import check_choice
@@ -55,9 +54,6 @@ class Chip:
     turn: asyncio.Lock = attrs.field(factory=asyncio.Lock)
     under_way: int | None = None
     """The data rate in Hz of a conversion whose end nobody has seen yet."""
-
-
-_chips: weakref.WeakKeyDictionary[I2CBus, dict[int, Chip]] = weakref.WeakKeyDictionary()
 
 
 def config_for(channel: str, full_scale: float, data_rate: int) -> int:
@@ -141,7 +137,7 @@ class Ads1115(Sensor[float]):
     async def read(self) -> float:
         """Convert once and wait for it."""
         bus = self.bus
-        chip = _chips.setdefault(bus, {}).setdefault(self.address, Chip())
+        chip = shared(bus, Chip).setdefault(self.address, Chip())
         async with chip.turn:  # or another sensor would change what is converted
             if chip.under_way is not None:
                 # Whoever began it was cancelled. Until its end the chip begins no other,

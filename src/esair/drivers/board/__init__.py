@@ -42,12 +42,13 @@ import logging
 import weakref
 from binascii import crc32
 from collections.abc import AsyncIterator
-from typing import Any, ClassVar, Unpack
+from typing import Any, Unpack
 
 import attrs
 
 from esair.boards.link import BEAT_MS, VERSION
 from esair.buses import Inbox, SerialBus
+from esair.drivers._on_bus import shared
 from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.resources import Actuator, ActuatorSettings, Sensor, SensorSettings
 
@@ -98,17 +99,13 @@ class BoardState:
 class _Beats:
     """What all devices of one board share: the beats, one task of a bus that is open."""
 
-    _of: ClassVar[weakref.WeakKeyDictionary[SerialBus, _Beats]] = (
-        weakref.WeakKeyDictionary()
-    )
-
     @classmethod
     def of(cls, bus: SerialBus) -> _Beats:
         """Return that of a bus."""
-        found = cls._of.get(bus)
-        if found is None:
-            found = cls._of[bus] = cls(bus)
-        return found
+        beats = shared(bus, cls)
+        if not beats:
+            beats[VERSION] = cls(bus)
+        return beats[VERSION]
 
     def __init__(self, bus: SerialBus) -> None:
         self._bus = weakref.ref(bus)

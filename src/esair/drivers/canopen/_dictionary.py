@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,8 @@ from canopen.objectdictionary import (
     import_od,
 )
 
-from esair.exceptions import ConfigError, describe, did_you_mean
+from esair.drivers._files import described
+from esair.exceptions import ConfigError, did_you_mean
 
 BOOLEAN = 0x1
 TEXT = frozenset({0x9, 0xB})
@@ -115,20 +115,4 @@ def _names_of(dictionary: ObjectDictionary) -> list[str]:
 
 
 def read_eds(component: str, eds: Path | str, node: int) -> ObjectDictionary:
-    path = Path(eds)
-    try:
-        state = path.stat()
-        return _load(path, node, state.st_mtime_ns, state.st_size)
-    except OSError as error:
-        raise ConfigError(
-            component, "eds", f"{path} cannot be read: {error.strerror}"
-        ) from error
-    except Exception as error:  # a parser of files that people write by hand
-        raise ConfigError(
-            component, "eds", f"{path} cannot be understood: {describe(error)}"
-        ) from error
-
-
-@functools.lru_cache(maxsize=16)
-def _load(path: Path, node: int, _modified: int, _size: int) -> ObjectDictionary:
-    return import_od(str(path), node)
+    return described(component, "eds", eds, import_od, node)

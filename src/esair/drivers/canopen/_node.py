@@ -17,6 +17,7 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from esair.buses import CanBus, Exchanges, Frame
+from esair.drivers._on_bus import ended, shared
 from esair.drivers.canopen._sdo import LATE_LIMIT, LOOP_TIMEOUT, RemoteNode
 from esair.exceptions import DeviceFaultError, DeviceLostError, DriverStuckError
 from esair.loop import Executor
@@ -144,7 +145,7 @@ class Node:
         self.usable = True
         """Whether devices may still join it; a new one is made otherwise."""
         # Those of the former opening, if there was one: what is owed is owed still.
-        self.exchanges = _exchanges_of_bus.setdefault(bus, {}).setdefault(
+        self.exchanges = shared(bus, Exchanges).setdefault(
             number, Exchanges(bus, late_limit=LATE_LIMIT)
         )
         self.opening = asyncio.Lock()
@@ -198,14 +199,12 @@ class Node:
         if self.users:
             return
         self.usable = False
-        nodes = nodes_of_bus.get(self.bus, {})
+        nodes = shared(self.bus, Node)
         if nodes.get(self.number) is self:
             del nodes[self.number]
         if self._watch is not None:
             self._watch.cancel()
-        if self._pump is not None:
-            self._pump.cancel()
-            await asyncio.wait({self._pump})
+        await ended(self._pump)
         if self.network is not None:
             if self.remote is not None:
                 self.remote.remove_network()
@@ -317,13 +316,3 @@ class Node:
             device.report_lost(
                 DeviceLostError(device.name, f"node {self.number}: {why}")
             )
-
-
-nodes_of_bus: weakref.WeakKeyDictionary[CanBus, dict[int, Node]] = (
-    weakref.WeakKeyDictionary()
-)
-
-
-_exchanges_of_bus: weakref.WeakKeyDictionary[CanBus, dict[int, Exchanges]] = (
-    weakref.WeakKeyDictionary()
-)

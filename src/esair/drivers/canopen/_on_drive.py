@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 from canopen.sdo.exceptions import SdoAbortedError
 
 from esair.buses import Frame, Inbox
+from esair.drivers._on_bus import ended
 from esair.drivers.canopen import _profile as profile
 from esair.drivers.canopen._dictionary import read_eds
 from esair.drivers.canopen._node import Emergency, sdo_frames
@@ -188,9 +189,7 @@ class DriveActuator(OnDrive):
     async def close(self) -> None:
         """Leave the node."""
         task, self._watching = self._watching, None
-        if task is not None:
-            task.cancel()
-            await asyncio.wait({task})
+        await ended(task)
         await super().close()
         self.state = None
 

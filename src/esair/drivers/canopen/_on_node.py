@@ -9,7 +9,8 @@ from typing import Any, Required, TypedDict
 from canopen.objectdictionary import ObjectDictionary
 
 from esair.buses import CanBus
-from esair.drivers.canopen._node import Emergency, Node, T, nodes_of_bus
+from esair.drivers._on_bus import shared
+from esair.drivers.canopen._node import Emergency, Node, T
 from esair.exceptions import ConfigError, DeviceLostError
 from esair.resources import Resource
 from esair.values import check_seconds, check_whole
@@ -55,7 +56,7 @@ class OnNode(Resource):
     async def open(self) -> None:
         """Open the node."""
         await self.close()
-        nodes = nodes_of_bus.setdefault(self.bus, {})
+        nodes = shared(self.bus, Node)
         link = nodes.get(self.node)
         if link is None or not link.usable:
             link = nodes[self.node] = Node(self.bus, self.node)

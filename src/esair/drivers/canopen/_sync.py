@@ -6,6 +6,7 @@ import asyncio
 import weakref
 
 from esair.buses import CanBus
+from esair.drivers._on_bus import ended, shared
 from esair.exceptions import (
     BusyError,
     ConfigError,
@@ -38,15 +39,13 @@ class Sync:
     async def leave(self, device: Resource) -> None:
         """Produce for a device no more; after the last one not at all."""
         self._users.discard(device)
-        task = self._sending
-        if task is None or self._users:
+        if self._users:
             return
-        self._sending = None
+        task, self._sending = self._sending, None
         bus = self._bus()
-        if bus is not None and _syncs.get(bus) is self:
-            del _syncs[bus]
-        task.cancel()
-        await asyncio.wait({task})
+        if bus is not None and shared(bus, Sync).get(SYNC) is self:
+            del shared(bus, Sync)[SYNC]
+        await ended(task)
 
     async def _send(self) -> None:
         loop = asyncio.get_running_loop()
@@ -63,12 +62,9 @@ class Sync:
             await asyncio.sleep(due - loop.time())
 
 
-_syncs: weakref.WeakKeyDictionary[CanBus, Sync] = weakref.WeakKeyDictionary()
-
-
 def sync_of(device: Resource, bus: CanBus, period: float) -> Sync:
     """Return the producer of a bus; a `ConfigError` if it has another period."""
-    found = _syncs.setdefault(bus, Sync(bus, period))
+    found = shared(bus, Sync).setdefault(SYNC, Sync(bus, period))
     if found.period != period:
         raise ConfigError(
             device.name, "sync", f"the bus has a SYNC every {found.period:g} s already"

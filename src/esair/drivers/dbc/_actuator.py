@@ -11,6 +11,7 @@ from typing import Any, Unpack
 from cantools.database.can import Signal
 
 from esair.buses import CanBus
+from esair.drivers._on_bus import ended
 from esair.drivers.dbc._claim import Claim, checked_name, claim_of
 from esair.drivers.dbc._codec import (
     NUMBERS,
@@ -226,9 +227,7 @@ class DbcActuator(Actuator[Any]):
         if self._claim is not None:
             await self._claim.leave(self.report_lost)
         task, self._repeating = self._repeating, None
-        if task is not None:
-            task.cancel()
-            await asyncio.wait({task})
+        await ended(task)
 
     async def write(self, command: Any) -> None:
         """Send a command."""

@@ -16,6 +16,7 @@ from typing import Final
 
 from esair.buses import CanBus, Frame, Inbox
 from esair.buses.can import Mask
+from esair.drivers._on_bus import shared
 from esair.drivers.dbc._j1939 import SOURCE
 from esair.exceptions import ConfigError, DeviceLostError, EsairError
 from esair.loop import spawn
@@ -199,15 +200,9 @@ def asks_for_claims(frame: Frame, address: int) -> bool:
     return group == CLAIM_GROUP and frame.id >> 8 & 0xFF in {address, ALL}
 
 
-_claims: weakref.WeakKeyDictionary[CanBus, dict[int, Claim]] = (
-    weakref.WeakKeyDictionary()
-)
-
-
 def claim_of(component: str, bus: CanBus, name: int, preferred: int) -> Claim:
     """Return the claim that all devices on a bus with one NAME share, and an address."""
-    claims = _claims.setdefault(bus, {})
-    claim = claims.setdefault(name, Claim(bus, name, preferred))
+    claim = shared(bus, Claim).setdefault(name, Claim(bus, name, preferred))
     if claim.preferred != preferred:
         raise ConfigError(
             component,

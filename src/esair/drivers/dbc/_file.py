@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 from typing import Any
 
 import cantools.database
 from cantools.database.can import Database, Message, Signal
 
+from esair.drivers._files import described
 from esair.drivers.dbc._codec import MessageCodec
-from esair.exceptions import ConfigError, describe, did_you_mean
+from esair.exceptions import ConfigError, did_you_mean
 
 
 def find_message(component: str, database: Path | str, name: str) -> Message:
@@ -20,17 +20,7 @@ def find_message(component: str, database: Path | str, name: str) -> Message:
         ConfigError: The file cannot be read, or has no such message.
     """
     path = Path(database)
-    try:
-        state = path.stat()
-        found = _load(path, state.st_mtime_ns, state.st_size)
-    except OSError as error:
-        raise ConfigError(
-            component, "database", f"{path} cannot be read: {error.strerror}"
-        ) from error
-    except Exception as error:  # each of cantools' readers has errors of its own
-        raise ConfigError(
-            component, "database", f"{path} cannot be understood: {describe(error)}"
-        ) from error
+    found: Any = described(component, "database", path, cantools.database.load_file)
     if not isinstance(found, Database):
         raise ConfigError(component, "database", f"{path} describes no CAN messages")
     by_name: dict[str, Message] = {each.name: each for each in found.messages}
@@ -70,11 +60,6 @@ def modulus_of(component: str, codec: MessageCodec, name: str | None) -> int:
         )
     highest = (1 << signal.length) - 1
     return int(highest if signal.maximum is None else min(signal.maximum, highest)) + 1
-
-
-@functools.lru_cache(maxsize=16)
-def _load(path: Path, _modified: int, _size: int) -> Any:
-    return cantools.database.load_file(path)
 
 
 def among(names: Any) -> str:

@@ -14,6 +14,7 @@ from typing import Final
 
 from esair.buses import CanBus, Exchanges, Frame
 from esair.buses.can import Mask
+from esair.drivers._on_bus import shared
 from esair.drivers.dbc._j1939 import BROADCAST_FORMATS, SOURCE
 from esair.drivers.dbc._transport import (
     ABORT,
@@ -173,13 +174,8 @@ def head(data: bytes) -> bytes:
     return len(data).to_bytes(2, "little") + bytes([-(-len(data) // SIZE)])
 
 
-_senders: weakref.WeakKeyDictionary[CanBus, dict[tuple[int, int], Sender]] = (
-    weakref.WeakKeyDictionary()
-)
-
-
 async def send_in_packets(bus: CanBus, frame_id: int, data: bytes) -> None:
     """Send a message of more than 8 bytes; between two addresses one at a time."""
     ends = frame_id & SOURCE, destination_of(frame_id)
-    sender = _senders.setdefault(bus, {}).setdefault(ends, Sender(bus))
+    sender = shared(bus, Sender).setdefault(ends, Sender(bus))
     await sender.send(frame_id, data)

@@ -11,6 +11,7 @@ import attrs
 
 from esair.buses import CanBus, Inbox
 from esair.buses import Frame as CanFrame
+from esair.drivers._on_bus import ended
 from esair.drivers.odrive._codec import (
     AxisState,
     ControlMode,
@@ -270,9 +271,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
     async def close(self) -> None:
         """Watch it no more."""
         task, self._watching = self._watching, None
-        if task is not None:
-            task.cancel()
-            await asyncio.wait({task})
+        await ended(task)
 
     async def write(self, command: float) -> None:
         """Tell the axis its input, and arm it if that is no safe command."""

@@ -12,7 +12,7 @@ from typing import Any, Required, TypeVar, Unpack
 import attrs
 
 from esair.buses import I2CBus, RegisterLink
-from esair.drivers._on_bus import check_address, expected_at
+from esair.drivers._on_bus import check_address, expected_at, shared
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Actuator, ActuatorSettings
 from esair.values import check_whole
@@ -85,9 +85,6 @@ class Chip:
     channels: weakref.WeakValueDictionary[int, Actuator[Any]] = attrs.field(
         factory=weakref.WeakValueDictionary
     )
-
-
-_chips: weakref.WeakKeyDictionary[I2CBus, dict[int, Chip]] = weakref.WeakKeyDictionary()
 
 
 class ChannelSettings(ActuatorSettings, total=False):
@@ -174,7 +171,7 @@ class OnChannel(Actuator[T]):
         return bool(mode & AUTO_INCREMENT) and not mode & SLEEP
 
     def _take_channel(self) -> None:
-        chips = _chips.setdefault(self.bus, {})
+        chips = shared(self.bus, Chip)
         chip = chips.get(self.address)
         others = {} if chip is None else dict(chip.channels)
         user = others.pop(self.channel, None)
