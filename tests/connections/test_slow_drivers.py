@@ -268,3 +268,32 @@ async def test_a_safe_command_that_is_not_answered_holds_up_no_other(
         assert told[3][0] - begin == pytest.approx(0.7 + 0.2)
         assert robot.resources.query("motor").state is esair.ResourceState.READY
         await user.motor.write(2.0)
+
+
+@pytest.mark.promise("CALL-2")
+async def test_a_safe_command_that_takes_long_is_not_ended_by_the_next(
+    user_of: Any,
+) -> None:
+    """It lands, and so does what is sent after the motion; the device is free again."""
+    told: list[tuple[float, float]] = []
+
+    class Motor(esair.Actuator[float]):
+        safe = 0.0
+
+        async def write(self, command: float) -> None:
+            await asyncio.sleep(0.5)
+            told.append((now(), command))
+
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[Motor()], behaviors=[user]) as robot:
+        writing = asyncio.ensure_future(user.motor.write(1.0))
+        await asyncio.sleep(0.2)
+        halted = now()
+        (answer,) = await robot.halt("enough")
+        assert answer.answered
+        assert told[1] == (pytest.approx(halted + 0.3), 1.0)
+        assert told[2] == (pytest.approx(halted + 0.2 + 0.5), 0.0)
+        await writing
+        robot.resume()
+        assert await user.motor.write(2.0)
+        assert told[-1][1] == 2.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import copy
 import logging
 import math
@@ -27,10 +28,6 @@ TURN_WITHIN = 0.3
 """How long the safe command waits at most for a write in flight, in seconds."""
 
 _log = logging.getLogger("esair")
-
-
-class _SentAgainError(Exception):
-    """A motion has ended since: nobody waits for the answer to this safe command."""
 
 
 class Watched(Protocol):
@@ -266,10 +263,13 @@ class ActuatorDevice(Device):
         self._again = True
         safe = self.calls.alive.get(self._safe_number)
         if safe is not None:  # its answer may be long in coming
-            again = _SentAgainError()
-            Deadlines.of(self._loop).after(
-                self._turn_within, self.calls.give_up, safe, again
-            )
+            Deadlines.of(self._loop).after(self._turn_within, self._overtake, safe)
+
+    def _overtake(self, safe: Call) -> None:
+        """Send safe beside one that has no answer: a motion may have undone that."""
+        if safe.outcome is None and self.state is ResourceState.READY:
+            with contextlib.suppress(Exception):  # the answer to the other one counts
+                self.calls.begin("safe", self._write, safe.args, self.actuator.deadline)
 
     async def _send_safe(self) -> bool:
         try:
@@ -300,8 +300,6 @@ class ActuatorDevice(Device):
             opening = self.calls.opening
             try:
                 await self._tell_safe()
-            except _SentAgainError:
-                return True
             except Exception as raised:
                 if opening == self.calls.opening:
                     error = self._failed(raised, "safe")

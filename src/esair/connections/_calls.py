@@ -325,13 +325,9 @@ class Calls:
         if call.deadline is not None:
             call.deadline.cancel()
 
-    def give_up(self, call: Call, error: Exception) -> None:
-        """Wait for a call no longer; its outcome is an error, if it has none."""
-        if call.outcome is None:
-            self._abandon(call, error)
-
     def _expire(self, call: Call, limit: float) -> None:
-        self.give_up(call, DriverStuckError(self.resource, call.kind, limit))
+        if call.outcome is None:
+            self._abandon(call, DriverStuckError(self.resource, call.kind, limit))
 
     def _abandon(self, call: Call, error: BaseException) -> None:
         if call.kind != "stream":  # nobody waits for the end of a stream
@@ -343,12 +339,12 @@ class Calls:
             call.engine.expired()
         current = call.opening == self.opening
         if current:
-            self._deadlines.after(UNWIND, self._look_after, call)
+            self._deadlines.after(UNWIND, self._give_up, call)
         self._tell(call, End(None, error), current=current)
         if call.engine is not None:
             call.engine.cancel()
 
-    def _look_after(self, call: Call) -> None:
+    def _give_up(self, call: Call) -> None:
         if call.ended is None and call.opening == self.opening:
             self._on_stuck(call)
 
