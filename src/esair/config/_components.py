@@ -14,8 +14,7 @@ from esair.config._profiles import FLOWS, set_profile
 from esair.config._records import hints_of
 from esair.config._tables import class_of, variant_of
 from esair.config._values import wanted
-from esair.plan import wrong_bus
-from esair.resources import Actuator, Resource, adapt_resource
+from esair.resources import Actuator, Resource, adapt_resource, wrong_bus
 from esair.values import value_type
 
 

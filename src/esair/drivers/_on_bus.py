@@ -47,8 +47,9 @@ def check_bus(device: Resource, kind: type[Bus], *framings: type[Framing]) -> No
         return
     names = [repr(name) for name, each in FRAMINGS.items() if each in framings]
     framed = f" with framing={' or '.join(names)}" if names else ""
+    advice = ": give it one by bus=" if bus is None else ""
     raise ConfigError(
-        device.name, "bus", f"expected a {kind.__name__}{framed}, not {bus!r}"
+        device.name, "bus", f"expected a {kind.__name__}{framed}, not {bus!r}{advice}"
     )
 
 

@@ -25,7 +25,6 @@ from esair.plan._protection import (
     protection,
     when_alone,
 )
-from esair.plan._resources import wrong_bus
 from esair.plan._rights import denial, not_alone
 
 __all__ = [
@@ -51,5 +50,4 @@ __all__ = [
     "refuse_while_looking",
     "unmet",
     "when_alone",
-    "wrong_bus",
 ]

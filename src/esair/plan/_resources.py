@@ -12,7 +12,7 @@ from esair.exceptions import BadValueError
 from esair.plan._derived import wrong_derived
 from esair.plan._finding import Finding, mistake, warning
 from esair.plan._signatures import wrong_signatures
-from esair.resources import HOLD, Actuator, Sensor, bus_kind, wrong_operations
+from esair.resources import HOLD, Actuator, Sensor, wrong_bus, wrong_operations
 from esair.values import is_positive
 
 
@@ -67,22 +67,6 @@ def blocks_safe(actuator: Actuator[Any], operation: str, limit: object) -> bool:
     if not (plain and actuator.blocking):
         return False
     return is_positive(limit) and float(str(limit)) > actuator.deadline
-
-
-def wrong_bus(cls: type, bus: object) -> str | None:
-    """Say what is wrong with a bus for a class that declares one: ``bus: I2CBus``."""
-    kind = bus_kind(cls)
-    try:
-        if kind is Any or isinstance(bus, kind):
-            return None
-    except TypeError:  # a type that nothing can be compared with at run time
-        return None
-    name = getattr(kind, "__name__", kind)
-    wanted = f"expected {'an' if str(name)[0] in 'AEIO' else 'a'} {name}"
-    called = getattr(bus, "name", None)
-    if called is None:
-        return f"{wanted}, not {bus!r:.80}"
-    return f"{wanted}, but {called!r} is a {type(bus).__name__}"
 
 
 def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:

@@ -10,7 +10,12 @@ from esair.resources._operation import (
     operations_of,
     wrong_operations,
 )
-from esair.resources._resource import Resource, ResourceSettings, bus_kind
+from esair.resources._resource import (
+    Resource,
+    ResourceSettings,
+    bus_kind,
+    wrong_bus,
+)
 from esair.resources._sensor import Sensor, SensorSettings
 from esair.resources._setting import (
     HIDDEN,
@@ -45,5 +50,6 @@ __all__ = [
     "setting",
     "settings_of",
     "shown",
+    "wrong_bus",
     "wrong_operations",
 ]

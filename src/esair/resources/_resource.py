@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import itertools
 import typing
@@ -10,6 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from esair import abc
+from esair.exceptions import ConfigError
 from esair.resources._operation import Operation, operations_of
 from esair.resources._setting import Setting, check_settings, setting, settings_of
 from esair.values import once_for_class
@@ -122,6 +124,11 @@ class Resource(abc.Resource):
                 )
                 typing.cast("Setting", narrowed).__set_name__(cls, name)
                 setattr(cls, name, narrowed)
+        owner = next(each for each in cls.__mro__ if "open" in vars(each))
+        own = vars(owner)["open"]
+        is_checked = owner is not cls and issubclass(owner, Resource)
+        if inspect.isfunction(own) and not is_checked:
+            cls.open = _on_its_bus(own)  # type: ignore[method-assign]
 
     @property
     def value_type(self) -> Any:
@@ -167,6 +174,7 @@ class Resource(abc.Resource):
 
         async def open(self) -> None:
             """Make the device ready. Called at the start and after each loss."""
+            _check_bus(self)
 
         async def close(self) -> None:
             """Let the device go. Called at the stop and after each loss."""
@@ -235,3 +243,48 @@ def bus_kind(cls: type[Resource]) -> Any:
         return typing.get_type_hints(cls)["bus"]
     except Exception:  # some hint names what only a type checker can see
         return Any
+
+
+def wrong_bus(cls: type, bus: object) -> str | None:
+    """Say what is wrong with a bus for a class that declares one: ``bus: I2CBus``."""
+    kind = bus_kind(cls)
+    try:
+        if kind is Any or isinstance(bus, kind):
+            return None
+    except TypeError:  # a type that nothing can be compared with at run time
+        return None
+    name = getattr(kind, "__name__", kind)
+    wanted = f"expected {'an' if str(name)[0] in 'AEIO' else 'a'} {name}"
+    called = getattr(bus, "name", None)
+    if called is None:
+        return f"{wanted}, not {bus!r:.80}"
+    return f"{wanted}, but {called!r} is a {type(bus).__name__}"
+
+
+def _on_its_bus(own: Callable[..., Any]) -> Callable[..., Any]:
+    """Have an ``open`` that is called by hand say that its bus is missing.
+
+    A robot looks before it starts; by hand it would be an `AttributeError` of None.
+    """
+    if inspect.isgeneratorfunction(own) or inspect.isasyncgenfunction(own):
+        return own  # a mistake, and told as one
+    if inspect.iscoroutinefunction(own):
+
+        @functools.wraps(own)
+        async def opened(device: Resource) -> Any:
+            _check_bus(device)
+            return await own(device)
+
+    else:
+
+        @functools.wraps(own)
+        def opened(device: Resource) -> Any:
+            _check_bus(device)
+            return own(device)
+
+    return opened
+
+
+def _check_bus(device: Resource) -> None:
+    if device.bus is None and (told := wrong_bus(type(device), None)):
+        raise ConfigError(device.name, "bus", f"{told}: give it one by bus=")
