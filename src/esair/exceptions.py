@@ -80,15 +80,8 @@ class UnknownNameError(EsairError, LookupError):
     def __init__(
         self, kind: str, name: str, known: Iterable[str] = (), *, user: str = ""
     ) -> None:
-        known = list(known)
-        hint = did_you_mean(name, known) or (
-            f"; there are {', '.join(sorted(known))}"
-            if known
-            else "; there is none yet"
-        )
-        super().__init__(
-            f"{f'{user}: ' if user else ''}no {kind} is named {name!r}{hint}"
-        )
+        told = f"no {kind} is named {name!r}{hint_for(name, sorted(known))}"
+        super().__init__(f"{user}: {told}" if user else told)
         self.kind = kind
         self.name = name
 
@@ -352,6 +345,13 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
     nearest = difflib.get_close_matches(str(word), list(known), n=1)
     return f"; did you mean {nearest[0]!r}?" if nearest else ""
+
+
+def hint_for(word: str, known: Iterable[str], has: str = "there are") -> str:
+    """Return ``"; did you mean 'x'?"``, or else which words are known: the first 24."""
+    names = list(known)
+    shown = ", ".join(names[:24]) + (", ..." if len(names) > 24 else "")
+    return did_you_mean(word, names) or f"; {has} {shown or 'none'}"
 
 
 def describe(error: BaseException) -> str:

@@ -14,7 +14,7 @@ from esair.exceptions import (
     RecordingBrokenError,
     RecordingError,
     describe,
-    did_you_mean,
+    hint_for,
 )
 from esair.seat import NoRobotError
 from esair.values import printable
@@ -100,9 +100,7 @@ def has_unknown(option: str, given: Iterable[str], known: Collection[str]) -> bo
     """Say which word after an option names nothing; return whether there is one."""
     for word in given:
         if word not in known:
-            hint = (
-                did_you_mean(word, known) or f"; there are {', '.join(sorted(known))}"
-            )
+            hint = hint_for(word, sorted(known))
             tell(printable(f"{option}: there is no {word!r:.80}{hint}"))
             return True
     return False

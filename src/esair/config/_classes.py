@@ -21,7 +21,7 @@ from typing import Final
 from esair import abc
 from esair.buses import MEDIA
 from esair.config._mistakes import Mistakes
-from esair.exceptions import describe, did_you_mean
+from esair.exceptions import describe, did_you_mean, hint_for
 
 BUSES: Final[Mapping[str, str]] = {
     kind: f"{medium.package}:{medium.bus}" for kind, medium in MEDIA.items()
@@ -74,7 +74,7 @@ def find_class(
     }
     if name not in points:
         known = [*built_in, *points]
-        hint = did_you_mean(name, known) or _among(known)
+        hint = hint_for(name, sorted(known))
         own = "module:Class"
         if "." in name:  # as Python would write it
             hint, own = "", ":".join(name.rsplit(".", 1))
@@ -136,10 +136,6 @@ def _why_not_loaded(point: importlib.metadata.EntryPoint, error: BaseException) 
     ):
         text += f": pip install '{point.dist.name}[{point.name}]'"
     return text
-
-
-def _among(known: list[str]) -> str:
-    return f"; there are {', '.join(sorted(known))}" if known else ""
 
 
 def _import(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from esair.exceptions import BadValueError, ConfigError, describe, did_you_mean
+from esair.exceptions import BadValueError, ConfigError, describe, hint_for
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+\Z")
 _HEADER = re.compile(r"\s*\[\[?([^\]]+)\]")
@@ -41,12 +41,7 @@ def show(value: object) -> str:
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
     """Say that a name is unknown, and the nearest, or else all that are known."""
-    names = sorted(known)
-    hint = did_you_mean(name, names)
-    if not hint:
-        hint = f"; there are {', '.join(names[:12])}" if names else "; there are none"
-        hint += ", ..." if len(names) > 12 else ""
-    return f"there is no such {what}{hint}"
+    return f"there is no such {what}{hint_for(name, sorted(known))}"
 
 
 class Lines:

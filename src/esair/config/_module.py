@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any, Literal, overload
 
 from esair.config._classes import searched_first
-from esair.exceptions import ConfigError, describe, did_you_mean
+from esair.exceptions import ConfigError, describe, hint_for
 from esair.plan import only_looking
 from esair.standard import Robot, RunWanted, instead_of_running
 
@@ -52,9 +52,7 @@ def find_robot(target: str, *, or_maker: bool = False) -> Any:
     if isinstance(found, Robot) or (or_maker and callable(found)):
         return found
     has = f"it has a {type(found).__name__}" if found is not None else "there is none"
-    hint = did_you_mean(name, robots) or (
-        f"; there are {', '.join(robots)}" if robots else ""
-    )
+    hint = hint_for(name, robots) if robots else ""
     told = f"expected an esair.Robot named {name!r} in {where!r}, {has}{hint}"
     raise ConfigError(target, "", told)
 

@@ -16,6 +16,7 @@ from esair.exceptions import (
     RefusedError,
     UnknownNameError,
     did_you_mean,
+    hint_for,
 )
 from esair.messages import OPERATOR, Operator
 from esair.recording import plain
@@ -281,9 +282,7 @@ async def _ask(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     takes: dict[str, Any] = {each.__name__: each for each in behaviors.takes(receiver)}
     kind = takes.get(fields["request"])
     if kind is None:
-        hint = did_you_mean(fields["request"], takes) or (
-            f"; it takes {', '.join(sorted(takes))}" if takes else "; it takes none"
-        )
+        hint = hint_for(fields["request"], sorted(takes), "it takes")
         raise RefusedError(f"it takes no {fields['request']:.80}{hint}", receiver)
     request: Request[Any] = typed(fields["fields"], kind, receiver, "request")
     answer = await behaviors.ask(
@@ -429,8 +428,8 @@ def check_rights(operator: Operator) -> None:
     """
     for name in operator.allow:
         if name != "*" and name not in ACTS:
-            hint = did_you_mean(name, ACTS) or f"; there are {', '.join(ACTS)}"
-            raise ConfigError(OPERATOR, "allow", f"there is no act {name!r:.80}{hint}")
+            told = f"there is no act {name!r:.80}{hint_for(name, ACTS)}"
+            raise ConfigError(OPERATOR, "allow", told)
 
 
 def act_of(text: str) -> tuple[Act, dict[str, Any]]:
@@ -447,8 +446,8 @@ def act_of(text: str) -> tuple[Act, dict[str, Any]]:
         raise ConfigError("command", "", f"{error}: {text!r:.80}") from None
     if not words or words[0] not in ACTS:
         verb = words[0] if words else ""
-        hint = did_you_mean(verb, ACTS) or f"; there are {', '.join(ACTS)}"
-        raise ConfigError("command", f"{verb!r:.80}", f"it is not known{hint}")
+        told = f"it is not known{hint_for(verb, ACTS)}"
+        raise ConfigError("command", f"{verb!r:.80}", told)
     act = ACTS[words[0]]
     return act, fields_of_words(act, words[1:])
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
 
-from esair.exceptions import BadValueError, EsairError, did_you_mean
+from esair.exceptions import BadValueError, EsairError, hint_for
 from esair.seat._place import reach, robots
 from esair.seat._wire import LIMIT, VERSION, encode
 
@@ -62,8 +62,8 @@ def connect(name: str | None = None) -> Client:
             "esair.Robot(socket=True) starts one"
         )
     if name not in found:
-        hint = did_you_mean(name, found) or f"; there are {', '.join(found) or 'none'}"
-        raise NoRobotError(f"no robot named {name!r:.80} runs here{hint}")
+        told = f"no robot named {name!r:.80} runs here{hint_for(name, found)}"
+        raise NoRobotError(told)
     return Client(name, found[name])
 
 

@@ -23,7 +23,7 @@ from esair.exceptions import (
     BusyError,
     ConfigError,
     UnknownNameError,
-    did_you_mean,
+    hint_for,
 )
 from esair.journal import Kind
 from esair.loop import Door, News, TapeWriter, clock_of, current_owner, outside, spawn
@@ -285,7 +285,7 @@ class Console:
         (described,) = made
         parts = {**described.resources, **described.behaviors}
         if name not in parts:
-            hint = did_you_mean(name, parts) or f"; it has {', '.join(sorted(parts))}"
+            hint = hint_for(name, sorted(parts), "it has")
             raise ConfigError(name, "", f"{path} has no such part{hint}")
         part = parts[name]
         if isinstance(part, Resource) and part.bus is not None:
@@ -298,8 +298,8 @@ class Console:
     def _act(self, message: Message) -> Act:
         act = ACTS.get(message.act)
         if act is None:
-            hint = did_you_mean(message.act, ACTS) or f"; there are {', '.join(ACTS)}"
-            raise ConfigError("operator", "act", f"{message.act!r:.40} is none{hint}")
+            told = f"{message.act!r:.40} is none{hint_for(message.act, ACTS)}"
+            raise ConfigError("operator", "act", told)
         return act
 
     def _check_right(self, act: Act) -> None:

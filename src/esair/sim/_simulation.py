@@ -17,7 +17,7 @@ from esair.buses import Frame
 from esair.buses.can import MemoryCan, VirtualCan
 from esair.buses.i2c import ChipBus
 from esair.buses.serial import MemoryLine, PtyLine
-from esair.exceptions import ConfigError, did_you_mean
+from esair.exceptions import ConfigError, hint_for
 from esair.loop import Door, Job, Scheduler
 from esair.sim._arena import Arena
 from esair.sim._imu import SimMpu6050
@@ -136,10 +136,8 @@ class Simulation:
         """
         lines = {"front": self.front, "skirt": self.skirt}
         if name not in lines:
-            hint = did_you_mean(name, lines) or "; there are front, skirt"
-            raise ConfigError(
-                "simulation", "line", f"no line is named {name!r:.80}{hint}"
-            )
+            told = f"no line is named {name!r:.80}{hint_for(name, lines)}"
+            raise ConfigError("simulation", "line", told)
         return lines[name]
 
     def _make_line(self, name: str) -> PtyLine | MemoryLine:

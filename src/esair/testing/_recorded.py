@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from esair.connections import is_loss
-from esair.exceptions import DeviceFaultError, RecordingBrokenError, did_you_mean
+from esair.exceptions import DeviceFaultError, RecordingBrokenError, hint_for
 from esair.journal import Kind
 from esair.loop import First
 from esair.messages import Stamped
@@ -75,7 +75,7 @@ class RecordedRun:
             KeyError: The recording has none of this name.
         """
         if name not in self.sensors:
-            hint = did_you_mean(name, self.sensors) or f": {', '.join(self.sensors)}"
+            hint = hint_for(name, self.sensors)
             raise KeyError(f"the recording has no sensor {name!r}{hint}")
         return self.sensors[name]
 

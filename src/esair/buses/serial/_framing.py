@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
-from esair.exceptions import ConfigError, did_you_mean
+from esair.exceptions import ConfigError, did_you_mean, hint_for
 from esair.framing import FRAMINGS, Cobs, Framing, Lines
 
 
@@ -30,7 +30,7 @@ def make_framing(owner: str, described: Framing | str | Mapping[str, Any]) -> Fr
     known = list(inspect.signature(framing).parameters)
     for key in parameters:
         if key not in known:
-            hint = did_you_mean(key, known) or f"; it has {', '.join(known)}"
+            hint = hint_for(key, known, "it has")
             raise ConfigError(owner, "framing", f"{name} has no {key!r:.80}{hint}")
     try:
         made: Framing = framing(**parameters)

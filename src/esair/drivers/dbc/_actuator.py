@@ -22,7 +22,7 @@ from esair.drivers.dbc._codec import (
     bounds,
     choices_of,
 )
-from esair.drivers.dbc._file import among, find_message, find_signal, modulus_of
+from esair.drivers.dbc._file import find_message, find_signal, modulus_of
 from esair.drivers.dbc._j1939 import SOURCE, id_to, is_j1939
 from esair.drivers.dbc._packets import seconds_for, send_in_packets
 from esair.exceptions import (
@@ -30,7 +30,7 @@ from esair.exceptions import (
     BusyError,
     ConfigError,
     DeviceLostError,
-    did_you_mean,
+    hint_for,
 )
 from esair.resources import Actuator, ActuatorSettings
 from esair.values import check_seconds
@@ -390,7 +390,7 @@ class DbcActuator(Actuator[Any]):
         for name, value in command.items():
             if name not in self.codec.signals or not self._is_free(name):
                 free = [each for each in self.codec.signals if self._is_free(each)]
-                hint = did_you_mean(str(name), free) or among(free)
+                hint = hint_for(str(name), sorted(free))
                 raise BadValueError(
                     self.name, str(name), f"there is no such signal{hint}"
                 )
@@ -432,7 +432,7 @@ class DbcActuator(Actuator[Any]):
         choices = choices_of(signal)
         if isinstance(value, str):
             if value not in choices.values():
-                hint = did_you_mean(value, choices.values()) or among(choices.values())
+                hint = hint_for(value, sorted(choices.values()))
                 raise BadValueError(
                     self.name, name, f"{value!r:.80} is no choice{hint}"
                 )

@@ -10,7 +10,7 @@ from cantools.database.can import Database, Message, Signal
 
 from esair.drivers._files import described
 from esair.drivers.dbc._codec import MessageCodec
-from esair.exceptions import ConfigError, did_you_mean
+from esair.exceptions import ConfigError, hint_for
 
 
 def find_message(component: str, database: Path | str, name: str) -> Message:
@@ -25,7 +25,7 @@ def find_message(component: str, database: Path | str, name: str) -> Message:
         raise ConfigError(component, "database", f"{path} describes no CAN messages")
     by_name: dict[str, Message] = {each.name: each for each in found.messages}
     if name not in by_name:
-        hint = did_you_mean(name, by_name) or among(by_name)
+        hint = hint_for(name, sorted(by_name))
         raise ConfigError(
             component, "message", f"{path.name} has no message {name!r}{hint}"
         )
@@ -41,7 +41,7 @@ def find_signal(component: str, field: str, codec: MessageCodec, name: str) -> S
         ConfigError: There is no such signal.
     """
     if name not in codec.signals:
-        hint = did_you_mean(name, codec.signals) or among(codec.signals)
+        hint = hint_for(name, sorted(codec.signals))
         raise ConfigError(
             component, field, f"{codec.message.name} has no signal {name!r}{hint}"
         )
@@ -60,8 +60,3 @@ def modulus_of(component: str, codec: MessageCodec, name: str | None) -> int:
         )
     highest = (1 << signal.length) - 1
     return int(highest if signal.maximum is None else min(signal.maximum, highest)) + 1
-
-
-def among(names: Any) -> str:
-    known = sorted(names)
-    return f"; there are {', '.join(known[:12])}" if known else "; there are none"
