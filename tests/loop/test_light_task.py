@@ -10,7 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
-from esair.loop import WAITS, LightTask
+from esair.loop import WAITS, FirstSteps, LightTask
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -177,3 +177,35 @@ async def test_what_waits_for_something_strange_is_told() -> None:
 async def test_each_call_of_a_driver_finds_what_it_looks_at_in_slots() -> None:
     light = LightTask(asyncio.get_running_loop())
     assert not hasattr(light, "__dict__")  # to seek in one takes three times as long
+
+
+async def test_a_cancellation_between_two_coroutines_is_that_of_neither() -> None:
+    """Who has kept the task of a call that has ended cancels nothing by it."""
+    kept: list[Any] = []
+    caller = Named()
+
+    async def ends_at_once() -> None:
+        kept.append(asyncio.current_task())
+
+    async def waits() -> int:
+        await asyncio.sleep(0.1)
+        return 7
+
+    steps = FirstSteps.of(asyncio.get_running_loop())
+    assert steps.begin(ends_at_once(), caller) is None
+    assert not kept[0].cancel()
+    outcome: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+    light = steps.begin(waits(), caller)
+    assert light is kept[0]
+    assert light.cancelling() == 0
+    light.then(lambda *end: outcome.set_result(end))
+    assert await outcome == (7, None)
+
+
+class Named:
+    """Whose calls they are."""
+
+    task_name = "driver"
+
+    def __init__(self) -> None:
+        self.context = contextvars.Context()

@@ -166,8 +166,8 @@ class LightTask(asyncio.Future[None]):
 
     def cancel(self, msg: Any | None = None) -> bool:
         """Throw a `CancelledError` into the coroutine; it may go on all the same."""
-        if self.done():
-            return False
+        if self.done() or FirstSteps.of(self._running_on).spare is self:
+            return False  # it runs none, and the next one is another call's
         self._num_cancels_requested += 1
         if self._fut_waiter is not None and self._fut_waiter.cancel(msg):
             return True
