@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import inspect
 import math
@@ -14,6 +15,7 @@ from typing import Any, Literal
 import attrs
 
 from esair.config import fields_of
+from esair.recording import fields_of as parts_of
 
 LEAST, MOST = 0.0, 2.0  # Between which numbers lie that nobody has given limits
 DEPTH = 6  # How deep records may lie in records
@@ -109,44 +111,42 @@ def wrong(value: Any, how: str) -> Any:
 
 def _with(value: Any, bad: float) -> Any:
     """Put a number in the place of the first one that is found in a value."""
-    if isinstance(value, float | int) and not isinstance(value, bool):
-        return bad
-    if attrs.has(type(value)):
-        for field in attrs.fields(type(value)):
-            inner = getattr(value, field.name)
-            if has_number(inner):
-                return attrs.evolve(value, **{field.alias: _with(inner, bad)})
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            if has_number(inner):
-                return {**value, key: _with(inner, bad)}
-    if isinstance(value, tuple | list):
-        for place, inner in enumerate(value):
-            if has_number(inner):
-                parts = [*value[:place], _with(inner, bad), *value[place + 1 :]]
-                if hasattr(value, "_make"):
-                    return value._make(parts)
-                return type(value)(parts)
+    for name, inner in _inside(value).items():
+        if has_number(inner):
+            return _changed(value, name, _with(inner, bad))
     return bad
+
+
+def _changed(value: Any, name: Any, part: Any) -> Any:
+    if attrs.has(type(value)):
+        return attrs.evolve(value, **{name.lstrip("_"): part})
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.replace(value, **{name: part})
+    if hasattr(value, "_replace"):
+        return value._replace(**{name: part})
+    if isinstance(value, dict):
+        return {**value, name: part}
+    return type(value)([*value[:name], part, *value[name + 1 :]])
 
 
 def has_number(value: Any) -> bool:
     """Tell whether a value is a number or contains one."""
     if isinstance(value, bool | float | int):
         return not isinstance(value, bool)
-    return any(map(has_number, _inside(value)))
+    return any(map(has_number, _inside(value).values()))
 
 
 def is_good(value: Any) -> bool:
     """Tell whether all numbers of a value are finite."""
     if isinstance(value, float):
         return math.isfinite(value)
-    return all(map(is_good, _inside(value)))
+    return all(map(is_good, _inside(value).values()))
 
 
-def _inside(value: Any) -> list[Any]:
-    if attrs.has(type(value)):
-        return [getattr(value, each.name) for each in attrs.fields(type(value))]
-    if isinstance(value, dict):
-        return list(value.values())
-    return list(value) if isinstance(value, tuple | list) else []
+def _inside(value: Any) -> dict[Any, Any]:
+    fields = parts_of(value)
+    if fields is None and isinstance(value, dict):
+        return value
+    if fields is None and isinstance(value, tuple | list):
+        return dict(enumerate(value))
+    return fields or {}
