@@ -216,3 +216,34 @@ def check_whole(
         return value
     bounds = f"{least} or more" if most is None else f"{least} to {most}"
     raise ConfigError(component, field, f"expected {bounds}, not {value!r:.80}")
+
+
+def hints_of(something: Any) -> dict[str, Any]:
+    """Return the types that a class or function names, by field or parameter.
+
+    What cannot be resolved at run time is `typing.Any`.
+    """
+    try:
+        return typing.get_type_hints(something)
+    except Exception:  # a name imported for type checkers only, or nonsense
+        holders = [something]
+    if inspect.isclass(something):
+        holders = list(reversed(something.__mro__))
+    return {
+        name: _resolved(hint, holder)
+        for holder in holders
+        for name, hint in inspect.get_annotations(holder).items()
+    }
+
+
+def _resolved(hint: object, holder: object) -> Any:
+    if not isinstance(hint, str):
+        return hint
+    import pathlib  # only where hints cannot be had at once
+
+    try:
+        names = getattr(holder, "__globals__", None) or vars(inspect.getmodule(holder))
+        # Many import it for type checkers only, and it is a path here all the same.
+        return eval(hint, {"Path": pathlib.Path, **names})
+    except Exception:  # as above, but for this name only
+        return Any

@@ -11,11 +11,10 @@ from esair.config._construct import construct
 from esair.config._draft import Draft, Part, Variant
 from esair.config._mistakes import below, unknown
 from esair.config._profiles import FLOWS, set_profile
-from esair.config._records import hints_of
 from esair.config._tables import class_of, variant_of
 from esair.config._values import wanted
 from esair.resources import Actuator, Resource, adapt_resource, wrong_bus
-from esair.values import value_type
+from esair.values import hints_of, value_type
 
 
 def make_bus(draft: Draft, name: str, table: Mapping[str, Any]) -> Bus | None:

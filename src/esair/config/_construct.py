@@ -19,12 +19,12 @@ from esair import abc
 from esair.config._classes import searched_first
 from esair.config._draft import Variant
 from esair.config._mistakes import Mistakes, below, unknown
-from esair.config._records import Field, fields_of, hints_of
+from esair.config._records import Field, fields_of
 from esair.config._source import Source
 from esair.config._values import INVALID, wanted
 from esair.exceptions import BadValueError
 from esair.resources import Resource, Setting, settings_of
-from esair.values import once_for_class
+from esair.values import hints_of, once_for_class
 
 _PLAIN: Final = (bool, int, float, str, tuple, frozenset, enum.Enum)
 _NONE: Final[Mapping[str, Any]] = {}

@@ -6,14 +6,11 @@ import dataclasses
 import inspect
 import typing
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import attrs
 
-_KNOWN: Final = {"Path": Path}
-"""What many import for type checkers only, and is a path here all the same."""
-
+from esair.values import hints_of
 
 WORDS: Final = "words"
 """The key in the metadata of an attrs field that says what it is, for who left it out."""
@@ -52,27 +49,3 @@ def fields_of(kind: type) -> Mapping[str, Field] | None:
         for each in inspect.signature(kind).parameters.values()
         if each.kind in {each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY}
     }
-
-
-def hints_of(something: Any) -> dict[str, Any]:
-    """Return type hints; what cannot be resolved at run time is `typing.Any`."""
-    try:
-        return typing.get_type_hints(something)
-    except Exception:  # a name imported for type checkers only, or nonsense
-        holders = [something]
-    if inspect.isclass(something):
-        holders = list(reversed(something.__mro__))
-    return {
-        name: _resolved(hint, holder)
-        for holder in holders
-        for name, hint in inspect.get_annotations(holder).items()
-    }
-
-
-def _resolved(hint: object, holder: object) -> Any:
-    if not isinstance(hint, str):
-        return hint
-    try:
-        return eval(hint, {**_KNOWN, **vars(inspect.getmodule(holder))})
-    except Exception:  # as above, but for this name only
-        return Any

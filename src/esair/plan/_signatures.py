@@ -19,7 +19,7 @@ from esair.actions import (
 )
 from esair.messages import Reading
 from esair.resources import Actuator, Sensor, settings_of
-from esair.values import same_type, type_name
+from esair.values import hints_of, same_type, type_name
 
 _RESOURCE = ("open", "close", "identify")
 _BEHAVIOR = ("setup", "run", "teardown", "provide")
@@ -124,7 +124,7 @@ def wrong_types(reaction: Reaction) -> Iterator[str]:
 
 
 def _mistyped(step: Callable[..., Any], given: Mapping[str, Need]) -> Iterator[str]:
-    hints = _hints(step)
+    hints = hints_of(inspect.unwrap(step))
     for name, need in given.items():
         hint = hints.get(name, Any)
         if typing.get_origin(hint) is typing.Annotated:
@@ -149,23 +149,6 @@ def _value_of(hint: Any) -> Any:
 
 def _text(hint: Any) -> str:
     return type_name(hint) if inspect.isclass(hint) else str(hint).replace("esair.", "")
-
-
-def _hints(function: Callable[..., Any]) -> dict[str, Any]:
-    """Return the annotations; what cannot be resolved at run time is left out."""
-    target = inspect.unwrap(function)
-    try:
-        return typing.get_type_hints(target)
-    except Exception:  # a name imported for type checkers only, or nonsense
-        pass
-    found: dict[str, Any] = {}
-    for name, hint in getattr(target, "__annotations__", {}).items():
-        one = types.SimpleNamespace(__annotations__={name: hint})
-        try:
-            found |= typing.get_type_hints(one, getattr(target, "__globals__", {}))
-        except Exception:  # as above, but for this name only
-            continue
-    return found
 
 
 def yields(method: Callable[..., Any]) -> bool:

@@ -12,7 +12,7 @@ import attrs
 
 from esair import abc
 from esair.exceptions import BadValueError, UnknownNameError, did_you_mean
-from esair.values import checked_class, is_positive, passes_as, type_name
+from esair.values import checked_class, hints_of, is_positive, passes_as, type_name
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -185,7 +185,7 @@ def wrong_operations(component: type[abc.Resource]) -> Iterator[tuple[str, str]]
             yield name, "expected a method that does not yield"
         if deadline is not None and not is_positive(deadline):
             yield name, f"deadline: expected seconds > 0, not {deadline!r:.80}"
-        hints = _hints(function)
+        hints = hints_of(function)
         for each in list(inspect.signature(function).parameters.values())[1:]:
             if each.kind not in _NAMED:
                 yield name, f"its parameter {each.name!r} cannot be given by name"
@@ -213,7 +213,7 @@ def _marked(component: type[Any]) -> Iterator[tuple[str, Any]]:
 
 def _described(component: type[Any], name: str, marked: Any) -> Operation:
     function = getattr(component, name)
-    hints = _hints(function)
+    hints = hints_of(function)
     parameters = tuple(
         Parameter(
             each.name,
@@ -225,13 +225,6 @@ def _described(component: type[Any], name: str, marked: Any) -> Operation:
     )
     doc = (inspect.getdoc(function) or "").partition("\n")[0]
     return Operation(name, parameters, getattr(marked, _MARK), doc)
-
-
-def _hints(function: Any) -> dict[str, Any]:
-    try:
-        return typing.get_type_hints(function)
-    except Exception:  # a name that only a type checker can see: any value will do
-        return dict.fromkeys(getattr(function, "__annotations__", ()), Any)
 
 
 def _alternatives(kind: Any) -> tuple[Any, ...]:
