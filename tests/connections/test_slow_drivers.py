@@ -291,8 +291,8 @@ async def test_a_safe_command_that_takes_long_is_not_ended_by_the_next(
         halted = now()
         (answer,) = await robot.halt("enough")
         assert answer.answered
-        assert told[1] == (pytest.approx(halted + 0.3), 1.0)
-        assert told[2] == (pytest.approx(halted + 0.2 + 0.5), 0.0)
+        assert told[1] == pytest.approx((halted + 0.3, 1.0))
+        assert told[2] == pytest.approx((halted + 0.2 + 0.5, 0.0))
         await writing
         robot.resume()
         assert await user.motor.write(2.0)
