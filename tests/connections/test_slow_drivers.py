@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -297,3 +298,33 @@ async def test_a_safe_command_that_takes_long_is_not_ended_by_the_next(
         robot.resume()
         assert await user.motor.write(2.0)
         assert told[-1][1] == 2.0
+
+
+@pytest.mark.promise("CALL-2", "SUP-5")
+async def test_what_a_removed_device_does_late_is_undone_by_the_next(
+    user_of: Any,
+) -> None:
+    """It may be the same motor: it has a new driver, and the old one's call goes on."""
+    told: list[float] = []
+
+    class Motor(esair.Actuator[float]):
+        safe = 0.0
+
+        async def write(self, command: float) -> None:
+            lands = now() + (3.0 if command else 0.0)
+            while now() < lands:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(lands - now())
+            told.append(command)
+
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[Motor()], behaviors=[user]) as robot:
+        writing = asyncio.ensure_future(user.motor.write(1.0))
+        await asyncio.sleep(0.1)
+        await robot.resources.remove("motor")
+        with pytest.raises(esair.DriverStuckError):
+            await writing
+        await robot.resources.add(Motor())
+        assert set(told) == {0.0}
+        await asyncio.sleep(3.0)
+        assert told[-2:] == [1.0, 0.0]

@@ -7,7 +7,7 @@ import contextlib
 import copy
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
 from esair.connections._applied_channel import AppliedChannel
@@ -87,6 +87,10 @@ class ActuatorDevice(Device):
         self.applied: AppliedChannel | None = None
         """Given each command that was applied, if somebody reads that."""
         super().__init__(actuator, robot)
+        for call in self._motions_left():  # of one of this name, which was removed
+            over: asyncio.Future[None] = self._loop.create_future()
+            over.add_done_callback(lambda _: self._repeat_safe())
+            call.waiters.append(over)
 
     def attach(self, actuator: Actuator[Any]) -> None:
         """Write to this actuator from now on; it was told nothing."""
@@ -250,11 +254,14 @@ class ActuatorDevice(Device):
 
     def _unsettled(self) -> Call | None:
         """Return a motion that is alive, and may still undo the safe command."""
-        for calls in (self.calls.alive.values(), self._left):
-            for call in calls:
-                if call.may_move and call.resource == self.name:
-                    return call
-        return None
+        mine = (call for call in self.calls.alive.values() if call.may_move)
+        return next(mine, None) or next(self._motions_left(), None)
+
+    def _motions_left(self) -> Iterator[Call]:
+        """Yield the motions that nobody waits for, and that have not ended."""
+        for call in self._left:
+            if call.may_move and call.resource == self.name:
+                yield call
 
     def _repeat_safe(self) -> None:
         if self._safe_task is None and self.state is ResourceState.READY:
