@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -28,19 +28,19 @@ ADDRESSES = (0x10, 0x20, 0x30, 0x40)
 class Kernel:
     """Counts the transfers that reached another chip than the one that was meant."""
 
-    def __init__(self, *, yields: bool) -> None:
+    def __init__(self) -> None:
         self.selected = 0
         self.transfers = 0
         self.wrong = 0
-        self._yields = yields
+        self.between: Callable[[], object] = functools.partial(time.sleep, 0)
+        """What the thread does that has selected a chip."""
 
     def ioctl(self, _descriptor: int, request: int, argument: Any) -> int:
         if request == inside.I2C_FUNCS:
             argument.value = 0x0EFF0000
         elif request == inside.I2C_SLAVE:
             self.selected = argument
-            if self._yields:
-                time.sleep(0)
+            self.between()
         elif request == inside.I2C_SMBUS:
             # The register that is read is the address that was meant.
             self.transfers += 1
@@ -55,37 +55,33 @@ class Kernel:
 @pytest.fixture
 def kernel(monkeypatch) -> Kernel:
     """Put the fake below smbus2."""
-    found = Kernel(yields=True)
+    found = Kernel()
     monkeypatch.setattr(inside, "ioctl", found.ioctl)
     return found
 
 
 def test_bare_smbus2_in_two_threads_reaches_the_wrong_chip(kernel) -> None:
     """It remembers which chip it selected, but not that another thread selected one."""
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(1e-5)
-    try:
-        with smbus2.SMBus("/dev/null") as shared:
-            both = threading.Barrier(2)
+    both = threading.Barrier(2)
+    done = threading.Event()
+    first, second = ADDRESSES[:2]
 
-            def work(address: int) -> None:
-                both.wait(5.0)
-                for _ in range(2000):
-                    shared.read_byte_data(address, address)
+    def between() -> None:
+        if threading.current_thread() is late:
+            both.wait(60.0)  # it has selected its chip: now the other one may
+            done.wait(60.0)
 
-            threads = [
-                threading.Thread(target=work, args=(address,))
-                for address in ADDRESSES[:2]
-            ]
-            for thread in threads:
-                thread.start()
-            for thread in threads:
-                thread.join()
-    finally:
-        sys.setswitchinterval(interval)
+    with smbus2.SMBus("/dev/null") as shared:
+        late = threading.Thread(target=shared.read_byte_data, args=(first, first))
+        kernel.between = between
+        late.start()
+        both.wait(60.0)
+        shared.read_byte_data(second, second)
+        done.set()
+        late.join()
 
-    assert kernel.transfers == 4000
-    assert kernel.wrong > 0
+    assert kernel.transfers == 2
+    assert kernel.wrong == 1
 
 
 class OnNull(Wire):
