@@ -423,3 +423,34 @@ async def test_a_halt_after_the_stop_is_answered_at_once(fake_actuator: Any) -> 
     told = robot.halt("too late")
     assert told.done()
     assert seen == []
+
+
+@pytest.mark.promise("ROB-4", "RES-2")
+async def test_resume_lets_nothing_reach_a_device_that_is_lost() -> None:
+    """It was there at the halt: its driver is not called before it is open again."""
+
+    class Wheels(esair.Actuator[float]):
+        safe = 0.0
+        gone = False
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.told: list[float] = []
+
+        async def open(self) -> None:
+            if self.gone:
+                raise ConnectionError("the cable")
+
+        async def write(self, command: float) -> None:
+            self.told.append(command)
+
+    wheels = Wheels()
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        await robot.halt("somebody is in the cell")
+        wheels.gone = True
+        wheels.report_lost()
+        robot.resume()
+        with pytest.raises(esair.DeviceLostError):
+            await user.wheels.write(1.0)
+        assert 1.0 not in wheels.told

@@ -517,3 +517,15 @@ async def test_a_hold_that_ends_leaves_nothing_moving_after_a_loss_either() -> N
             assert wheels.commands[-1] == 1.0
             await asyncio.sleep(0.2)
             assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("PRO-9", "SUP-2")
+@pytest.mark.parametrize("protector", PROTECTORS)
+async def test_who_sees_takes_over_at_once(protector: Any) -> None:
+    """The patience of a replacement is for one that cannot decide yet."""
+    robot = esair.Robot(resources=[ranges(), Wheels()], behaviors=[protector()])
+    async with robot:
+        (name,) = robot.behaviors.names()
+        began = asyncio.get_running_loop().time()
+        await robot.behaviors.replace(name, protector())
+        assert asyncio.get_running_loop().time() - began < 0.1

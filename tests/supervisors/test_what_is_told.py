@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from typing import Any
 
 import attrs
@@ -534,3 +535,48 @@ async def test_settings_of_a_device_that_was_replaced_meanwhile_are_not_changed(
         assert (old.power, new.power) == (0.5, 0.5)
         await user.lamp.configure(power=2.0)
         assert new.power == 2.0
+
+
+@pytest.mark.promise("BS-6")
+async def test_one_that_has_done_nothing_yet_has_nothing_to_tell() -> None:
+    """A behavior has no steps, and nothing that waits, is late or was dropped."""
+    async with esair.Robot(behaviors=[Idle(name="a")]) as robot:
+        await turns()
+        assert robot.behaviors.query("a") == esair.BehaviorStatus(
+            "a", BehaviorState.RUNNING, can_receive=True, can_send=False
+        )
+
+
+async def test_only_one_that_was_parked_is_said_to_run(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The log is for what changes: that all run after the start goes without saying."""
+    caplog.set_level(logging.INFO, "esair")
+    async with esair.Robot(behaviors=[Idle()]):
+        await turns()
+    assert "idle: runs" not in caplog.text
+
+
+@pytest.mark.promise("TURN-4")
+@pytest.mark.parametrize("verb", ["put", "get", "ask"])
+async def test_who_is_refused_at_once_gives_way_too(verb: str) -> None:
+    """A script that tries again without a pause does not have the loop for itself."""
+
+    @attrs.frozen
+    class Fetch(esair.Request[int]):
+        pass
+
+    async with esair.Robot() as robot:
+        there = robot.behaviors
+        other = asyncio.ensure_future(asyncio.sleep(0))
+        for _ in range(10_000):
+            request: Any
+            if verb == "put":
+                request = there.put(1, sender="user", receiver="nobody")
+            elif verb == "get":
+                request = there.get(sender="nobody", receiver="user")
+            else:
+                request = there.ask(Fetch(), sender="user", receiver="nobody")
+            with pytest.raises(esair.UnknownNameError):
+                await request
+        assert other.done()
