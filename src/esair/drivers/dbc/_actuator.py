@@ -174,11 +174,8 @@ class DbcActuator(Actuator[Any]):
                 return  # as most commands: numbers, each within the limits of the file
         elif self._is_plain:
             return  # one number, within the limits of the file
-        if self.signal is None:
-            self._check_signals(command)
-        else:
-            self._check_alone(command)
-        self._check_encoded(command)
+        # The file may forbid it by other means: a choice out of range, say.
+        self._encoded(self._checked_signals(self._by_name(command)))
 
     def safe_frames(self) -> SafeFrames | None:
         """The safe command; with ``sequence`` once for each number that a node expects.
@@ -188,21 +185,14 @@ class DbcActuator(Actuator[Any]):
         if self._in_packets:
             return None
         message, values = self.codec.message, self._values(self.safe)
-        numbered = [values]
-        if self.sequence is not None:
-            first = self._count
-            numbered = [
-                {**values, self.sequence: (first + step) % self._modulus}
-                for step in range(min(self._modulus, SAFE_FRAMES))
-            ]
         return SafeFrames(
             can_frame(
                 self._id,
-                self.codec.encode(each),
+                self._encoded(self._numbered(values, self._count + step)),
                 extended=message.is_extended_frame,
                 fd=bool(message.is_fd),
             )
-            for each in numbered
+            for step in range(min(self._modulus, SAFE_FRAMES))
         )
 
     async def open(self) -> None:
@@ -242,14 +232,9 @@ class DbcActuator(Actuator[Any]):
             self._writing -= 1
 
     async def _send(self, values: Signals) -> None:
-        message = self.codec.message
-        if self.sequence is not None:
-            values = {**values, self.sequence: self._count % self._modulus}
-            self._count += 1
-        try:
-            data = self.codec.encode(values)
-        except FrameError as error:
-            raise BadValueError(self.name, "command", str(error)) from error
+        values = self._numbered(values, self._count)
+        self._count += 1
+        data = self._encoded(values)
         if self._claim is not None and self._claim.address is None:
             raise DeviceLostError(self.name, "another node has its address")
         if self._in_packets:
@@ -258,7 +243,7 @@ class DbcActuator(Actuator[Any]):
         await self.bus.send(
             self._id,
             data,
-            extended=message.is_extended_frame,
+            extended=self.codec.message.is_extended_frame,
             replaces=self.codec.topic(values),
         )
 
@@ -296,6 +281,21 @@ class DbcActuator(Actuator[Any]):
         for name in self.codec.selected({**rest, **values}) - {self.sequence}:
             values.setdefault(name, rest[name])
         return values
+
+    def _numbered(self, values: Signals, number: int) -> Signals:
+        """Return the signals with the one that counts, if there is one."""
+        if self.sequence is None:
+            return values
+        return {**values, self.sequence: number % self._modulus}
+
+    def _encoded(self, values: Signals) -> bytes:
+        try:
+            return self.codec.encode(values)
+        except FrameError as error:
+            raise BadValueError(self.name, "command", str(error)) from error
+
+    def _by_name(self, command: Any) -> Mapping[str, Any]:
+        return command if self.signal is None else {self.signal: command}
 
     def _narrowed(self, given: Any) -> Any:
         """Return the limits of the file, narrowed by those that were given."""
@@ -365,28 +365,24 @@ class DbcActuator(Actuator[Any]):
                 raise BadValueError(
                     self.name, "safe", f"expected {expected}, not {safe!r:.80}"
                 )
-            if self.signal is None:
-                self._check_signals(safe)
-                within: Any = self.limits or {}
-            else:
-                self._check(self.codec.signals[self.signal], safe)
-                within = {} if self.limits is None else {self.signal: self.limits}
-            values = self._values(safe)
+            told = self._by_name(safe)
+            values = self._checked_signals(told)
+            within: Any = {} if self.limits is None else self._by_name(self.limits)
             for name, (low, high) in within.items():
-                if not low <= values[name] <= high:
+                if not low <= told[name] <= high:
                     raise BadValueError(
                         self.name,
                         name,
-                        f"expected {low:g} to {high:g}, not {values[name]!r:.80}",
+                        f"expected {low:g} to {high:g}, not {told[name]!r:.80}",
                     )
-            self._check_encoded(safe)
-        except (BadValueError, FrameError) as error:
+            self._encoded(values)
+        except BadValueError as error:
             text = str(error).removeprefix(f"{self.name}: ").removeprefix("command: ")
             text = text.removeprefix("safe: ")
             raise ConfigError(self.name, "safe", text) from error
 
-    def _check_signals(self, command: Mapping[str, Any]) -> None:
-        """Refuse a command that does not have exactly the signals of a frame."""
+    def _checked_signals(self, command: Mapping[str, Any]) -> Signals:
+        """Return all signals of a frame, if a command has exactly those that it may."""
         for name, value in command.items():
             if name not in self.codec.signals or not self._is_free(name):
                 free = [each for each in self.codec.signals if self._is_free(each)]
@@ -395,37 +391,19 @@ class DbcActuator(Actuator[Any]):
                     self.name, str(name), f"there is no such signal{hint}"
                 )
             self._check(self.codec.signals[name], value)
-        values = {**command, **self._fixed}
-        if self.sequence is not None:
-            values[self.sequence] = 0
+        whole = command if self.signal is None else command[self.signal]
         try:
+            values = self._numbered(self._values(whole), self._count)
             selected = self.codec.selected(values)
         except FrameError as error:
-            raise BadValueError(self.name, "command", str(error)) from error
+            field = self.signal or "command"
+            raise BadValueError(self.name, field, str(error)) from error
         for name in command:
             if name not in selected:
                 raise BadValueError(
                     self.name, name, "the multiplexer does not select this signal"
                 )
-
-    def _check_alone(self, command: Any) -> None:
-        """Refuse a value of the only signal with which there is no frame."""
-        assert self.signal is not None
-        self._check(self.codec.signals[self.signal], command)
-        try:
-            self._values(command)
-        except FrameError as error:
-            raise BadValueError(self.name, self.signal, str(error)) from error
-
-    def _check_encoded(self, command: Any) -> None:
-        """Refuse what the file forbids by other means, such as a choice out of range."""
-        values = self._values(command)
-        if self.sequence is not None:
-            values[self.sequence] = self._count % self._modulus
-        try:
-            self.codec.encode(values)
-        except FrameError as error:
-            raise BadValueError(self.name, "command", str(error)) from error
+        return values
 
     def _check(self, signal: Signal, value: Any) -> None:
         name = signal.name
