@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import Self
+from typing import Any, Self
 
 from esair.exceptions import BadValueError
 from esair.values import check_whole
@@ -29,6 +29,14 @@ class Framing(abc.ABC):
         ConfigError: A parameter is wrong.
     """
 
+    _made_with: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __new__(cls, *args: Any, **keywords: Any) -> Self:
+        """Remember the parameters, for `fresh`."""
+        made = super().__new__(cls)
+        made._made_with = args, keywords
+        return made
+
     def __init__(self, *, max_length: int) -> None:
         self.max_length = check_whole("framing", "max_length", max_length, 1)
         self.bad_frames = 0
@@ -49,7 +57,8 @@ class Framing(abc.ABC):
 
     def fresh(self) -> Self:
         """Return a new one with the same parameters and zero counters."""
-        return type(self)(max_length=self.max_length)
+        args, keywords = self._made_with
+        return type(self)(*args, **keywords)
 
     def reset(self) -> None:
         """Forget a partial frame: after an opening, or after a silence."""

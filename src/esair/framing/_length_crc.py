@@ -5,7 +5,7 @@ from __future__ import annotations
 import binascii
 import zlib
 from collections.abc import Callable
-from typing import Literal, Self
+from typing import Literal
 
 from esair.exceptions import ConfigError
 from esair.framing._framing import Framing
@@ -141,16 +141,6 @@ class LengthCrc(Framing):
         body = len(payload).to_bytes(self.length_size, self.byteorder) + payload
         crc = self._crc(body).to_bytes(self._crc_size, self.byteorder)
         return self.sync + body + crc
-
-    def fresh(self) -> Self:
-        """Return a new one with the same parameters and zero counters."""
-        return type(self)(
-            sync=self.sync,
-            length_size=self.length_size,
-            byteorder=self.byteorder,
-            crc=self.crc,
-            max_length=self.max_length,
-        )
 
     def reset(self) -> None:
         """Forget a partial frame: after an opening, or after a silence."""

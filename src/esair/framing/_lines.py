@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Self
-
 from esair.exceptions import BadValueError, ConfigError
 from esair.framing._framing import Framing
 
@@ -101,7 +99,3 @@ class Lines(Delimited):
                 "framing", "payload", f"the delimiter {self.delimiter!r} stands in it"
             )
         return wire
-
-    def fresh(self) -> Self:
-        """Return a new one with the same parameters and zero counters."""
-        return type(self)(delimiter=self.delimiter, max_length=self.max_length)
