@@ -6,7 +6,7 @@ Source: ADS111x Ultra-Small, Low-Power, I2C-Compatible, 860-SPS, 16-Bit ADCs, SB
 from __future__ import annotations
 
 import asyncio
-from typing import Unpack
+from typing import Any, Unpack
 
 import attrs
 
@@ -123,16 +123,10 @@ class Ads1115(Sensor[float]):
         with expected_at(self, self.address):
             await self.bus.read(self.address, CONFIG, 2)
 
-    async def apply(
-        self,
-        *,
-        full_scale: float | None = None,
-        data_rate: int | None = None,
-        **_: object,
-    ) -> None:
+    async def apply(self, **changes: Any) -> None:
         """Use other settings from the next conversion on."""
-        self._full_scale = full_scale or self.full_scale
-        self._data_rate = data_rate or self.data_rate
+        wanted = {**self.settings, **changes}
+        self._full_scale, self._data_rate = wanted["full_scale"], wanted["data_rate"]
 
     async def read(self) -> float:
         """Convert once and wait for it."""

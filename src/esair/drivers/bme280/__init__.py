@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from typing import Unpack
+from typing import Any, Unpack
 
 import attrs
 
@@ -202,19 +202,11 @@ class Bme280(Sensor[Climate]):
             await self.bus.read(self.address, CALIBRATION_00, 26),
             await self.bus.read(self.address, CALIBRATION_26, 7),
         )
-        await self._configure(self.oversampling, self.smoothing)
+        await self._configure(**self.settings)
 
-    async def apply(
-        self,
-        *,
-        oversampling: int | None = None,
-        smoothing: int | None = None,
-        **_: object,
-    ) -> None:
+    async def apply(self, **changes: Any) -> None:
         """Set the chip up."""
-        await self._configure(
-            oversampling or self.oversampling, smoothing or self.smoothing
-        )
+        await self._configure(**{**self.settings, **changes})
 
     async def read(self) -> Climate:
         """Measure once and wait for it."""
@@ -242,7 +234,7 @@ class Bme280(Sensor[Climate]):
         humidity, smoothing = await self._get(CTRL_HUM), await self._get(CONFIG)
         return self._told == (humidity & 0x07, smoothing >> 2 & 0x07)
 
-    async def _configure(self, oversampling: int, smoothing: int) -> None:
+    async def _configure(self, *, oversampling: int, smoothing: int, **_: Any) -> None:
         told = _OVERSAMPLING.index(oversampling) + 1, _FILTER.index(smoothing)
         # Both count from the next measurement on; asleep, the chip takes all.
         await self._put(CTRL_MEAS, 0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Unpack
+from typing import Any, Unpack
 
 import attrs
 
@@ -131,19 +131,11 @@ class Mpu6050(Sensor[Motion]):
         await bus.write(
             self.address, PWR_MGMT_1, bytes([CLOCK_FROM_GYRO]), idempotent=True
         )
-        await self._scale(self.gyro_range, self.accel_range)
+        await self._scale(**self.settings)
 
-    async def apply(
-        self,
-        *,
-        gyro_range: int | None = None,
-        accel_range: int | None = None,
-        **_: object,
-    ) -> None:
+    async def apply(self, **changes: Any) -> None:
         """Set the ranges in the chip."""
-        await self._scale(
-            gyro_range or self.gyro_range, accel_range or self.accel_range
-        )
+        await self._scale(**{**self.settings, **changes})
 
     async def read(self) -> Motion:
         """Read all axes at one moment, in one transfer."""
@@ -161,7 +153,7 @@ class Mpu6050(Sensor[Motion]):
         told = bytes([self._gyro_step << 3, self._accel_step << 3])
         return power == CLOCK_FROM_GYRO and ranges == told
 
-    async def _scale(self, gyro_range: int, accel_range: int) -> None:
+    async def _scale(self, *, gyro_range: int, accel_range: int, **_: Any) -> None:
         gyro_step = (250, 500, 1000, 2000).index(gyro_range)
         accel_step = (2, 4, 8, 16).index(accel_range)
         told = bytes([gyro_step << 3, accel_step << 3])
