@@ -16,7 +16,7 @@ from esair import minimal
 from esair.config import ConfigFileError, keywords_of, load, searched_first
 from esair.exceptions import ConfigError
 from esair.firmware._boards import Board, board_named
-from esair.firmware._fit import Misfit, Part, fitting_parts, loop_mistakes, rate_of
+from esair.firmware._fit import Misfit, fitting_parts, loop_mistakes, rate_of
 from esair.firmware._main_file import main_file
 from esair.firmware._micropython import Trial, find_micropython, run_folder
 from esair.firmware._modules import FACADE, Modules
@@ -111,8 +111,9 @@ def build(
         for part in parts:
             modules.add(type(part.made).__module__, part.key)
     keywords = {
-        part.key: _keywords_for(part) for part in parts
-    }  # before anything is written: it may find something that cannot be written
+        part.key: frozenset(keywords_of(type(part.made)).fields) & part.table.keys()
+        for part in parts
+    }
     if misfits:
         raise ExceptionGroup(f"{path} does not fit into ESAIR MIN", misfits)
     files = _files_of(modules)
@@ -164,17 +165,9 @@ def _tried(built: Built) -> Built:
     return attrs.evolve(built, trial=trial)
 
 
-def _keywords_for(part: Part) -> frozenset[str]:
-    """Return which keys of a part its constructor takes."""
-    return frozenset(keywords_of(type(part.made)).fields) & part.table.keys()
-
-
-def _minimal() -> str:
-    return Path(minimal.__file__).read_text(encoding="utf-8")
-
-
 def _files_of(modules: Modules) -> dict[str, str]:
-    files = {"esair/minimal.py": _minimal()}
+    text = Path(minimal.__file__).read_text(encoding="utf-8")
+    files = {"esair/minimal.py": text}
     if modules.facade:
         files["esair/__init__.py"] = f"from esair.minimal import {', '.join(FACADE)}\n"
     if modules.future:

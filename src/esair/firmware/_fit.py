@@ -12,7 +12,7 @@ import attrs
 from esair.actions import Behavior, MinimalReaction, Reaction
 from esair.config import Description
 from esair.firmware._mistakes import mistakes
-from esair.resources import Actuator, MinimalActuator, MinimalSensor, Sensor
+from esair.resources import Actuator, MinimalActuator, MinimalSensor, Resource, Sensor
 
 Misfit = Callable[[str, str], None]
 
@@ -96,13 +96,10 @@ def _is_plain(key: str, resource: Any, made: Any, misfit: Misfit) -> bool:
     if getattr(resource, "max_repeat", None) is not None:
         misfit(key, "max_repeat: only STD watches for frozen values")
         return False
-    if made is resource:
-        for name in ("open", "close", "identify", "apply"):
-            if getattr(type(made), name, None) is not getattr(
-                Sensor if isinstance(made, Sensor) else Actuator, name
-            ) and name in {"identify", "apply"}:
-                misfit(key, f"it has {name}: only STD calls it")
-                return False
+    for name in ("identify", "apply") if made is resource else ():
+        if getattr(type(made), name) is not getattr(Resource, name):
+            misfit(key, f"it has {name}: only STD calls it")
+            return False
     return True
 
 

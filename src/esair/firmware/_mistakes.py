@@ -81,11 +81,9 @@ def _duration(
 
 
 def _method(part: Any, name: str, base: type) -> list[str]:
-    if getattr(type(part), name, None) is getattr(base, name) and name not in vars(
-        part
-    ):
-        return [f"{part.name}: it must have a method {name}"]
-    if not callable(getattr(part, name, None)):
+    method = getattr(part, name, None)
+    is_empty = getattr(method, "__func__", None) is getattr(base, name)
+    if is_empty or not callable(method):
         return [f"{part.name}: it must have a method {name}"]
     return _async(part, name)
 
