@@ -7,7 +7,7 @@ import contextvars
 import itertools
 import logging
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from esair import abc
 from esair.actions import Behavior, Reaction
@@ -86,7 +86,7 @@ class BehaviorDeployment:
         """Tasks of zombies: the loop itself keeps only weak references."""
         self.context: contextvars.Context | None = None
         """The context variables of the script; those of its behaviors begin so."""
-        self.verbs: Verbs | None = None
+        self.verbs: abc.Supervisor | None = None
         """Does what a behavior asks for that may manage others."""
         self._managers = {
             manager
@@ -338,15 +338,6 @@ class BehaviorDeployment:
     def _resource_up(self, event: Event) -> None:
         for member in tuple(self.members.values()):
             member.resource_up(event.component)
-
-
-class Verbs(Protocol):
-    """The behavior supervisor, as far as a behavior may manage others."""
-
-    async def add(self, behavior: Behavior | Reaction) -> None: ...
-    async def remove(self, name: str) -> list[Any]: ...
-    async def replace(self, name: str, behavior: Behavior | Reaction) -> list[Any]: ...
-    async def restart(self, name: str) -> None: ...
 
 
 def refuse_all(found: list[Finding], action: Behavior | Reaction) -> None:

@@ -86,10 +86,8 @@ class Order(Request):
         return mine
 
     def _left(self, error: BaseException | None) -> bool:
-        if error is None:
-            self.fail("it left the request without an answer")
-        else:
-            self.fail(describe(error), error)
+        told = describe(error) if error else "it left the request without an answer"
+        self.fail(told, error)
         self.queue.done_with(self)
         return False
 
@@ -191,10 +189,9 @@ class OrderQueue(ServedQueue):
     def can_serve(self) -> bool:
         return self.member.state is BehaviorState.RUNNING
 
-    def take(self) -> Request:
-        request = self.pop()
+    def begun(self, request: Request) -> None:
+        self.pop()
         self.working[request] = None
-        return request
 
     def done_with(self, request: Request) -> None:
         self.working.pop(request, None)
@@ -218,10 +215,10 @@ class OrderQueue(ServedQueue):
         """Wait for an order, and take it."""
         while True:
             self.member.check_speaker()
-            if self.count:
-                order = self.take()
+            order = self.first()
+            if isinstance(order, Order):
+                self.begun(order)
                 order.outer = served()
-                assert isinstance(order, Order)
                 return order
             taker = asyncio.get_running_loop().create_future()
             self._takers.append(taker)

@@ -106,19 +106,18 @@ class ServedQueue(RequestQueue):
         """Whether the behavior makes an answer on demand, now."""
         return self.member.can_provide
 
-    def take(self) -> Request | None:
-        """Return what is served next: it waits on, as an offer may answer it, too."""
-        return self.first()
-
     def roused(self) -> None:
         """Begin to work on what waits, if somebody is free."""
-        if self.method is None or self.task is not None or not self.count:
+        member, request = self.member, self.first()
+        if (
+            self.method is None
+            or self.task is not None
+            or request is None
+            or not self.can_serve
+        ):
             return
-        if not self.can_serve:
-            return
-        member = self.member
-        request = self.current = self.take()
-        assert request is not None
+        self.current = request
+        self.begun(request)
         self.task = spawn(
             asyncio.get_running_loop(),
             do_for(request, member, self.method),
@@ -142,6 +141,9 @@ class ServedQueue(RequestQueue):
             request.served(value, error)
         self.roused()
 
+    def begun(self, request: Request) -> None:
+        """Somebody works on a request; it waits on, as an offer may answer it, too."""
+
     def done_with(self, request: Request) -> None:
         """Nobody works on a request any more."""
 
@@ -152,13 +154,10 @@ class ServedQueue(RequestQueue):
 
     def run_ended(self, error: BaseException | None) -> None:
         """A run has ended: nobody works on what it had taken."""
+        told = describe(error) if error else "its run ended without an answer"
         for request in (*self.working, self.current):
-            if request is None:
-                continue
-            if error is None:
-                request.fail("its run ended without an answer")
-            else:
-                request.fail(describe(error), error)
+            if request is not None:
+                request.fail(told, error)
         self.task = self.current = None
 
 
