@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from esair.exceptions import ConfigError
 from esair.seat._metrics import metrics
 from esair.seat._place import secret_file
-from esair.seat._visitor import Visitor, Way, line_of
+from esair.seat._visitor import Budget, Visitor, Way, line_of
 from esair.seat._wire import LIMIT
 
 if TYPE_CHECKING:
@@ -240,16 +240,12 @@ class PageServer(Way["_Viewer"]):
                         _log.warning("page: %s showed a wrong token", address)
                         await link.close(4401)
                         return
-            loop = asyncio.get_running_loop()
-            filled, budget = loop.time(), float(LINES)
+            budget = Budget(LINES)
             while not viewer.gone:
                 line = await link.receive_text()
                 viewer.do(line.encode("utf-8", "replace"))
-                now = loop.time()
-                budget = min(LINES, budget + (now - filled) * LINES) - 1
-                filled = now
-                if budget < 0:
-                    await asyncio.sleep(-budget / LINES)
+                if pause := budget.spend(1):
+                    await asyncio.sleep(pause)
         except (WebSocketDisconnect, TimeoutError, RuntimeError, KeyError):
             pass  # it has gone, or says nothing that is text
         finally:

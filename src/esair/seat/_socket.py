@@ -12,7 +12,7 @@ from typing import Any
 from esair.exceptions import BadValueError, BusyError
 from esair.seat._operator import Console
 from esair.seat._place import Place
-from esair.seat._visitor import LONGEST, Visitor, Way, line_of
+from esair.seat._visitor import LONGEST, Budget, Visitor, Way, line_of
 from esair.seat._wire import LIMIT, VERSION, failure
 
 CLIENTS = 16
@@ -104,8 +104,7 @@ class _Client(Visitor, asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         self._line = bytearray()
         self._skips = False
-        self._budget = float(LINES)
-        self._filled = self._loop.time()
+        self._budget = Budget(LINES)
         self._patience: asyncio.TimerHandle | None = None
 
     # The connection.
@@ -167,7 +166,9 @@ class _Client(Visitor, asyncio.Protocol):
             self._take(piece, whole=index < len(pieces) - 1)
             if self.transport.is_closing():
                 return
-        self._spend(len(pieces) - 1 + len(data) / LIMIT)
+        if pause := self._budget.spend(len(pieces) - 1 + len(data) / LIMIT):
+            self.transport.pause_reading()
+            self._loop.call_later(pause, self._go_on)
         if self.narrow:
             return
         if self._line or self._skips:
@@ -199,15 +200,6 @@ class _Client(Visitor, asyncio.Protocol):
         told = f"expected a whole line within {HALF_LINE:g} s"
         self.send(failure(None, BadValueError("message", "", told)))
         self.transport.close()
-
-    def _spend(self, lines: float) -> None:
-        """Count what a client sends; who sends too much is read later."""
-        now = self._loop.time()
-        self._budget = min(LINES, self._budget + (now - self._filled) * LINES) - lines
-        self._filled = now
-        if self._budget < 0:
-            self.transport.pause_reading()
-            self._loop.call_later(-self._budget / LINES, self._go_on)
 
     def _go_on(self) -> None:
         if not self.transport.is_closing():

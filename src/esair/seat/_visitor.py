@@ -73,6 +73,22 @@ class Way(Generic[V]):
             self._past[1] += visitor.dropped
 
 
+class Budget:
+    """How many lines may come in a second, and as many at once."""
+
+    def __init__(self, lines: int) -> None:
+        self._lines = lines
+        self._time = asyncio.get_running_loop().time
+        self._filled, self._left = self._time(), float(lines)
+
+    def spend(self, lines: float) -> float:
+        """Count lines that came; return for how long no more are read, in seconds."""
+        now = self._time()
+        filled = self._left + (now - self._filled) * self._lines
+        self._filled, self._left = now, min(self._lines, filled) - lines
+        return max(-self._left / self._lines, 0.0)
+
+
 def line_of(found: dict[str, Any]) -> bytes:
     """Return the line of an answer; of one that is too long, only that it is."""
     line = encode(found)

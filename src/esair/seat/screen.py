@@ -157,23 +157,39 @@ Row = tuple[int, tuple[Text | str, ...]]
 """How much it asks for attention, and its cells."""
 
 
+def _row(each: Mapping[str, Any], attention: int, told: Text, lost: str) -> Row:
+    cells: tuple[Text | str, ...] = (
+        printable(each["name"]),
+        Text(printable(each["state"]), _color(each["state"])),
+        told,
+        _number(each["rate"]),
+        _age(each.get("age")),
+        *(str(each[name]) for name in ("late", lost, "refusals")),
+    )
+    return attention, cells
+
+
 def _resources(status: Mapping[str, Any]) -> list[Row]:
     return [
-        (
+        _row(
+            each,
             3 if each["state"] != "ready" else int(each["kind"] == "actuator"),
-            (
-                printable(each["name"]),
-                _state(each["state"]),
-                _told(each),
-                _number(each["rate"]),
-                _age(each["age"]),
-                str(each["late"]),
-                str(each["losses"]),
-                str(each["refusals"]),
-            ),
+            _told(each),
+            "losses",
         )
         for each in status["resources"]
     ]
+
+
+def _behaviors(status: Mapping[str, Any]) -> list[Row]:
+    rows = []
+    for each in status["behaviors"]:
+        told = printable(each["detail"] or each["error"] or each["kind"])
+        style = "" if each["detail"] else "dim"
+        text = Text(told, style, no_wrap=True, overflow="ellipsis")
+        calm = each["state"] in {"running", "finished"}
+        rows.append(_row(each, 0 if calm else 2, text, "restarts"))
+    return rows
 
 
 def _told(each: Mapping[str, Any]) -> Text:
@@ -190,34 +206,6 @@ def _told(each: Mapping[str, Any]) -> Text:
     if each["priority"] is not None:
         told.append(f" ({each['priority']})")
     return told.append(value, "dim")
-
-
-def _behaviors(status: Mapping[str, Any]) -> list[Row]:
-    return [
-        (
-            2 if each["state"] not in {"running", "finished"} else 0,
-            (
-                printable(each["name"]),
-                _state(each["state"]),
-                Text(
-                    printable(each["detail"] or each["error"] or each["kind"]),
-                    "" if each["detail"] else "dim",
-                    no_wrap=True,
-                    overflow="ellipsis",
-                ),
-                _number(each["rate"]),
-                "",
-                str(each["late"]),
-                str(each["restarts"]),
-                str(each["refusals"]),
-            ),
-        )
-        for each in status["behaviors"]
-    ]
-
-
-def _state(state: str) -> Text:
-    return Text(printable(state), _color(state))
 
 
 def _color(word: str) -> str:
