@@ -10,7 +10,7 @@ import attrs
 
 from esair.drivers._on_bus import check_bus
 from esair.drivers.servo._bus import ServoBus
-from esair.drivers.servo._tables import Snapshot
+from esair.drivers.servo._tables import Entry, Snapshot
 from esair.exceptions import DeviceLostError
 from esair.resources import (
     Actuator,
@@ -164,8 +164,21 @@ class Torqued(_OnServo, Actuator[T]):
     def _is_as_told(self, seen: Snapshot) -> bool:
         return seen.is_lit and (seen.has_torque or not self._torque)
 
-    async def _begin(self) -> None:
-        await self.bus.write(self.id, self.bus.table.torque, 1, 1)
+    async def _tell(
+        self, entry: Entry, number: int, *, is_safe: bool, needs_torque: bool
+    ) -> None:
+        """Tell the servo a number, and have it hold that; waits for what is safe."""
+        told = self.id, entry.address, entry.size, entry.pack(number)
+        if self._torque and not is_safe:
+            await self.bus.tell(*told)
+            return
+        await self.bus.write(*told)
+        if needs_torque and not self._torque:
+            # The number went first, so that it does not jump to an old one; and once
+            # more, because some firmware forgets it when the torque comes.
+            await self.bus.write(self.id, self.bus.table.torque, 1, 1)
+            await self.bus.write(*told)
+            self._torque = True
 
     async def _check_set_up(self) -> None:
         if not self._is_as_told(await self.bus.snapshot(self.id, max_age=LOOKED)):
@@ -248,15 +261,6 @@ class Servo(Torqued[Goal]):
             steps = (await self.bus.snapshot(self.id)).position
         else:
             steps = to_steps(command.angle)
-        entry = table.goal
-        goal = self.id, entry.address, entry.size, entry.pack(steps)
-        if self._torque and command != self.safe:
-            await self.bus.tell(*goal)
-        else:
-            await self.bus.write(*goal)
-        if not self._torque:
-            # The goal went first, so that it does not jump to an old one; and once more,
-            # because some firmware forgets it when the torque comes.
-            await self._begin()
-            await self.bus.write(*goal)
-            self._torque = True
+        await self._tell(
+            table.goal, steps, is_safe=command == self.safe, needs_torque=True
+        )

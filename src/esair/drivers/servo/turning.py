@@ -41,16 +41,13 @@ class _Turned(Torqued[float]):
     async def write(self, command: float) -> None:
         """Tell the servo, with torque from the first command that is not safe."""
         await self._check_set_up()
-        entry = self._entry
-        told = self.id, entry.address, entry.size, entry.pack(self._units(command))
-        if self._torque and command != self.safe:
-            await self.bus.tell(*told)
-            return
-        await self.bus.write(*told)
-        if command != self.safe:
-            await self._begin()
-            await self.bus.write(*told)
-            self._torque = True
+        is_safe = command == self.safe
+        await self._tell(
+            self._entry,
+            self._units(command),
+            is_safe=is_safe,
+            needs_torque=not is_safe,
+        )
 
 
 class ServoVelocity(_Turned):
