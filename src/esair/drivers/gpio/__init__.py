@@ -46,7 +46,7 @@ from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
     DeviceLostError,
-    did_you_mean,
+    hint_for,
 )
 from esair.loading import of_extra
 from esair.resources import (
@@ -414,8 +414,7 @@ def _path_of(request: LineRequest) -> str:
             f"several chips are named {request.chip!r}: {', '.join(fitting)}",
         )
     known = [name for _, names in chips for name in names]
-    hint = did_you_mean(request.chip, known)
-    hint = hint or (f"; there are {', '.join(known)}" if known else "; there is none")
+    hint = hint_for(request.chip, known)
     raise DeviceLostError(request.device, f"there is no chip {request.chip!r}{hint}")
 
 
@@ -442,10 +441,7 @@ def _offset_of(chip: Any, request: LineRequest) -> int:
     names = [chip.get_line_info(offset).name for offset in range(count)]
     if request.line in names:
         return names.index(request.line)
-    known = [name for name in names if name]
-    hint = did_you_mean(request.line, known) or (
-        f"; there are {', '.join(known[:12])}" if known else "; its lines have no names"
-    )
+    hint = hint_for(request.line, filter(None, names), "its lines are named")
     raise DeviceFaultError(
         request.device, f"{request.chip} has no line {request.line!r}{hint}"
     )
