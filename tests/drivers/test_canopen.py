@@ -508,6 +508,16 @@ async def test_frames_of_the_wrong_length_end_nothing(rig: Any) -> None:
             {"object": "Target velocity", "limits": (-9000, 1)},
             "limits: the file allows -5000 to 5000",
         ),
+        (
+            CanopenActuator,
+            {"object": "Target velocity", "limits": (-1, "fast")},
+            "limits: expected (least, greatest), not (-1, 'fast')",
+        ),
+        (
+            CanopenActuator,
+            {"object": "Target velocity", "limits": 9},
+            "limits: expected (least, greatest), not 9",
+        ),
     ],
 )
 def test_mistakes_are_told_when_the_device_is_made(

@@ -1,8 +1,9 @@
-"""Files that describe devices: read once, while they are the same."""
+"""Files that describe devices: read once, while they are the same; and their limits."""
 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -30,6 +31,28 @@ def described(
         wrong = f"{path} cannot be understood: {describe(error)}"
         raise ConfigError(component, field, wrong) from error
     return found
+
+
+def narrowed(
+    component: str, field: str, given: Any, allowed: tuple[float, float] | None
+) -> tuple[float, float]:
+    """Return limits that are within those of a file, if it has any.
+
+    Raises:
+        ConfigError: They are not, or are no limits.
+    """
+    try:
+        low, high = given
+        fits = -math.inf <= low <= high <= math.inf
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        wrong = f"expected (least, greatest), not {given!r:.80}"
+        raise ConfigError(component, field, wrong)
+    if allowed is not None and not (allowed[0] <= low and high <= allowed[1]):
+        wrong = f"the file allows {allowed[0]:g} to {allowed[1]:g}, not {given!r:.80}"
+        raise ConfigError(component, field, wrong)
+    return low, high
 
 
 @functools.lru_cache(maxsize=16)

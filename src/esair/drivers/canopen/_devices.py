@@ -11,6 +11,7 @@ from typing import Any, Required, Unpack
 from canopen.objectdictionary import FLOAT_TYPES, INTEGER_TYPES
 from canopen.sdo.exceptions import SdoAbortedError
 
+from esair.drivers._files import narrowed
 from esair.drivers.canopen._dictionary import (
     BOOLEAN,
     TEXT,
@@ -265,12 +266,4 @@ class CanopenActuator(_Object, Actuator[Any]):
             allowed = (low, high)
         if given is None:
             return allowed
-        if allowed is not None and not (
-            allowed[0] <= given[0] <= given[1] <= allowed[1]
-        ):
-            raise ConfigError(
-                self.name,
-                "limits",
-                f"the file allows {allowed[0]:g} to {allowed[1]:g}, not {given!r:.80}",
-            )
-        return given
+        return narrowed(self.name, "limits", given, allowed)

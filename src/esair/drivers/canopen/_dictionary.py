@@ -17,7 +17,7 @@ from canopen.objectdictionary import (
 )
 
 from esair.drivers._files import described
-from esair.exceptions import ConfigError, did_you_mean
+from esair.exceptions import ConfigError, hint_for
 
 BOOLEAN = 0x1
 TEXT = frozenset({0x9, 0xB})
@@ -91,8 +91,7 @@ def find_object(
     elif not isinstance(wanted, str):
         shown = ", ".join(f"{number:#x}" for number in wanted)
     if found is None:
-        hint = did_you_mean(wanted, names) if isinstance(wanted, str) else ""
-        hint = hint or f"; there are {', '.join(sorted(names)[:12])}, ..."
+        hint = hint_for(wanted if isinstance(wanted, str) else "", sorted(names))
         raise ConfigError(component, "object", f"there is no object {shown}{hint}")
     if not isinstance(found, ODVariable):
         members = [f"{found.name}.{each.name}" for each in found.values()]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Unpack
@@ -11,6 +10,7 @@ from typing import Any, Unpack
 from cantools.database.can import Signal
 
 from esair.buses import CanBus
+from esair.drivers._files import narrowed
 from esair.drivers._on_bus import ended
 from esair.drivers.dbc._claim import Claim, checked_name, claim_of
 from esair.drivers.dbc._codec import (
@@ -317,27 +317,11 @@ class DbcActuator(Actuator[Any]):
         for name, limit in free.items():
             field = "limits" if self.signal is not None else f"limits.{name}"
             signal = find_signal(self.name, field, self.codec, name)
-            try:
-                low, high = limit
-                fits = -math.inf <= low <= high <= math.inf
-            except (TypeError, ValueError):
-                fits = False
-            if not fits:
-                raise ConfigError(
-                    self.name, field, f"expected (least, greatest), not {limit!r:.80}"
-                )
             if self.signal is None and signal.multiplexer_ids:
                 raise ConfigError(
                     self.name, field, "it is multiplexed: it has the limits of the file"
                 )
-            allowed = bounds(signal)
-            if not (allowed[0] <= low and high <= allowed[1]):
-                raise ConfigError(
-                    self.name,
-                    field,
-                    f"the file allows {allowed[0]:g} to {allowed[1]:g}, not {limit!r}",
-                )
-            by_file[name] = (low, high)
+            by_file[name] = narrowed(self.name, field, limit, bounds(signal))
         if self.signal is not None:
             return by_file.get(self.signal)
         return by_file or None
