@@ -44,6 +44,26 @@ async def test_one_that_is_cancelled_never_comes() -> None:
     assert called == []
 
 
+async def test_one_for_many_waits_comes_for_the_last_one() -> None:
+    """It is started for each; also for one that begins as it is due."""
+    loop = asyncio.get_running_loop()
+    deadlines = Deadlines.of(loop)
+    begin, called = loop.time(), []
+    for_all = deadlines.idle(lambda: called.append(loop.time() - begin))
+    await asyncio.sleep(1.0)
+    assert not called
+
+    for_all.start(begin + 1.1)
+    for_all.cancel()
+    deadlines.after(0.2, lambda: for_all.start(begin + 1.3))
+    for_all.start(begin + 1.2)
+    await asyncio.sleep(1.0)
+    for_all.start(begin + 2.5)
+    await asyncio.sleep(1.0)
+
+    assert called == pytest.approx([1.3, 2.5])
+
+
 async def test_one_that_raises_holds_no_other_up() -> None:
     """The loop is told; the next one comes."""
     loop = asyncio.get_running_loop()

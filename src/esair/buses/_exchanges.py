@@ -11,7 +11,7 @@ from typing import Self
 from esair.buses._bus import Bus
 from esair.buses._inbox import within
 from esair.exceptions import BusyError, DeviceLostError, DriverStuckError, describe
-from esair.loop import Deadline, Deadlines, arrive
+from esair.loop import Deadline, Deadlines, arrive, fail
 
 LATE_LIMIT = 0.4
 """How long after it was due an answer may still come, in seconds."""
@@ -54,6 +54,9 @@ class Exchanges:
         self._owed: dict[Exchange, Deadline | None] = {}
         """Whose answers may still come, the oldest first, and until when; None if the
         bus was lost, and nobody has asked since."""
+        self._deadline: Deadline | None = None
+        """That of the answer: one for all of them, as one at a time is waited for."""
+        self._loop: asyncio.AbstractEventLoop | None = None
 
     @property
     def waiting(self) -> int:
@@ -162,6 +165,13 @@ class Exchanges:
 
     # For the exchanges.
 
+    def take(self, exchange: Exchange) -> bool:
+        """Let an exchange leave now, if it need not wait for anything."""
+        if self._now is not None or self._owed:
+            return False
+        self._now = exchange
+        return True
+
     async def take_turn(self, exchange: Exchange) -> None:
         """Wait until an exchange may leave."""
         for owed, deadline in self._owed.items():
@@ -193,7 +203,21 @@ class Exchanges:
                 self._hold(exchange)
             if len(self._owed) > self._limit:
                 self._forget(next(iter(self._owed)))
-        self._let_leave()
+        if self._line:
+            self._let_leave()
+
+    def limited(self, exchange: Exchange) -> Deadline:
+        """Let the one that waits for its answer wait no longer than its time lasts."""
+        deadline = self._deadline
+        if deadline is None or exchange.loop is not self._loop:
+            self._loop = loop = exchange.loop
+            self._deadline = deadline = Deadlines.beside(loop).idle(self._expire)
+        deadline.start(exchange.until)
+        return deadline
+
+    def _expire(self) -> None:
+        if self._now is not None:
+            self._now.expire()
 
     def _is_owed_to(self, exchange: Exchange) -> bool:
         return bool(self._owed) and any(map(exchange.is_like, self._owed))
@@ -239,6 +263,8 @@ class Exchange:
         due: When its answer is due, on the loop's clock, once it was sent: it may be given
             up much earlier, or begin late.
         error: Why it gets no answer; None if it may.
+        loop: The event loop of who asks.
+        until: When its time is over, on the loop's clock.
     """
 
     name: str | bytes = "answer"
@@ -260,13 +286,13 @@ class Exchange:
         self._exchanges = exchanges
         self._kinds = kinds
         self._seconds = seconds
-        self._loop = asyncio.get_running_loop()
-        self._deadline = self._loop.time() + seconds
+        self.loop = asyncio.get_running_loop()
+        self.until = self.loop.time() + seconds
 
     @property
     def left(self) -> float:
         """How many seconds are left of its time."""
-        return self._deadline - self._loop.time()
+        return self.until - self.loop.time()
 
     @property
     def is_owed(self) -> bool:
@@ -284,17 +310,23 @@ class Exchange:
     async def answer(self, *, patience: float | None = None) -> bytes:
         """Wait for the answer; the request has been sent."""
         seconds = self._seconds if patience is None else patience
-        self.due = self._loop.time() + seconds
+        self.due = self.loop.time() + seconds
         if self._message is not None:
             return self._message
         if self.error is not None:
             raise self.error
-        return await self.wait()
+        waiter: asyncio.Future[bytes] = self.loop.create_future()
+        self._waiter = waiter
+        deadline = self._exchanges.limited(self)
+        try:
+            return await waiter
+        finally:
+            deadline.cancel()
 
-    async def wait(self) -> bytes:
-        """Wait for its turn, or its answer, as long as its time lasts."""
-        waiter = self._waiter = self._loop.create_future()
-        return await within(waiter, max(0.0, self.left))
+    async def wait(self) -> None:
+        """Wait for its turn, as long as its time lasts."""
+        self._waiter = self.loop.create_future()
+        await within(self._waiter, max(0.0, self.left))
 
     def takes(self, message: bytes) -> bool:
         """Tell whether a message can be its answer."""
@@ -331,10 +363,17 @@ class Exchange:
     def fail(self, error: BaseException) -> None:
         """Have no answer, and an error instead."""
         self.error = error
-        if self._waiter is not None and not self._waiter.done():
-            self._waiter.set_exception(error)
+        if self._waiter is not None:
+            fail(self._waiter, error)
+
+    def expire(self) -> None:
+        """Wait no more, if it does: its time is over."""
+        if self._waiter is not None:
+            fail(self._waiter, TimeoutError())
 
     async def __aenter__(self) -> Self:
+        if self._exchanges.take(self):
+            return self
         try:
             await self._exchanges.take_turn(self)
         except DriverStuckError:

@@ -42,8 +42,17 @@ class Deadline:
         self._function = function
         self._arguments = arguments
 
+    def start(self, when: float) -> None:
+        """Call it at a moment of the loop's clock, whether or not it was called before."""
+        self.when = when
+        self.put_off = False
+        deadlines = self._deadlines
+        deadlines._waiting[self] = None  # noqa: SLF001 - two halves of one
+        if when < deadlines._looks_at:  # noqa: SLF001
+            deadlines._look_at(when)  # noqa: SLF001
+
     def cancel(self) -> None:
-        """Never call it. Also fine when it has been called."""
+        """Do not call it, until it is started again. Also fine when it has been called."""
         self._deadlines._waiting.pop(self, None)  # noqa: SLF001 - two halves of one
 
     def _call(self) -> None:
@@ -89,6 +98,10 @@ class Deadlines(OfLoop):
             self._look_at(when)
         return deadline
 
+    def idle(self, function: Callable[..., object], *arguments: Any) -> Deadline:
+        """Return a deadline for one wait after the other, which has to be started."""
+        return Deadline(self, math.inf, function, arguments)
+
     async def wait(self, future: asyncio.Future[Any], seconds: float) -> None:
         """Wait until a future is done, or for some seconds; it goes on either way."""
         over: asyncio.Future[None] = self._loop.create_future()
@@ -118,8 +131,8 @@ class Deadlines(OfLoop):
             (each for each in self._waiting if each.when <= now), key=_by_moment
         )
         for deadline in due:
-            if deadline not in self._waiting:
-                continue  # one before it has cancelled it
+            if deadline not in self._waiting or deadline.when > now:
+                continue  # one before it has cancelled it, or started it anew
             if now - deadline.when > HELD_UP and not deadline.put_off:
                 deadline.put_off, deadline.when = True, now + CHANCE
             else:

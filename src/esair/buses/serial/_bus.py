@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from esair.buses._bus import Bus, Wire
-from esair.buses._exchanges import LATE_LIMIT, Exchanges
+from esair.buses._exchanges import LATE_LIMIT, Exchange, Exchanges
 from esair.buses._inbox import Inbox, within
 from esair.buses.serial._framing import make_framing, resync_bytes
 from esair.buses.serial._line import Line, SerialLink
@@ -115,6 +115,7 @@ class SerialBus(Bus):
         self._open_device: Port | None = None
         self._letting_go: asyncio.Task[None] | None = None
         self._line: Line | None = None
+        self._arrivals: Arrivals
         self._inboxes: list[tuple[bytes, Inbox[bytes]]] = []
         self._bad_in_row = 0
         self._is_cut = False
@@ -168,6 +169,12 @@ class SerialBus(Bus):
                 waited are thrown away, so that none of them comes late. The same
                 happens if the writer is cancelled and nobody else waits.
         """
+        size = self._put(data)
+        if size:
+            await self._sent(size, self.write_timeout if timeout is None else timeout)
+
+    def _put(self, data: bytes, request: Exchange | None = None) -> int:
+        """Send bytes; returns how many, if the line has not taken all of them at once."""
         line = self._connected()
         link = line.link
         if self._is_cut:
@@ -178,9 +185,12 @@ class SerialBus(Bus):
                 f"bus {self.name}", "number of bytes to send", self.out_limit
             )
         self._is_cut = False
+        if request is not None:
+            request.begin()
         if not line.write(data):
-            await self._sent(line, self.write_timeout if timeout is None else timeout)
+            return len(data)
         self.stats.sent += len(data)
+        return 0
 
     async def send(self, payload: bytes, *, timeout: float | None = None) -> None:
         """Send a message, framed. Args and errors are those of `write`."""
@@ -222,12 +232,13 @@ class SerialBus(Bus):
         exchange = self._exchanges.request(*kinds, timeout=seconds, answers=answers)
         exchange.name = payload
         async with exchange:
-            self._connected()
-            exchange.begin()
-            await self.write(self.framing.encode(payload), timeout=exchange.left)
+            size = self._put(self.framing.encode(payload), exchange)
+            if size:
+                await self._sent(size, exchange.left)
             return await exchange.answer()
 
-    async def _sent(self, line: Line, seconds: float) -> None:
+    async def _sent(self, size: int, seconds: float) -> None:
+        line = self._connected()
         writer = line.wait()
         try:
             await within(writer, seconds)
@@ -243,6 +254,7 @@ class SerialBus(Bus):
             raise
         finally:
             line.forget(writer)
+        self.stats.sent += size
 
     def _discard(self, line: Line, error: BaseException) -> None:
         self.stats.discarded += line.link.get_write_buffer_size()
@@ -271,6 +283,7 @@ class SerialBus(Bus):
         await self._close()  # what a loss has left behind
         self.framing.reset()
         self._bad_in_row = 0
+        self._arrivals = Arrivals.of(asyncio.get_running_loop())
         line = Line(self._received, self._gone)
         if self._wire is None:
             line.link = await self._open_port(line, self.port)
@@ -314,7 +327,7 @@ class SerialBus(Bus):
         bad_before = framing.bad_frames
         messages = framing.feed(data)
         if messages:
-            with Arrivals.of(asyncio.get_running_loop()):
+            with self._arrivals:
                 self._deliver(messages)
         bad = framing.bad_frames - bad_before
         self.stats.bad_frames += bad
@@ -330,6 +343,10 @@ class SerialBus(Bus):
             self._fail_all(fault)
 
     def _deliver(self, messages: list[bytes]) -> None:
+        if not self._inboxes:
+            heard = sum(map(self._exchanges.offer, messages))
+            self.stats.unheard += len(messages) - heard
+            return
         prefixes = tuple(prefix for prefix, _ in self._inboxes)
         unheard = len(messages)
         if self._exchanges.expects:

@@ -10,6 +10,7 @@ from typing import Any
 
 from esair.buses._awaited import Awaited
 from esair.buses._bus import Bus, LateWire
+from esair.buses._exchanges import Exchange
 from esair.buses._failures import Failures
 from esair.buses.serial._bus import SerialBus
 from esair.buses.serial._far_end import MemoryLine, PtyLine
@@ -238,8 +239,7 @@ class FakeSerial(SerialBus):
 
     # The bus, as the robot uses it.
 
-    async def write(self, data: bytes, *, timeout: float | None = None) -> None:
-        """Send bytes, unless it is time to `fail`."""
+    def _put(self, data: bytes, request: Exchange | None = None) -> int:
         error = self._failures.due() if self.is_open else None
         if isinstance(error, OSError) and self._line is not None:
             self._line.connection_lost(error)
@@ -247,7 +247,7 @@ class FakeSerial(SerialBus):
             raise self.error
         if error is not None:
             raise error
-        await super().write(data, timeout=timeout)
+        return super()._put(data, request)
 
     async def close(self) -> None:
         """Close the bus; the next opening makes a new line."""
