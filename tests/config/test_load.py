@@ -23,6 +23,14 @@ def test_every_table_becomes_its_component(project) -> None:
     }
 
 
+def test_a_mark_that_editors_put_before_the_text_is_none_of_it(project) -> None:
+    """Some on Windows save UTF-8 with one; nobody sees it."""
+    path = project.write()
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+
+    assert config.load(path).name == "rover"
+
+
 def test_components_have_the_names_of_their_tables(project) -> None:
     """[sensor.left] is named left, whatever its class is called."""
     text = '[sensor.left]\ndriver = "{m}:Sonar"\n[sensor.right]\ndriver = "{m}:Sonar"\n'

@@ -74,7 +74,7 @@ def read_source(path: str | os.PathLike[str], text: str | None = None) -> Source
     shown = str(path)
     raw = _bytes_of(path, shown) if text is None else text.encode()
     try:
-        text = raw.decode()
+        text = raw.decode().removeprefix("\ufeff")  # which some editors put there
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ConfigFileError(shown, line, "", "expected text in UTF-8") from None
