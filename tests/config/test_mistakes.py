@@ -1,5 +1,7 @@
 """Every mistake in a robot.toml is told: file, line, key, what was expected."""
 
+import sys
+
 import pytest
 
 from esair import config
@@ -260,6 +262,20 @@ def test_a_driver_that_needs_what_is_not_installed_says_so(project) -> None:
     told = project.mistakes()["sensor.sonar.driver"]
     assert "needs 'not_there_at_all', which is not installed" in told
     assert f"{project.module}_b.py, line 2" in told
+
+
+@pytest.mark.fault("G05")
+def test_a_module_that_needs_an_extra_of_esair_names_it(project, monkeypatch) -> None:
+    """Here the robot's own module uses a part of the demo."""
+    monkeypatch.setitem(sys.modules, "cantools.database", None)
+    for name in [each for each in sys.modules if each.startswith("esair.d")]:
+        if name.startswith(("esair.demo", "esair.drivers.wheel_motor")):
+            monkeypatch.delitem(sys.modules, name)
+    (project.folder / f"{project.module}_c.py").write_text("import esair.demo\n")
+    project.changed('"{m}:Sonar"', '"{m}_c:Sonar"')
+
+    told = project.mistakes()["sensor.sonar.driver"]
+    assert "which is not installed: pip install 'esair[sim]'" in told
 
 
 @pytest.mark.fault("L10")

@@ -210,9 +210,10 @@ def _why_not_imported(module_name: str, error: BaseException, folder: Path) -> s
                 f"there is no module {error.name!r}, neither installed "
                 f"nor in {folder}{hint}"
             )
+        _, found, extra = error.msg.partition(": pip install ")  # see `of_extra`
         return (
             f"module {module_name!r} needs {error.name!r}, which is not installed"
-            f"{_place(error)}"
+            f"{found}{extra}{_place(error)}"
         )
     return (
         f"module {module_name!r} cannot be imported: {describe(error)}{_place(error)}"

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from esair.demo._devices import Bumper, Odometry, RangeFinder, Travel, Wheels
-from esair.demo._journeys import Explore, Home
-from esair.demo._mapper import Belief, Mapper
-from esair.demo._reactions import Avoid, Brake, Bump
-from esair.demo._values import Scan, Touch, Twist
-from esair.loading import late
+from esair.loading import late, of_extra
+
+with of_extra("sim"):
+    from esair.demo._devices import Bumper, Odometry, RangeFinder, Travel, Wheels
+    from esair.demo._journeys import Explore, Home
+    from esair.demo._mapper import Belief, Mapper
+    from esair.demo._reactions import Avoid, Brake, Bump
+    from esair.demo._values import Scan, Touch, Twist
 
 if TYPE_CHECKING:
     from esair.demo._show import demo, repeat
