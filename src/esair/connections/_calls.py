@@ -42,6 +42,27 @@ class Calls:
     later has an effect, but that whoever owns it hears of its end (``on_late``).
     """
 
+    # Slots: a thousand of these are touched a hundred times a second.
+    __slots__ = (
+        "_deadlines",
+        "_door",
+        "_left",
+        "_loop",
+        "_on_late",
+        "_on_stuck",
+        "_steps",
+        "_time",
+        "abandoned",
+        "alive",
+        "context",
+        "driver",
+        "late",
+        "number",
+        "on_late_open",
+        "opening",
+        "resource",
+    )
+
     def __init__(
         self,
         driver: Driver,

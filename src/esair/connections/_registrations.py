@@ -47,15 +47,15 @@ class Registration:
     priority: int
     reason: Callable[[], EsairError] | None
     resource: str
-    terms: Terms
     usable: bool
+
+    __slots__ = (*Terms._fields, "number", "reason", "usable")
 
     def __init__(self, number: int, terms: Terms) -> None:
         write = super().__setattr__
         for name, value in zip(Terms._fields, terms, strict=True):
             write(name, value)
         write("number", number)
-        write("terms", terms)
         write("usable", bool(terms.access & (Access.READ | Access.WRITE)))
         write("reason", None)
 
@@ -64,6 +64,13 @@ class Registration:
 
     def __delattr__(self, name: str) -> None:
         raise AttributeError(f"{self!r} cannot be changed: register again")
+
+    @property
+    def terms(self) -> Terms:
+        """By which terms it was issued."""
+        return Terms(
+            self.behavior, self.resource, self.access, self.priority, self.hold
+        )
 
     def end(self, reason: Callable[[], EsairError] | None) -> None:
         """Make it void; nothing makes it valid again."""

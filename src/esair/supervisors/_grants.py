@@ -48,6 +48,8 @@ _METHODS = {
 class Grants:
     """Keeps the registrations of one component, and the ports that it declares."""
 
+    __slots__ = ("_crew", "_name", "_ports", "registrations")
+
     def __init__(self, name: str, crew: Crew) -> None:
         self._name = name
         self._crew = crew

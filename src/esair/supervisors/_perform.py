@@ -21,6 +21,8 @@ from esair.values import check_duration
 class Steps:
     """The reactions that one behavior performs now."""
 
+    __slots__ = ("_crew", "_grants", "_name", "now")
+
     def __init__(self, name: str, crew: Crew, grants: Grants) -> None:
         self._name = name
         self._crew = crew
