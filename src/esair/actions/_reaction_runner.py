@@ -420,7 +420,7 @@ class ReactionRunner:
             elif result is None:
                 if output.active:
                     output.decide(None)
-            elif result.__class__ is dict:
+            elif type(result) is dict:
                 self._decide_all(result)
             else:
                 output.decide(result)

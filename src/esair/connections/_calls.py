@@ -122,10 +122,9 @@ class Calls:
             method, args = _REST, (value,)
         steps = self._steps
         light = steps.spare
-        if light is None or not method.is_usual:
+        if light.caller is not None or not method.is_usual:
             return self._begin_untaped(kind, method, args, limit, guard)
         # Most calls are these, and end here: it is `FirstSteps.begin` in its place.
-        steps.spare = None
         light.caller = self
         loop = self._loop
         caller = current_task_of(loop)
@@ -144,7 +143,6 @@ class Calls:
                 current_tasks[loop] = caller
             if waits_for is ENDED and not light._num_cancels_requested:  # noqa: SLF001 - the name that anyio looks at
                 light.caller = None
-                steps.spare = light
             else:
                 steps.spare = LightTask(loop)
         if waits_for is ENDED:

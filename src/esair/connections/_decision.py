@@ -72,7 +72,11 @@ class Decision:
         """Take part in the decision of this turn; the wish commits at its end."""
         if self._wish is None:
             self._wish = wish
-            self._scheduler.decide(self)
+            scheduler = self._scheduler
+            if scheduler.in_turn:  # as mostly: `Scheduler.decide` in its place
+                scheduler.decided.append(self)
+            else:
+                scheduler.decide(self)
         else:
             self._others.append(wish)
 

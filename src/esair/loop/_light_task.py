@@ -265,28 +265,23 @@ class FirstSteps(OfLoop):
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self.spare: LightTask | None = LightTask(loop)
-        """Runs the next first step; None while one runs."""
+        self.spare = LightTask(loop)
+        """Runs the next first step, if it has no caller now."""
 
     def begin(self, coroutine: Coroutine[Any, Any, Any], caller: Caller) -> Any:
         """Run a coroutine to its end or its first wait, now."""
         light = self.spare
-        if light is None:  # one begins another: each has a task and a context
+        if light.caller is not None:
+            # One begins another: each has a task and a context.
             light = LightTask(self._loop, caller.task_name)
             return light if light.begin(coroutine) is WAITS else light.value
-        self.spare = None
         light.caller = caller
         value: Any = WAITS
         try:
             value = light.begin(coroutine)
         finally:
-            self.take_back(light, can_be_used=value is not WAITS)
+            if value is WAITS or light.cancelling():
+                self.spare = LightTask(self._loop)  # that one is used up
+            else:
+                light.caller = None
         return light if value is WAITS else value
-
-    def take_back(self, light: LightTask, *, can_be_used: bool) -> None:
-        """Have a light task run the next first step, unless it is used up."""
-        if can_be_used and not light.cancelling():
-            light.caller = None
-            self.spare = light
-        else:
-            self.spare = LightTask(self._loop)

@@ -60,7 +60,8 @@ class Scheduler(OfLoop):
         self._has_border: bool = getattr(loop, "wakes_scheduler", False)
         """The loop calls `look` at the beginning of each turn."""
         self._needs_no_timer = getattr(loop, "player", None) is not None
-        self._in_turn = False
+        self.in_turn = False
+        """Somebody's step runs now; what it asks for is for this turn."""
         self._later: list[Job] = []
         """What is asked for when the turn has begun: for the next one."""
         self._decided_later: list[Callee] = []
@@ -78,7 +79,8 @@ class Scheduler(OfLoop):
         self._phases = 1
         self._queue: list[Job] = []
         self._derived: list[DerivedJob] = []
-        self._decided: list[Callee] = []
+        self.decided: list[Callee] = []
+        """What is called when all steps of this turn have decided."""
         self._turn: Iterator[Iterable[Callee]] = iter(())
         self._calls: Iterator[Callee] = iter(())
         self._now = 0.0
@@ -167,14 +169,14 @@ class Scheduler(OfLoop):
 
     def gap(self) -> float:
         """Tell for how long nothing is due, in seconds."""
-        if self._queue or self._derived or self._decided or self._has_later:
+        if self._queue or self._derived or self.decided or self._has_later:
             return 0.0
         due = self._heap[0][0] / SECOND if self._heap else math.inf
         return due - self._time()
 
     def queue(self, job: Job) -> None:
         """Call the step of a job in the next turn."""
-        if self._has_border and not self._in_turn:
+        if self._has_border and not self.in_turn:
             self._later.append(job)
             return
         self._queue.append(job)
@@ -182,7 +184,7 @@ class Scheduler(OfLoop):
 
     def derive(self, job: DerivedJob) -> None:
         """Call a job when the sensors of the turn are asked, before any step decides."""
-        if self._has_border and not self._in_turn:
+        if self._has_border and not self.in_turn:
             self._derived_later.append(job)
             return
         self._derived.append(job)
@@ -190,12 +192,11 @@ class Scheduler(OfLoop):
 
     def decide(self, decision: Callee) -> None:
         """Call something when all steps of the turn have decided."""
-        if self._in_turn:
-            self._decided.append(decision)
-        elif self._has_border:
+        if self._has_border and not self.in_turn:
             self._decided_later.append(decision)
-        else:
-            self._decided.append(decision)
+            return
+        self.decided.append(decision)
+        if not self.in_turn:
             self._wake()
 
     def is_due(self, now: float) -> bool:
@@ -217,7 +218,7 @@ class Scheduler(OfLoop):
             return
         self.suspends.look()
         self._queue += self._later
-        self._decided += self._decided_later
+        self.decided += self._decided_later
         self._derived += self._derived_later
         self._later, self._decided_later, self._derived_later = [], [], []
         self._begin()
@@ -287,14 +288,14 @@ class Scheduler(OfLoop):
                         self._lead_on()
                         await rest
                         return
-                self._in_turn = True
+                self.in_turn = True
                 calls = next(self._turn, None)
                 if calls is None:
-                    self._in_turn = False
+                    self.in_turn = False
                     if self._cancelled >= len(self._heap) > 0:
                         self._forget(None)
                     if not (
-                        self._heap or self._queue or self._derived or self._decided
+                        self._heap or self._queue or self._derived or self.decided
                     ):
                         return
                     await self._wait()
@@ -304,7 +305,7 @@ class Scheduler(OfLoop):
         finally:
             if self._leader is me:
                 self._leader = None
-                self._turning = self._in_turn = False
+                self._turning = self.in_turn = False
                 if self._timer is not None:
                     self._timer.close()
                     self._timer = None
@@ -345,8 +346,8 @@ class Scheduler(OfLoop):
         if self.polled_in == self.turns:
             steps = [tuple(j for j in jobs if not j.waits(self._now)) for jobs in steps]
         yield from steps
-        while self._decided:
-            decided, self._decided = self._decided, []
+        while self.decided:
+            decided, self.decided = self.decided, []
             yield decided
         if one_shots:
             one_shots.sort(key=_moment)
@@ -379,13 +380,13 @@ class Scheduler(OfLoop):
         if self._has_border:
             # What the end of the turn has asked for is for the next one.
             self._later += self._queue
-            self._decided_later += self._decided
+            self._decided_later += self.decided
             self._derived_later += self._derived
-            self._queue, self._decided, self._derived = [], [], []
+            self._queue, self.decided, self._derived = [], [], []
         elif (
             self._queue
             or self._derived
-            or self._decided
+            or self.decided
             or self._heap[0][0] <= self._nanoseconds() + EARLY
         ):
             # Steps that take longer than their period must not starve everybody else.
