@@ -71,7 +71,7 @@ class Unplugged:
     keeps_nothing = "each call of the driver says all that the part needs"
 
 
-@pytest.mark.real_clock
+@pytest.mark.virtual_clock
 class TestBme280(Unplugged, SensorContract):
     """adafruit_bme280 as a sensor: two transfers for each read, by buffers."""
 
@@ -84,7 +84,7 @@ class TestBme280(Unplugged, SensorContract):
         )
 
 
-@pytest.mark.real_clock
+@pytest.mark.virtual_clock
 class TestAds1115(Unplugged, SensorContract):
     """adafruit_ads1x15: polls until a conversion is done, with no pause."""
 
@@ -94,7 +94,7 @@ class TestAds1115(Unplugged, SensorContract):
         )
 
 
-@pytest.mark.real_clock
+@pytest.mark.virtual_clock
 class TestMpu6050(Unplugged, SensorContract):
     """adafruit_mpu6050: after a restart it sleeps, and gives the last values for ever."""
 
@@ -155,7 +155,7 @@ class Dac:
         self._write(value)
 
 
-@pytest.mark.real_clock
+@pytest.mark.virtual_clock
 class TestActuator(Unplugged, ActuatorContract):
     """An attribute of a driver as an actuator."""
 
