@@ -58,7 +58,7 @@ class _Sending:
         self.command = command
         self.asked = asked
         self.by = by
-        self.halts = channel.halts
+        self.halts: int = channel.halts
         self.fence = channel.fence
 
     def __await__(self) -> Generator[Any, Any, Written[Any] | Refused]:
