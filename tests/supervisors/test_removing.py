@@ -24,6 +24,7 @@ from tests.supervisors.actors import (
 
 import esair
 from esair.supervisors._behavior_deployment import ZOMBIE_LIMIT
+from esair.testing import FakeActuator
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -319,3 +320,22 @@ async def test_two_who_wait_are_both_woken_by_the_removal() -> None:
         left = await removing
         taken = [result for result in results if result == 1]
         assert len(taken) + len(left) == 1
+
+
+@pytest.mark.promise("SUP-5", "SUP-3")
+@pytest.mark.parametrize("takes", [0.1, 0.5])
+async def test_who_goes_without_its_safe_command_is_told(
+    takes: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The removal does not wait for it for ever; it says so, and no more than is true."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[wheels], behaviors=[user], grace=0.3) as robot:
+        wheels.slow(takes)
+        writing = asyncio.ensure_future(user.wheels.write(1.0))
+        await asyncio.sleep(0.01)
+        await robot.resources.remove("wheels")
+        await asyncio.gather(writing, return_exceptions=True)
+    told = [each for each in caplog.messages if each.endswith("may move on")]
+    assert len(told) == (takes == 0.5)
+    assert all(each.startswith("wheels: safe 0.0: NOT ANSWERED") for each in told)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
 STOP_WITHIN = 1.8
 """How long a stop may take beside the grace period until all is closed, in seconds:
 less than `run` has, for what cannot be hurried."""
+
+_log = logging.getLogger("esair")
 
 
 class ResourceDeployment:
@@ -216,7 +219,7 @@ class ResourceDeployment:
             channel.leaving(BeingReplacedError(name, "it is being replaced"))
         self.commands.changed()
         try:
-            await self._make_safe(name, until)
+            await self._make_safe_to_leave(name, until)
             if keep:
                 error = BeingReplacedError(name, "it is being replaced")
                 channel.down(ResourceState.LOST, error)
@@ -256,7 +259,7 @@ class ResourceDeployment:
         life = self.lives[name]
         self.commands.changed()
         try:
-            await self._make_safe(name, until)
+            await self._make_safe_to_leave(name, until)
         finally:
             try:
                 if self.lives.get(name) is life:
@@ -284,6 +287,12 @@ class ResourceDeployment:
         left = until - asyncio.get_running_loop().time()
         within = max(0.1, min(left, BUS_TIMEOUT))
         await close_buses([bus], within=within, unless=is_used)
+
+    async def _make_safe_to_leave(self, name: str, until: float) -> None:
+        await self._make_safe(name, until)
+        channel = self.actuators.channels.get(name)
+        if channel is not None and not channel.is_safe:
+            _log.error("%s; it goes, and may move on", channel.told())
 
     async def _make_safe(self, name: str, until: float = math.inf) -> None:
         channel = self.actuators.channels.get(name)
