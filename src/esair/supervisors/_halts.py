@@ -81,23 +81,23 @@ class Halts:
         """Make every actuator safe and keep it so, until `resume`."""
         halting = Halting()
         loop = self._loop
-        halt = Halt(_words(reason), 0.0 if loop is None else clock_of(loop)())
+        reason = _words(reason)
         if loop is None:
-            self._registrations.halt = halt
-            _log.warning("robot %s: halted by %s: %s", self._name, by, halt.reason)
+            self._registrations.halt = Halt(reason, 0.0)
+            _log.warning("robot %s: halted by %s: %s", self._name, by, reason)
             halting.settle(self._last)
         elif threading.get_ident() == self._home:
-            self._take_effect(halt, by, halting)
+            self._take_effect(reason, by, halting)
         elif Door.of(loop).player is not None:  # the tape tells when it took effect
             halting.settle(self._last)
         else:
-            self._registrations.halt = halt
+            self._registrations.halt = Halt(reason, clock_of(loop)())
             for channel in tuple(self._channels.values()):
                 channel.bar()
             taken, number = threading.Event(), next(self._numbers)
             self._from_threads[number] = halting, taken
             try:
-                self._halted_by.tell_from_thread(number, halt.reason, by)
+                self._halted_by.tell_from_thread(number, reason, by)
             except RuntimeError:  # the loop is closed: the stop was the last word
                 halting.settle(self._last)
             else:
@@ -121,21 +121,20 @@ class Halts:
     def _halt_of_thread(self, number: int, reason: str, by: str) -> None:
         made = Halting(), threading.Event()
         halting, taken = self._from_threads.pop(number, made)
-        now = 0.0 if self._loop is None else clock_of(self._loop)()
-        self._take_effect(Halt(reason, now), by, halting)
+        self._take_effect(reason, by, halting)
         taken.set()
 
-    def _take_effect(self, halt: Halt, by: str, halting: Halting) -> None:
+    def _take_effect(self, reason: str, by: str, halting: Halting) -> None:
         loop = self._loop
-        if loop is None:
+        if loop is None:  # it was stopped before the loop heard of it
             halting.settle(self._last)
             return
-        self._registrations.halt = halt
+        self._registrations.halt = Halt(reason, clock_of(loop)())
         for channel in self._channels.values():
             channel.halt()
         self._forget()
-        self._journal.publish(Kind.HALTED, by, text=halt.reason)
-        _log.warning("robot %s: halted by %s: %s", self._name, by, halt.reason)
+        self._journal.publish(Kind.HALTED, by, text=reason)
+        _log.warning("robot %s: halted by %s: %s", self._name, by, reason)
         answers = spawn(loop, self._answer(halting), name=f"halt {self._name}")
         self._answers.add(answers)
         answers.add_done_callback(self._answers.discard)
