@@ -21,6 +21,7 @@ from tests.seat.conftest import STILL, Twist, Wander, eventually
 
 import esair
 from esair.seat import Seat
+from esair.seat._page import CONNECTIONS
 
 pytestmark = pytest.mark.real_clock
 
@@ -88,6 +89,28 @@ class Browser:
                 found = json.loads(await self.link.recv())
             if found.get("id") == name and "ok" in found:
                 return found
+
+
+@pytest.mark.promise("SEC-1")
+@pytest.mark.fault("H08")
+async def test_who_connects_and_asks_for_nothing_is_cut_off(served, monkeypatch):
+    """Half a request each, from however many: the page is there again after a while."""
+    monkeypatch.setattr("esair.seat._page.ASKING", 0.5)
+    async with served(Wander()) as robot, Browser(robot) as browser:
+        idle = [
+            await asyncio.open_connection("127.0.0.1", port_of(robot))
+            for _ in range(CONNECTIONS + 16)
+        ]
+        for _, writer in idle:
+            writer.write(b"GET / HT")
+        for reader, writer in idle:
+            with contextlib.suppress(ConnectionError):
+                async with asyncio.timeout(10.0):
+                    assert await reader.read() == b""
+            writer.close()
+        assert (await get(robot, "/"))[0] == 200
+        assert (await browser.do("stop"))["ok"]
+        assert robot.wheels.commands[-1] == STILL
 
 
 @pytest.mark.promise("OPS-5")

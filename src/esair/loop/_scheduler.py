@@ -294,9 +294,7 @@ class Scheduler(OfLoop):
                     self.in_turn = False
                     if self._cancelled >= len(self._heap) > 0:
                         self._forget(None)
-                    if not (
-                        self._heap or self._queue or self._derived or self.decided
-                    ):
+                    if not (self._heap or self._queue or self._derived or self.decided):
                         return
                     await self._wait()
                     self._turn = self._batches()

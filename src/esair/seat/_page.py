@@ -36,6 +36,8 @@ WAITING = 256
 
 LINES = 500  # How many lines a browser may send in a second
 LOGIN = 5.0  # How long a browser may take to show its token, in seconds
+CONNECTIONS = 64  # How many connections there may be at a time, of whomever
+ASKING = 10.0  # How long one may be there that is no web socket, in seconds
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; "
@@ -104,11 +106,12 @@ class PageServer(Way["_Viewer"]):
             log_config=None,
             access_log=False,
             lifespan="off",
+            http=_patient_http(),
             ws="websockets-sansio",
             ws_max_size=LIMIT,
             ws_ping_interval=2.0,
             ws_ping_timeout=5.0,
-            limit_concurrency=64,
+            limit_concurrency=CONNECTIONS,
             timeout_keep_alive=5,
             timeout_graceful_shutdown=1,
             h11_max_incomplete_event_size=16 * 1024,
@@ -305,6 +308,25 @@ class _Viewer(Visitor):
                     self.gone = True
                     return
                 self._bytes -= len(line)
+
+
+def _patient_http() -> type[asyncio.Protocol]:
+    """Return what speaks HTTP, and lets nobody stay who asks for nothing."""
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    class Patient(H11Protocol):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            if len(self.connections) > CONNECTIONS:
+                transport.abort()
+            else:
+                self.loop.call_later(ASKING, self._end, transport)
+
+        def _end(self, transport: asyncio.Transport) -> None:
+            if transport.get_protocol() is self:  # else it is a web socket by now
+                transport.close()
+
+    return Patient
 
 
 def _bind(page: Page) -> socket.socket:
