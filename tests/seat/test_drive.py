@@ -13,7 +13,7 @@ import pytest
 from tests.seat.conftest import STILL, Twist, Wander, eventually
 
 import esair
-from esair.cli._hand import command_of
+from esair.cli._hand import command_of, drive
 
 pytestmark = pytest.mark.real_clock
 
@@ -237,6 +237,14 @@ def test_what_a_key_means(axes, key, expected):
     """Up is forward, left turns to the left, within the limits of the actuator."""
     forward, left = key
     assert command_of(forward, left, axes, 0.5) == expected
+
+
+@pytest.mark.promise("OPS-4")
+@pytest.mark.parametrize("speed", [-1.0, 0.0, float("nan"), float("inf")])
+def test_a_speed_that_turns_the_keys_round_is_refused(capsys, speed):
+    """Forward means forward: it is told before anything is connected."""
+    assert drive("wheels", speed=speed) == 2
+    assert "--speed: expected a number above 0" in capsys.readouterr().err
 
 
 class Terminal:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import select
 import shutil
@@ -53,6 +54,9 @@ def drive(
         speed: Which part of its limits a key means; without limits the number itself.
         lease: How long it goes on without a fresh key, in seconds.
     """
+    if not 0.0 < speed < math.inf:  # less would turn the keys round
+        tell(f"--speed: expected a number above 0, not {speed:g}")
+        return CANNOT_USE
     if not sys.stdin.isatty():
         tell("drive: expected a terminal with keys")
         return CANNOT_USE
