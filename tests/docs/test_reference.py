@@ -14,7 +14,7 @@ import esair
 import esair.boards
 import esair.buses
 import esair.drivers
-from esair.config._boards import KEYS as BOARD
+from esair.config._boards import _Board
 from esair.config._construct import accepted_by
 from esair.config._parts import OF_ROBOT, TABLES
 
@@ -182,7 +182,9 @@ def test_every_key_of_a_robot_toml_is_on_its_page() -> None:
     """Tables, and the keys that every component of a kind has."""
     parts = {"self", "name", "resources", "behaviors", "policies", *OF_ROBOT}
     kinds = (esair.Recording, esair.Operator, esair.Page, esair.Restart)
-    keys = {*TABLES, *BOARD} | {*inspect.signature(esair.Robot).parameters} - parts
+    keys = {*TABLES, *attrs.fields_dict(_Board)} | {
+        *inspect.signature(esair.Robot).parameters
+    } - parts
     for kind in kinds:
         keys |= {*attrs.fields_dict(kind)}
     for base in (esair.Sensor, esair.Actuator, esair.Behavior, esair.Reaction):
