@@ -53,7 +53,11 @@ class Pending:
 
     def begin(self, request: Any) -> None:
         self.count += 1
-        self.of_asker.setdefault(request.asker, {})[request] = None
+        others = self.of_asker.get(request.asker)
+        if others is None:
+            self.of_asker[request.asker] = {request: None}
+        else:
+            others[request] = None
 
     def end(self, request: Any) -> None:
         self.count -= 1

@@ -280,8 +280,7 @@ class Mediator(Ledger):
             raise UnknownNameError("behavior", peer, self._members)
         if not member.alive:
             raise member.absence(data)
-        no_limit = seconds is None and field == "timeout"
-        if not (no_limit or is_positive(seconds)):
+        if not is_positive(seconds) and (seconds, field) != (None, "timeout"):
             expected = "seconds > 0" + (", or None" if field == "timeout" else "")
             raise BadValueError(
                 peer, field, f"expected {expected}, not {seconds!r:.80}"

@@ -77,13 +77,8 @@ class Request:
     # Of most requests these stay as they are.
     handed: tuple[Any, ...] = ()  # what a method of the peer gets that serves it
     outer: Request | None = None
-    over = cancelled = offered = False
-    how: Outcome | None = None
-    value: Any = None
-    deadline: Deadline | None = None
-    _error: EsairError | None = None
+    cancelled = offered = False
     _news: Any = _NO_NEWS
-    _wake: asyncio.Future[None] | None = None
     worker: asyncio.Task[Any] | None = None  # who is cancelled with it
     _cancels = False
     _begins: asyncio.Handle | None = None
@@ -107,6 +102,12 @@ class Request:
         self._loop = asyncio.get_running_loop()
         self.task = current_task_of(self._loop)
         self.parent = served()
+        self.over = False
+        self.how: Outcome | None = None
+        self.value: Any = None
+        self._error: EsairError | None = None
+        self._wake: asyncio.Future[None] | None = None
+        self.deadline: Deadline | None = None
 
     # What the asker does.
 
