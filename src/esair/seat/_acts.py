@@ -58,7 +58,7 @@ class Field(NamedTuple):
         return word if self.kind == (str,) else value_of(word)
 
 
-Run = Callable[["Console", Mapping[str, Any], "Session"], Any]
+Run = Callable[..., Any]  # Of the console, the session, and the fields by name
 
 NUMBER = (int, float)
 PART = Field("The behavior or device.")
@@ -183,7 +183,7 @@ def _lines(found: Any) -> str:
 
 
 @_act("name every behavior and what it does", looks=True, tells=_lines)
-def _list(console: Console, _: Mapping[str, Any], __: Session) -> Any:
+def _list(console: Console, _: Session) -> Any:
     behaviors = console.robot.behaviors
     return [
         f"{name}: {behaviors.query(name).state.value}" for name in behaviors.names()
@@ -191,14 +191,14 @@ def _list(console: Console, _: Mapping[str, Any], __: Session) -> Any:
 
 
 @_act("tell what a behavior is doing", looks=True, name=RECEIVER)
-def _query(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    status = console.robot.behaviors.query(fields["name"])
+def _query(console: Console, _: Session, name: str) -> Any:
+    status = console.robot.behaviors.query(name)
     detail = f" ({status.detail})" if status.detail else ""
     return f"{status.name}: {status.state.value}{detail}, {status.restarts} restarts"
 
 
 @_act("tell what the whole robot is doing", looks=True)
-def _status(console: Console, _: Mapping[str, Any], __: Session) -> Any:
+def _status(console: Console, _: Session) -> Any:
     return console.status.picture()
 
 
@@ -208,15 +208,14 @@ def _status(console: Console, _: Mapping[str, Any], __: Session) -> Any:
     tells=_told_why,
     actuator=Field("The actuator; all of them unless given.", default=None),
 )
-def _why(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+def _why(console: Console, _: Session, actuator: str | None) -> Any:
     resources = console.robot.resources
-    name = fields["actuator"]
-    whys = resources.why() if name is None else (resources.why(name),)
+    whys = resources.why() if actuator is None else (resources.why(actuator),)
     return [plain(each) | {"text": str(each)} for each in whys]
 
 
 @_act("list what can be done", looks=True, tells=_lines)
-def _help(_: Console, __: Mapping[str, Any], ___: Session) -> Any:
+def _help(console: Console, _: Session) -> Any:
     return [f"{act.usage:<40} {act.doc}" for act in ACTS.values()]
 
 
@@ -229,8 +228,8 @@ def _help(_: Console, __: Mapping[str, Any], ___: Session) -> Any:
     tells=_told_stop,
     reason=Field("Why, for whoever looks at it.", default=""),
 )
-async def _stop(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    reason = fields["reason"] or "the operator has stopped it"
+async def _stop(console: Console, _: Session, reason: str) -> Any:
+    reason = reason or "the operator has stopped it"
     told = await console.robot.halt(reason, by=console.name)
     return {
         "halted": console.robot.halted,
@@ -249,7 +248,7 @@ async def _stop(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
 
 
 @_act("end all halts: who writes next moves")
-def _resume(console: Console, _: Mapping[str, Any], __: Session) -> Any:
+def _resume(console: Console, _: Session) -> Any:
     console.robot.resume()
     return "who writes next moves"
 
@@ -260,12 +259,11 @@ def _resume(console: Console, _: Mapping[str, Any], __: Session) -> Any:
     data=Field("JSON, or a text.", (object,)),
     interval=Field("How long to try, in seconds.", NUMBER, 1.0),
 )
-async def _put(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
+async def _put(
+    console: Console, _: Session, receiver: str, data: object, interval: float
+) -> Any:
     await console.robot.behaviors.put(
-        fields["data"],
-        sender=console.name,
-        receiver=fields["receiver"],
-        interval=fields["interval"],
+        data, sender=console.name, receiver=receiver, interval=interval
     )
     return "delivered"
 
@@ -277,46 +275,49 @@ async def _put(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     fields=Field("Its fields: name=value.", (dict,), {}),
     timeout=Field("How long it may wait and work, in seconds.", NUMBER, 10.0),
 )
-async def _ask(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    behaviors, receiver = console.robot.behaviors, fields["receiver"]
+async def _ask(
+    console: Console,
+    _: Session,
+    receiver: str,
+    request: str,
+    fields: dict[str, Any],
+    timeout: float,
+) -> Any:
+    behaviors = console.robot.behaviors
     takes: dict[str, Any] = {each.__name__: each for each in behaviors.takes(receiver)}
-    kind = takes.get(fields["request"])
+    kind = takes.get(request)
     if kind is None:
-        hint = hint_for(fields["request"], sorted(takes), "it takes")
-        raise RefusedError(f"it takes no {fields['request']:.80}{hint}", receiver)
-    request: Request[Any] = typed(fields["fields"], kind, receiver, "request")
+        hint = hint_for(request, sorted(takes), "it takes")
+        raise RefusedError(f"it takes no {request:.80}{hint}", receiver)
+    made: Request[Any] = typed(fields, kind, receiver, "request")
     answer = await behaviors.ask(
-        request, sender=console.name, receiver=receiver, timeout=fields["timeout"]
+        made, sender=console.name, receiver=receiver, timeout=timeout
     )
     return plain(answer)
 
 
 @_act("add what the robot's file has of this name", name=PART)
-async def _add(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name = fields["name"]
+async def _add(console: Console, _: Session, name: str) -> Any:
     part = await console.part(name)
     await console.owner_of(part).add(part)
     return f"{name} was added"
 
 
 @_act("take a behavior or device away; what it moves is safe first", name=PART)
-async def _remove(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name = fields["name"]
+async def _remove(console: Console, _: Session, name: str) -> Any:
     left = await console.supervisor_of(name).remove(name)
     rest = f"; {len(left)} messages were not taken" if left else ""
     return f"{name} was removed{rest}"
 
 
 @_act("begin a behavior or device anew", name=PART)
-async def _restart(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name = fields["name"]
+async def _restart(console: Console, _: Session, name: str) -> Any:
     await console.supervisor_of(name).restart(name)
     return f"{name} was restarted"
 
 
 @_act("put what the robot's file has of this name now in its place", name=PART)
-async def _replace(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name = fields["name"]
+async def _replace(console: Console, _: Session, name: str) -> Any:
     console.supervisor_of(name)  # the word for a name that nobody has
     part = await console.part(name)
     await console.owner_of(part).replace(name, part)
@@ -329,21 +330,20 @@ async def _replace(console: Console, fields: Mapping[str, Any], _: Session) -> A
     setting=Field("The device and its setting, with a dot between."),
     value=Field("The new value; unit and limits are the setting's.", (object,)),
 )
-async def _set(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    name, dot, setting = fields["setting"].partition(".")
+async def _set(console: Console, _: Session, setting: str, value: object) -> Any:
+    name, dot, field = setting.partition(".")
     if not dot:
-        told = f"expected RESOURCE.SETTING, not {fields['setting']!r:.80}"
+        told = f"expected RESOURCE.SETTING, not {setting!r:.80}"
         raise BadValueError("set", "setting", told)
     resources = console.robot.resources
     resource = resources.get(check_name("set", name))
-    value = fields["value"]
     if isinstance(value, dict | list):  # a setting may be a record
         known = {each["name"]: each for each in settings(resource)}
-        if setting in known:
-            value = typed(value, type(getattr(resource, setting)), name, setting)
+        if field in known:
+            value = typed(value, type(getattr(resource, field)), name, field)
     with console.right_to_configure(name) as registration:
-        await resources.configure(registration, **{setting: value})
-    (found,) = (each for each in settings(resource) if each["name"] == setting)
+        await resources.configure(registration, **{field: value})
+    (found,) = (each for each in settings(resource) if each["name"] == field)
     return found
 
 
@@ -353,11 +353,12 @@ async def _set(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     operation=Field("What it does."),
     fields=Field("What it takes: name=value.", (dict,), {}),
 )
-async def _operate(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    resources, name = console.robot.resources, fields["resource"]
-    with console.right_to_configure(name) as registration:
-        work = resources.operate(registration, fields["operation"], **fields["fields"])
-        return plain(await work)
+async def _operate(
+    console: Console, _: Session, resource: str, operation: str, fields: dict[str, Any]
+) -> Any:
+    resources = console.robot.resources
+    with console.right_to_configure(resource) as registration:
+        return plain(await resources.operate(registration, operation, **fields))
 
 
 @_act(
@@ -366,15 +367,15 @@ async def _operate(console: Console, fields: Mapping[str, Any], _: Session) -> A
     seconds=Field("For how long.", NUMBER),
     reason=Field("Why, for the log."),
 )
-def _mute(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    console.robot.behaviors.mute(fields["name"], fields["seconds"], fields["reason"])
-    return f"{fields['name']} is mute for {fields['seconds']:g} s"
+def _mute(console: Console, _: Session, name: str, seconds: float, reason: str) -> Any:
+    console.robot.behaviors.mute(name, seconds, reason)
+    return f"{name} is mute for {seconds:g} s"
 
 
 @_act("end the latch of a guard, after its cause is gone", name=GUARD)
-def _reset(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
-    console.robot.behaviors.reset(fields["name"])
-    return f"{fields['name']} is reset"
+def _reset(console: Console, _: Session, name: str) -> Any:
+    console.robot.behaviors.reset(name)
+    return f"{name} is reset"
 
 
 @_act(
@@ -382,10 +383,10 @@ def _reset(console: Console, fields: Mapping[str, Any], _: Session) -> Any:
     actuator=Field("The actuator."),
     seconds=Field("How long it lasts without fresh input.", NUMBER, SECONDS),
 )
-def _lease(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
+def _lease(console: Console, session: Session, actuator: str, seconds: float) -> Any:
     if not session.drives:
         raise ConfigError("lease", "", "only a client that is told beats can drive")
-    lease = console.leases.take(fields["actuator"], fields["seconds"], session)
+    lease = console.leases.take(actuator, seconds, session)
     resource = console.robot.resources.get(lease.actuator)
     return {
         "lease": lease.number,
@@ -401,23 +402,22 @@ def _lease(console: Console, fields: Mapping[str, Any], session: Session) -> Any
     beat=Field("The beat that it answers.", (int,)),
     command=Field("The command.", (object,)),
 )
-async def _drive(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
+async def _drive(
+    console: Console, session: Session, lease: int, beat: int, command: object
+) -> Any:
     answer = await console.leases.drive(
-        fields["lease"],
-        session,
-        fields["beat"],
-        lambda actuator: command_of(actuator, fields["command"]),
+        lease, session, beat, lambda actuator: command_of(actuator, command)
     )
     return answer_of(answer)
 
 
 @_act("give a lease back", lease=LEASE)
-def _release(console: Console, fields: Mapping[str, Any], session: Session) -> Any:
-    for lease in console.leases:
-        if lease.number == fields["lease"] and lease.owner is session:
-            console.leases.end(lease)
+def _release(console: Console, session: Session, lease: int) -> Any:
+    for each in console.leases:
+        if each.number == lease and each.owner is session:
+            console.leases.end(each)
             return "released"
-    raise UnknownNameError("lease", str(fields["lease"]), ())
+    raise UnknownNameError("lease", str(lease), ())
 
 
 def check_rights(operator: Operator) -> None:

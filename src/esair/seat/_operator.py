@@ -377,7 +377,7 @@ class Console:
             if act.name not in {"drive", "lease", "release"}:
                 _log.info("%s: %s %s", session.who, act.name, printable(str(shown)))
         try:
-            result = act.run(self, fields, session)
+            result = act.run(self, session, **fields)
         except Exception as error:
             self._end(waiting, error=error)
             return
