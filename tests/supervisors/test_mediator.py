@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import itertools
 import math
+import weakref
 from typing import Any
 
 import attrs
@@ -1165,3 +1167,24 @@ async def test_a_circle_of_get_through_threads_is_refused_at_once() -> None:
                 break
             await asyncio.sleep(0.005)
     assert isinstance(told[0], esair.CircularRequestError)
+
+
+async def test_a_request_that_is_over_is_nothing_for_the_collector() -> None:
+    """What was put, and had to wait, goes when nobody has it any more."""
+    one, other = Idle(name="one"), Small(name="other")
+    async with esair.Robot(behaviors=[one, other]):
+        await one.put("other", 0)
+        data = Number(1)
+        gone = weakref.ref(data)
+        gc.disable()
+        try:
+            waits = asyncio.create_task(one.put("other", data))
+            await asyncio.sleep(0)
+            assert await other.receive() == 0
+            await waits
+            assert await other.receive() is data
+            del data, waits
+            await asyncio.sleep(0)
+            assert gone() is None
+        finally:
+            gc.enable()

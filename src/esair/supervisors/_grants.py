@@ -72,7 +72,7 @@ class Grants:
         """
         terms = Terms(self._name, resource, access, priority, hold)
         for known in tuple(self.registrations):
-            if terms == known.terms:
+            if known.resource == resource and known.terms == terms:
                 if known.usable:
                     return known
                 self.registrations.remove(known)  # void: its resource was removed

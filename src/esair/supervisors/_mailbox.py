@@ -208,7 +208,8 @@ class Mailbox:
             self.dropped += drop
         inbox.append(data)
         self.origins.append(sender)
-        self.wake()
+        if self.takers:
+            self.wake()
 
     def wake(self) -> None:
         """Wake one of those that wait in `receive`."""

@@ -161,8 +161,9 @@ class OrderQueue(ServedQueue):
 
     def __init__(self, member: Peer, terms: Takes[Any] | Answers) -> None:
         method = terms.method if isinstance(terms, Answers) else None
-        bound = f"queue of {terms.type.__name__}"
-        super().__init__(member, method, limit=terms.queue, bound=bound)
+        super().__init__(member, method)
+        self.limit = terms.queue
+        self.bound = f"queue of {terms.type.__name__}"
         self._newest = terms.newest
         self.working: dict[Request, None] = {}
         self._takers: list[asyncio.Future[None]] = []

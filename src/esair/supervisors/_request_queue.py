@@ -21,20 +21,15 @@ class RequestQueue:
     """Requests of one kind that wait for a behavior; those who ask take turns."""
 
     # Slots: each behavior and reaction has some of these.
-    __slots__ = ("_bound", "_limit", "_waiting", "count", "member")
+    __slots__ = ("_waiting", "count", "member")
 
+    limit = REQUESTS_PER_TARGET
+    bound = "number of requests to it"  # what the limit is of
     outlives = False  # whether what waits outlives a run of the behavior that fails
     working: Mapping[Request, None] = {}  # what was taken, and has no outcome
 
-    def __init__(
-        self,
-        member: Peer,
-        limit: int = REQUESTS_PER_TARGET,
-        bound: str = "number of requests to it",
-    ) -> None:
+    def __init__(self, member: Peer) -> None:
         self.member = member
-        self._limit = limit
-        self._bound = bound
         self._waiting: dict[str, collections.deque[Request]] = {}
         self.count = 0
 
@@ -43,8 +38,8 @@ class RequestQueue:
 
     def push(self, request: Request) -> None:
         """Let a request wait for its turn, behind those of the same asker."""
-        if self.count >= self._limit:
-            raise BusyError(self.member.name, self._bound, self._limit)
+        if self.count >= self.limit:
+            raise BusyError(self.member.name, self.bound, self.limit)
         self._add(request)
 
     def _add(self, request: Request) -> None:
@@ -52,6 +47,7 @@ class RequestQueue:
         if queue is None:
             queue = self._waiting[request.asker] = collections.deque()
         queue.append(request)
+        request.waits = True
         self.count += 1
 
     def first(self) -> Request | None:
@@ -63,19 +59,20 @@ class RequestQueue:
         asker = next(iter(self._waiting))
         queue = self._waiting.pop(asker)
         request = queue.popleft()
+        request.waits = False
         self.count -= 1
         if queue:
             self._waiting[asker] = queue
         return request
 
     def forget(self, request: Request) -> None:
-        """A request has its outcome: it waits no more."""
-        queue = self._waiting.get(request.asker)
-        if queue is not None and request in queue:
-            queue.remove(request)
-            self.count -= 1
-            if not queue:
-                del self._waiting[request.asker]
+        """Take out one that waits: it has its outcome."""
+        queue = self._waiting[request.asker]
+        queue.remove(request)
+        request.waits = False
+        self.count -= 1
+        if not queue:
+            del self._waiting[request.asker]
 
     def adopt(self, other: RequestQueue) -> None:
         """Take over what waits for a behavior whose place this one takes."""
@@ -95,8 +92,8 @@ class ServedQueue(RequestQueue):
 
     __slots__ = ("current", "method", "task")
 
-    def __init__(self, member: Peer, method: str | None, **bound: Any) -> None:
-        super().__init__(member, **bound)
+    def __init__(self, member: Peer, method: str | None) -> None:
+        super().__init__(member)
         self.method = method
         self.task: asyncio.Task[Done] | None = None
         self.current: Request | None = None  # what the task is for

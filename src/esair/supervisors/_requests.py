@@ -63,7 +63,8 @@ class Request:
         data: What is put, or asked.
         asker: Who waits for its outcome.
         peer: Whom for.
-        queue: Where it waits.
+        queue: Where it waits, or did.
+        waits: Whether it is there.
         by: The behavior that made it, unless the user did.
         task: The task that waits.
         parent: The request that the asker served when it made this one.
@@ -74,10 +75,15 @@ class Request:
         offered: It was answered with something that is there once only.
     """
 
-    # Of most requests these stay as they are.
-    handed: tuple[Any, ...] = ()  # what a method of the peer gets that serves it
+    # Of most requests most of these stay as they are.
+    over = cancelled = offered = waits = False
+    how: Outcome | None = None
+    value: Any = None
+    _error: EsairError | None = None
+    _wake: asyncio.Future[None] | None = None
+    deadline: Deadline | None = None
     outer: Request | None = None
-    cancelled = offered = False
+    handed: tuple[Any, ...] = ()  # what a method of the peer gets that serves it
     _news: Any = _NO_NEWS
     worker: asyncio.Task[Any] | None = None  # who is cancelled with it
     _cancels = False
@@ -102,12 +108,6 @@ class Request:
         self._loop = asyncio.get_running_loop()
         self.task = current_task_of(self._loop)
         self.parent = served()
-        self.over = False
-        self.how: Outcome | None = None
-        self.value: Any = None
-        self._error: EsairError | None = None
-        self._wake: asyncio.Future[None] | None = None
-        self.deadline: Deadline | None = None
 
     # What the asker does.
 
@@ -138,9 +138,11 @@ class Request:
         if self.over:
             return False
         self.over, self.how, self.value, self._error = True, outcome, value, error
-        self.queue.forget(self)
+        if self.waits:
+            self.queue.forget(self)
         if self.deadline is not None:
             self.deadline.cancel()
+            self.deadline = None  # it knows this request: a circle for the collector
         ledger = self._ledger
         ledger.pending.end(self)
         if self.kind != "get":
