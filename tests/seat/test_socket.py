@@ -99,6 +99,16 @@ async def test_a_stop_is_done_whatever_its_id(rover, raw):
             robot.resume()
 
 
+@pytest.mark.promise("OPS-3")
+async def test_a_stop_is_done_whatever_is_said_with_it(rover, raw):
+    """What it does not know, or cannot read, keeps nobody from stopping the robot."""
+    async with rover(Wander()) as robot, raw() as client:
+        await robot.wheels.until(MOVES)
+        answer = await client.do("1", "stop", reason=7, hurry=True)
+        assert answer["ok"]
+        assert robot.wheels.commands[-1] == STILL
+
+
 @pytest.mark.promise("OPS-1")
 async def test_an_id_is_that_of_one_act(rover, raw):
     """Another act with it is refused, and not taken for the first one."""

@@ -53,6 +53,12 @@ class Field(NamedTuple):
         """Whether its values are tables, typed as words ``name=value``."""
         return self.kind == (dict,)
 
+    def takes(self, value: Any) -> bool:
+        """Tell whether a value has its type; a bool is no number."""
+        if isinstance(value, bool) and not {bool, object} & set(self.kind):
+            return False
+        return isinstance(value, self.kind)
+
     def of_word(self, word: str) -> Any:
         """Return a typed word as a value: a text, or JSON if it is some."""
         return word if self.kind == (str,) else value_of(word)
@@ -77,7 +83,7 @@ class Act:
         run: Does it; may return an awaitable.
         fields: What it is about, in the order in which they are typed.
         looks: Whether it changes nothing: then it needs no right and is no event.
-        open: Whether everybody may who may connect.
+        open: Whether everybody may who may connect, whatever else they say with it.
         tells: Makes a text for people of its result.
     """
 
@@ -111,6 +117,12 @@ class Act:
         Raises:
             BadValueError: One is unknown, missing, or of the wrong type.
         """
+        if self.open:  # done whatever else was said
+            given = {
+                name: value
+                for name, value in given.items()
+                if name in self.fields and self.fields[name].takes(value)
+            }
         for name in given:
             if name not in self.fields:
                 hint = did_you_mean(name, self.fields) or f"; it is: {self.usage}"
@@ -120,9 +132,7 @@ class Act:
             value = given.get(name, field.default)
             if value is REQUIRED:
                 raise BadValueError(self.name, name, f"it is missing: {self.usage}")
-            wrong = isinstance(value, bool) and not {bool, object} & set(field.kind)
-            wrong = wrong or not isinstance(value, field.kind)
-            if wrong and value is not field.default:
+            if value is not field.default and not field.takes(value):
                 kinds = " or ".join(each.__name__ for each in field.kind)
                 told = f"expected {kinds}, not {value!r:.80}"
                 raise BadValueError(self.name, name, told)
