@@ -229,3 +229,24 @@ async def test_what_a_thread_begins_at_its_end_may_end_too() -> None:
 
     assert await leaks.check() == []
     assert begun[0].done()
+
+
+async def test_a_thread_that_is_just_being_started_is_waited_for():
+    """Python lists it before it can be joined."""
+    go = threading.Event()
+
+    class Starting(threading.Thread):
+        """Cannot be joined when that is tried for the first time."""
+
+        asked = 0
+
+        def join(self, timeout: float | None = None) -> None:
+            self.asked += 1
+            if self.asked == 1:
+                raise RuntimeError("cannot join thread before it is started")
+            go.set()
+            super().join(timeout)
+
+    leaks = Leaks()
+    Starting(target=go.wait).start()
+    assert await leaks.check() == []

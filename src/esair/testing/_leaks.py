@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
+import time
 
 
 class Leaks:
@@ -24,7 +25,7 @@ class Leaks:
         if self._new_threads():
             await self._let_tasks_end()  # a thread may wait for one
             for thread in self._new_threads():
-                thread.join(patience)
+                _join(thread, patience)
         await asyncio.sleep(0)  # what a thread has told the loop at its end
         found = [f"task {task!r}" for task in await self._let_tasks_end()]
         found += [f"thread {thread.name!r}" for thread in self._new_threads()]
@@ -54,6 +55,16 @@ class Leaks:
             for thread in threading.enumerate()
             if thread not in self._threads and not thread.name.startswith("asyncio_")
         ]
+
+
+def _join(thread: threading.Thread, patience: float) -> None:
+    give_up = time.monotonic() + patience
+    while (left := give_up - time.monotonic()) > 0:
+        try:
+            thread.join(left)
+            break
+        except RuntimeError:  # another thread is just about to start it
+            time.sleep(0.001)
 
 
 def _descriptors() -> dict[int, str]:
