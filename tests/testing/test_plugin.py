@@ -231,6 +231,26 @@ async def test_what_a_thread_begins_at_its_end_may_end_too() -> None:
     assert begun[0].done()
 
 
+@pytest.mark.real_clock
+async def test_a_file_that_a_thread_reads_just_now_is_no_leak():
+    """One from before the test, which writes a stack into the log, for example."""
+    opened, go = threading.Event(), threading.Event()
+
+    def read_slowly() -> None:
+        go.wait()
+        with open(__file__, encoding="utf-8"):
+            opened.set()
+            time.sleep(0.05)
+
+    reader = threading.Thread(target=read_slowly)
+    reader.start()
+    leaks = Leaks()
+    go.set()
+    opened.wait()
+    assert await leaks.check() == []
+    reader.join()
+
+
 async def test_a_thread_that_is_just_being_started_is_waited_for():
     """Python lists it before it can be joined."""
     go = threading.Event()

@@ -20,7 +20,8 @@ class Leaks:
         """Return what is left, after what is ending has ended.
 
         Args:
-            patience: How long to wait for threads to end, in real seconds.
+            patience: How long to wait for threads to end, and for files that one of
+                them has open just now, in real seconds.
         """
         if self._new_threads():
             await self._let_tasks_end()  # a thread may wait for one
@@ -29,12 +30,7 @@ class Leaks:
         await asyncio.sleep(0)  # what a thread has told the loop at its end
         found = [f"task {task!r}" for task in await self._let_tasks_end()]
         found += [f"thread {thread.name!r}" for thread in self._new_threads()]
-        found += [
-            f"descriptor {number} -> {target}"
-            for number, target in _descriptors().items()
-            if self._descriptors.get(number) != target
-        ]
-        return found
+        return found + self._new_descriptors(patience)
 
     async def _let_tasks_end(self) -> list[asyncio.Task[object]]:
         """Give tasks some turns to end; return those that have not."""
@@ -55,6 +51,18 @@ class Leaks:
             for thread in threading.enumerate()
             if thread not in self._threads and not thread.name.startswith("asyncio_")
         ]
+
+    def _new_descriptors(self, patience: float) -> list[str]:
+        give_up = time.monotonic() + patience
+        while left := [
+            f"descriptor {number} -> {target}"
+            for number, target in _descriptors().items()
+            if self._descriptors.get(number) != target
+        ]:
+            if time.monotonic() > give_up:
+                break
+            time.sleep(0.001)
+        return left
 
 
 def _join(thread: threading.Thread, patience: float) -> None:
