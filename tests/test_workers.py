@@ -11,6 +11,6 @@ def test_what_belongs_together_goes_to_one_worker(
 ) -> None:
     """Who hands out the tests is told the group by its name behind the test's."""
     if not request.config.getoption("loadgroup", False):
-        pytest.skip("it runs on no worker: -n 3 --dist loadgroup")
+        pytest.skip("it runs on no worker: -n 5 --dist loadgroup")
 
     assert request.node.nodeid.endswith("@kept")
