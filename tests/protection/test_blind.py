@@ -529,3 +529,42 @@ async def test_who_sees_takes_over_at_once(protector: Any) -> None:
         began = asyncio.get_running_loop().time()
         await robot.behaviors.replace(name, protector())
         assert asyncio.get_running_loop().time() - began < 0.1
+
+
+@pytest.mark.promise("PRO-1")
+async def test_a_shorter_hold_of_another_is_not_waited_for_longer() -> None:
+    """The blind one holds when the last command's hold ends, not the one before it."""
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=10.0)
+
+    class Careful(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=1)
+
+        def react(self, sonar: float) -> None:
+            return None
+
+    class Long(esair.Behavior):
+        wheels = esair.writes(float, priority=2)
+
+        async def run(self) -> None:
+            await self.wheels.write(0.3, hold=3.0)
+            await asyncio.sleep(10.0)
+
+    class Short(esair.Behavior):
+        wheels = esair.writes(float, priority=3)
+
+        async def run(self) -> None:
+            await asyncio.sleep(1.0)
+            await self.wheels.write(0.4, hold=0.1)
+            await asyncio.sleep(10.0)
+
+    sonar = ranges()
+    robot = esair.Robot(
+        resources=[sonar, wheels], behaviors=[Careful(), Long(), Short()]
+    )
+    async with robot:
+        sonar.unplug()
+        await wheels.until(0.4, timeout=2.0)
+        assert wheels.commands[-1] == 0.4
+        await asyncio.sleep(0.15)
+        assert wheels.commands[-1] == 0.0

@@ -260,11 +260,11 @@ class HeldDevice(ActuatorDevice):
                 mover.priority > blind.priority or not blind.is_against(mover.behavior)
             )
         ):
-            if self._blind_look is None:
-                # A hair later: who sees again at that very moment, sees.
-                self._blind_look = Scheduler.of(self._loop).at(
-                    self.until + _GRACE, self._look_at_blind, order=Order.STALE
-                )
+            self._look_no_more()  # that was when another one's hold ends
+            # A hair later: who sees again at that very moment, sees.
+            self._blind_look = Scheduler.of(self._loop).at(
+                self.until + _GRACE, self._look_at_blind, order=Order.STALE
+            )
             return
         self.make_safe(stay=True)
 
