@@ -12,7 +12,7 @@ from esair.torture._values import is_good, wrong
 
 @attrs.frozen
 class Twist:
-    linear: float
+    linear: float = attrs.field(alias="forward")
     _angular: float = 0.0
 
 

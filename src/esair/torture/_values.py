@@ -119,7 +119,8 @@ def _with(value: Any, bad: float) -> Any:
 
 def _changed(value: Any, name: Any, part: Any) -> Any:
     if attrs.has(type(value)):
-        return attrs.evolve(value, **{name.lstrip("_"): part})
+        alias = attrs.fields_dict(type(value))[name].alias or name
+        return attrs.evolve(value, **{alias: part})
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return dataclasses.replace(value, **{name: part})
     if hasattr(value, "_replace"):
