@@ -134,7 +134,7 @@ TIDY = """
         try:
             while True: time.time()
         finally:
-            end = time.monotonic() + 0.15
+            end = time.monotonic() + 0.06  # three kicks, far less than it is spared
             while time.monotonic() < end: pass
             with open(sys.argv[1], "a") as log: log.write("tidy\\n")
 """
@@ -143,14 +143,9 @@ TIDY = """
 @pytest.mark.promise("ROB-6")
 async def test_what_is_interrupted_may_end_in_peace(tmp_path: Path) -> None:
     """It is interrupted once, not again and again in what it does to end."""
-    for _ in range(3):  # a busy computer holds it up for longer than it is spared
-        returned, told, errors, _ = await live(
-            tmp_path / "log", signal.SIGTERM, stuck=TIDY
-        )
-        assert returned == 143, errors
-        if "tidy" in told:
-            break
+    returned, told, errors, _ = await live(tmp_path / "log", signal.SIGTERM, stuck=TIDY)
 
+    assert returned == 143, errors
     assert told.count("tidy") == 1, errors
     assert told[-1] == "wheels=0.0"
 
