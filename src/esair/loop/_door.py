@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.loop._arrivals import Arrivals
+from esair.loop._bell import Bell
 from esair.loop._of_loop import OfLoop
 from esair.loop._tape import Entry, Player, Tag, TapeWriter
 from esair.loop._timer import clock_of
@@ -57,6 +58,7 @@ class Door(OfLoop):
         self._outside: set[object] = set()
         """The threads whose work is to wait for the outside."""
         self._wakes = False
+        self.bell = Bell(loop, self._woken)
         self._works = itertools.count(1)
         self.number: int = 0  # how many entries have come in
         self.at_work: int = 0  # how many works threads have in hand
@@ -163,7 +165,7 @@ class Door(OfLoop):
         self._entries.append(entry)
         if not self._wakes:
             self._wakes = True
-            self._loop.call_soon_threadsafe(self._woken)
+            self.bell.ring()
 
     def tell(self, tag: Tag, function: Callable[..., object], *arguments: Any) -> None:
         """Bring in news that are the end of no work, from any thread."""

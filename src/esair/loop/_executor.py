@@ -160,6 +160,7 @@ class Executor:
         """End the thread once the calls that it has are done."""
         if self._thread is not None and self._results is not None:
             self._results.is_over = True
+            self._results.door.bell.let_go()
             if not self._results.held:
                 self._jobs.put(None)
             self._thread = None
@@ -200,6 +201,7 @@ class Executor:
                 raise BusyError(
                     f"executor {self.name}", "the limit of threads", error
                 ) from None
+            self._results.door.bell.hold()
             self._thread = thread
         return self._jobs
 
