@@ -35,18 +35,13 @@ class Waits(Registers):
         content: dict[int, int | bytes],
         always: dict[int, tuple[int, int]] | None = None,
     ) -> None:
-        self.always: dict[int, tuple[int, int]] = {}
         super().__init__(content)
         self.always = always or {}
-        self.at_start = bytes(self.content)
 
     def write(self, register: int, data: bytes) -> None:
         super().write(register, data)
         for place, (bits, value) in self.always.items():
             self.content[place] = self.content[place] & ~bits | value
-
-    def power_cycle(self) -> None:
-        self.content[:] = self.at_start
 
 
 class Sht31:

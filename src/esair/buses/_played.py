@@ -3,36 +3,42 @@
 from __future__ import annotations
 
 import asyncio
+import collections
 import contextlib
 import errno
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from esair.buses._bus import Wire
+from esair.buses._chips import MemoryWire, Registers
 from esair.buses._failures import Failures, os_error
 from esair.buses._link_bus import L, LinkBus
 from esair.exceptions import DeviceLostError
 
 T = TypeVar("T")
 
+LOG_LIMIT = 4096
+"""How many transfers are kept; then the oldest go."""
 
-class PlayedWire(Wire):
+
+class PlayedWire(MemoryWire):
     """A far end whose transfers wait, stretch and fail as a test says.
 
     Attributes:
         virtual: Whether it is on a virtual clock, in the event loop.
-        plugged: Whether the adapter is there.
+        powered: Whether its chips have power.
+        log: The newest transfers, the oldest of them first.
         stretch: How long every transfer takes, in seconds.
         go: Set unless transfers do not return.
         failures: What is to fail.
     """
 
-    def __init__(self, *rest: Any) -> None:
-        super().__init__(*rest)
+    def __init__(self, chips: dict[int, Any]) -> None:
+        super().__init__(chips)
         self.virtual = False
-        self.plugged = True
+        self.powered = True
+        self.log: collections.deque[Any] = collections.deque(maxlen=LOG_LIMIT)
         self.stretch = 0.0
         self.go = threading.Event()
         self.go.set()
@@ -60,13 +66,42 @@ class PlayedBus(LinkBus[L]):
     is driven by the same code as a real one either way.
     """
 
-    link: PlayedWire
+    link: Any
 
-    def _set_up_play(self) -> None:
+    def __init__(
+        self,
+        name: str,
+        wire: Callable[[dict[int, Any]], PlayedWire],
+        registers: Callable[[Any], Registers],
+        chips: Mapping[int, Any] | None,
+        *,
+        timeout: float,
+    ) -> None:
+        self.link = wire(
+            {
+                number: registers(chip) if isinstance(chip, bytes | Mapping) else chip
+                for number, chip in (chips or {}).items()
+            }
+        )
+        super().__init__(name=name, timeout=timeout, wire=self.link)
         self._turn_of_play = asyncio.Lock()
         self._go = asyncio.Event()
         self._go.set()
         self._begun: Callable[[], object] | None = None
+
+    def silence(self) -> None:
+        """Let no chip answer: they have no power."""
+        self.link.powered = False
+
+    def speak(self) -> None:
+        """Let the chips answer again."""
+        self.link.powered = True
+
+    def power_cycle(self) -> None:
+        """Call the ``power_cycle`` of each chip that has one."""
+        for chip in self.link.chips.values():
+            if callable(restart := getattr(chip, "power_cycle", None)):
+                restart()
 
     def fail(
         self,

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from esair.buses._played import LOG_LIMIT
 from esair.buses.i2c import Registers
-from esair.buses.i2c._fake import LOG_LIMIT
 from esair.exceptions import DeviceFaultError, DeviceLostError, DriverStuckError
 from esair.testing import FakeI2c
 

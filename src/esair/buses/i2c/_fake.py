@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import collections
 import errno
 import threading
 from collections.abc import Mapping
 
 import attrs
 
+from esair.buses._chips import Registers
 from esair.buses._failures import os_error
 from esair.buses._played import PlayedBus, PlayedWire
 from esair.buses.i2c._bus import I2CBus
-from esair.buses.i2c._far_end import Chip, ChipBus, Registers
+from esair.buses.i2c._far_end import Chip, ChipBus
 from esair.buses.i2c._link import RegisterLink
-
-LOG_LIMIT = 4096
-"""How many transfers are kept; then the oldest go."""
 
 
 @attrs.frozen
@@ -44,8 +41,6 @@ class FakeLink(PlayedWire, ChipBus):
         super().__init__(chips)
         self.selected = 0
         self.silent: set[int] = set()
-        self.powered = True
-        self.log: collections.deque[Transfer] = collections.deque(maxlen=LOG_LIMIT)
         self._one_at_a_time = threading.Lock()
 
     def _exchange(self, address: int, write: bytes, read: int) -> bytes:
@@ -94,14 +89,7 @@ class FakeI2c(PlayedBus[RegisterLink], I2CBus):
         *,
         timeout: float = 0.2,
     ) -> None:
-        self.link = FakeLink(
-            {
-                address: Registers(chip) if isinstance(chip, bytes | Mapping) else chip
-                for address, chip in (chips or {}).items()
-            }
-        )
-        super().__init__(name=name, timeout=timeout, wire=self.link)
-        self._set_up_play()
+        super().__init__(name, FakeLink, Registers, chips, timeout=timeout)
 
     @property
     def chips(self) -> dict[int, Chip]:
@@ -116,17 +104,3 @@ class FakeI2c(PlayedBus[RegisterLink], I2CBus):
     def silent(self, address: int, *, silent: bool = True) -> None:
         """Let a chip acknowledge nothing, or answer again."""
         (self.link.silent.add if silent else self.link.silent.discard)(address)
-
-    def silence(self) -> None:
-        """Let no chip acknowledge anything: they have no power."""
-        self.link.powered = False
-
-    def speak(self) -> None:
-        """Let the chips answer again."""
-        self.link.powered = True
-
-    def power_cycle(self) -> None:
-        """Call the ``power_cycle`` of each chip that has one."""
-        for chip in self.chips.values():
-            if callable(restart := getattr(chip, "power_cycle", None)):
-                restart()

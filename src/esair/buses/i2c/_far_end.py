@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol
 
-from esair.buses._bus import Wire
+from esair.buses._chips import MemoryWire
 from esair.buses._failures import os_error
 
 FUNCS = 0x0EFF0001
@@ -26,31 +26,7 @@ class Chip(Protocol):
         """Set registers."""
 
 
-class Registers:
-    """A chip that is nothing but 256 registers of a byte; they wrap around.
-
-    Args:
-        content: The registers from 0 on; or values, or bytes, by register.
-    """
-
-    def __init__(self, content: bytes | Mapping[int, int | bytes] = b"") -> None:
-        self.content = bytearray(256)
-        given = content if isinstance(content, Mapping) else {0: content}
-        for register, value in given.items():
-            self.write(register, bytes([value]) if isinstance(value, int) else value)
-
-    def read(self, register: int, length: int) -> bytes:
-        """Return registers that follow one another."""
-        content = bytes(self.content)  # one moment, whoever writes meanwhile
-        return bytes(content[(register + index) % 256] for index in range(length))
-
-    def write(self, register: int, data: bytes) -> None:
-        """Set registers that follow one another."""
-        for index, value in enumerate(data):
-            self.content[(register + index) % 256] = value
-
-
-class ChipBus(Wire):
+class ChipBus(MemoryWire):
     """An I²C bus with simulated chips, behind the methods of ``smbus2.SMBus``.
 
     Args:
@@ -58,33 +34,9 @@ class ChipBus(Wire):
     """
 
     def __init__(self, chips: dict[int, Chip]) -> None:
-        super().__init__()
-        self.chips = chips
-        self.plugged = True
-        self.closed = False
+        super().__init__(chips)
         self.funcs = FUNCS
         self._pointers: dict[int, int] = {}
-
-    def open(self) -> ChipBus:
-        """Return the link, which is this.
-
-        Raises:
-            OSError: It is unplugged.
-        """
-        if not self.plugged:
-            raise os_error(errno.ENOENT)
-        self.closed = False
-        return self
-
-    def unplug(self) -> None:
-        """Take the adapter away; who used it notices at the next transfer."""
-        self.plugged = False
-
-    def plug(self) -> None:
-        """Bring it back; nothing happens if it is there."""
-        if not self.plugged:
-            self.plugged = True
-            self._tell_plugged()
 
     def read_byte_data(self, i2c_addr: int, register: int) -> int:
         """Read one register."""
@@ -135,10 +87,6 @@ class ChipBus(Wire):
         if waiting is not None:
             self._exchange(waiting.addr, bytes(waiting), 0)
 
-    def close(self) -> None:
-        """Let the bus go."""
-        self.closed = True
-
     def _exchange(self, address: int, write: bytes, read: int) -> bytes:
         """Make a transfer: write some bytes, then read some; every one comes here."""
         chip = self._chip(address)
@@ -161,4 +109,5 @@ class ChipBus(Wire):
             raise os_error(errno.ENODEV)
         if address not in self.chips:
             raise os_error(errno.ENXIO)
-        return self.chips[address]
+        found: Chip = self.chips[address]
+        return found

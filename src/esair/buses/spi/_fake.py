@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import collections
 from collections.abc import Mapping
 
 import attrs
@@ -11,9 +10,6 @@ from esair.buses._played import PlayedBus
 from esair.buses.spi._bus import SpiBus
 from esair.buses.spi._far_end import SpiChip, SpiChips, SpiRegisters
 from esair.buses.spi._kernel import SpiLink
-
-LOG_LIMIT = 4096
-"""How many transfers are kept; then the oldest go."""
 
 
 @attrs.frozen
@@ -36,10 +32,6 @@ class Exchange:
 
 
 class _Logged(SpiChips):
-    def __init__(self, chips: dict[int, SpiChip]) -> None:
-        super().__init__(chips)
-        self.log: collections.deque[Exchange] = collections.deque(maxlen=LOG_LIMIT)
-
     def exchange(self, chip: int, data: bytes, speed: int, mode: int) -> bytes:
         back = super().exchange(chip, data, speed, mode)
         self.log.append(Exchange(chip, data, back, speed, mode))
@@ -69,16 +61,7 @@ class FakeSpi(PlayedBus[SpiLink], SpiBus):
         *,
         timeout: float = 0.2,
     ) -> None:
-        self.link = _Logged(
-            {
-                number: SpiRegisters(chip)
-                if isinstance(chip, bytes | Mapping)
-                else chip
-                for number, chip in (chips or {}).items()
-            }
-        )
-        super().__init__(name=name, timeout=timeout, wire=self.link)
-        self._set_up_play()
+        super().__init__(name, _Logged, SpiRegisters, chips, timeout=timeout)
 
     @property
     def chips(self) -> dict[int, SpiChip]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from esair.buses.i2c import Registers
 from esair.drivers.bme280 import (
     CALIBRATION_00,
     CALIBRATION_26,
@@ -37,7 +38,7 @@ CALIBRATION = Calibration(
 _RESET = 0xE0
 
 
-class FakeBme280:
+class FakeBme280(Registers):
     """The register map: asleep after power-up, with nothing measured.
 
     Args:
@@ -60,16 +61,13 @@ class FakeBme280:
         self.raw: tuple[int, int, int] | None = None
         self.busy = 1
         self.measurements = 0
-        self._registers = bytearray(256)
+        first, second = calibration.encode()
+        super().__init__({ID: IDENTITY, CALIBRATION_00: first, CALIBRATION_26: second})
         self.power_cycle()
 
     def power_cycle(self) -> None:
         """Lose the power for a moment: it is as after power-up."""
-        self._registers[:] = bytes(256)
-        self._registers[ID] = IDENTITY
-        first, second = self.calibration.encode()
-        self._registers[CALIBRATION_00 : CALIBRATION_00 + 26] = first
-        self._registers[CALIBRATION_26 : CALIBRATION_26 + 7] = second
+        super().power_cycle()
         self._samples_humidity = False
         self._busy = 0
         self._show(SKIPPED, SKIPPED, SKIPPED_HUMIDITY)
@@ -77,29 +75,30 @@ class FakeBme280:
     def read(self, register: int, length: int) -> bytes:
         """Return registers that follow one another."""
         if register <= STATUS < register + length:
-            self._registers[STATUS] = MEASURING if self._busy > 0 else 0
+            self.content[STATUS] = MEASURING if self._busy > 0 else 0
             self._busy -= 1
-        return bytes(self._registers[(register + each) % 256] for each in range(length))
+        return super().read(register, length)
 
     def write(self, register: int, data: bytes) -> None:
         """Set one register; more come as pairs of register and value."""
-        self._set(register, data[0])
+        self.set(register, data[0])
         for number, value in zip(data[1::2], data[2::2], strict=True):
-            self._set(number, value)
+            self.set(number, value)
 
-    def _set(self, register: int, value: int) -> None:
+    def set(self, register: int, value: int) -> None:
+        """Set one register, and do what it tells."""
         if register == _RESET and value == 0xB6:
             self.power_cycle()
         elif register in {CTRL_HUM, CONFIG}:
-            self._registers[register] = value
+            self.content[register] = value
         elif register == CTRL_MEAS:
             # What was written to CTRL_HUM counts from here on.
-            self._samples_humidity = bool(self._registers[CTRL_HUM] & 7)
-            self._registers[register] = value
+            self._samples_humidity = bool(self.content[CTRL_HUM] & 7)
+            self.content[register] = value
             if value & 3:
                 self._measure(bool(value >> 5), bool(value >> 2 & 7))
                 if value & 3 != 3:
-                    self._registers[register] = value & ~3
+                    self.content[register] = value & ~3
 
     def _measure(self, temperature: bool, pressure: bool) -> None:
         self.measurements += 1
@@ -112,11 +111,9 @@ class FakeBme280:
         )
 
     def _show(self, pressure: int, temperature: int, humidity: int) -> None:
-        self._registers[DATA : DATA + 8] = (
-            (pressure << 4).to_bytes(3, "big")
-            + (temperature << 4).to_bytes(3, "big")
-            + humidity.to_bytes(2, "big")
-        )
+        raw = pressure << 4, temperature << 4
+        words = b"".join(each.to_bytes(3, "big") for each in raw)
+        self.fill({DATA: words + humidity.to_bytes(2, "big")})
 
     def _raw_of(self, climate: Climate) -> tuple[int, int, int]:
         known = self.calibration

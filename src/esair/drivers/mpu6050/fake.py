@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
+from esair.buses.i2c import Registers
 from esair.drivers.mpu6050 import (
     ACCEL_CONFIG,
     ACCEL_XOUT_H,
@@ -22,22 +25,24 @@ _RESET = 0x80
 _READ_ONLY = {WHO_AM_I, *range(ACCEL_XOUT_H, ACCEL_XOUT_H + 14)}
 
 
-class FakeMpu6050:
+class FakeMpu6050(Registers):
     """The register map: asleep after power-up, 16-bit values, the high byte first.
 
     Args:
         motion: What it feels from the beginning.
     """
 
+    size = 128
+    power_up = MappingProxyType({WHO_AM_I: IDENTITY, PWR_MGMT_1: SLEEP})
+
     def __init__(self, motion: Motion = AT_REST) -> None:
         self._motion = motion
-        self._registers = bytearray(128)
-        self.power_cycle()
+        super().__init__()
 
     @property
     def asleep(self) -> bool:
         """Whether it measures nothing."""
-        return bool(self._registers[PWR_MGMT_1] & SLEEP)
+        return bool(self.content[PWR_MGMT_1] & SLEEP)
 
     @property
     def motion(self) -> Motion:
@@ -49,31 +54,18 @@ class FakeMpu6050:
         self._motion = motion
         self._measure()
 
-    def power_cycle(self) -> None:
-        """Lose the power for a moment: it is as after power-up."""
-        self._registers[:] = bytes(128)
-        self._registers[WHO_AM_I] = IDENTITY
-        self._registers[PWR_MGMT_1] = SLEEP
-
-    def read(self, register: int, length: int) -> bytes:
-        """Return registers that follow one another; they wrap around at the end."""
-        registers = bytes(self._registers)  # one moment, whoever measures meanwhile
-        return bytes(registers[(register + index) % 128] for index in range(length))
-
-    def write(self, register: int, data: bytes) -> None:
-        """Set registers; those that only the chip sets stay as they are."""
-        for index, value in enumerate(data):
-            number = (register + index) % 128
-            if number == PWR_MGMT_1 and value & _RESET:
-                self.power_cycle()
-            elif number not in _READ_ONLY:
-                self._registers[number] = value
+    def set(self, register: int, value: int) -> None:
+        """Set one register; those that only the chip sets stay as they are."""
+        if register == PWR_MGMT_1 and value & _RESET:
+            self.power_cycle()
+        elif register not in _READ_ONLY:
+            self.content[register] = value
         self._measure()
 
     def _measure(self) -> None:
         if not self.asleep:
-            self._registers[ACCEL_XOUT_H : ACCEL_XOUT_H + 14] = encode_motion(
-                self._motion,
-                self._registers[ACCEL_CONFIG] >> 3 & 3,
-                self._registers[GYRO_CONFIG] >> 3 & 3,
+            steps = (
+                self.content[ACCEL_CONFIG] >> 3 & 3,
+                self.content[GYRO_CONFIG] >> 3 & 3,
             )
+            self.fill({ACCEL_XOUT_H: encode_motion(self._motion, *steps)})

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
+from esair.buses.i2c import Registers
 from esair.drivers.pca9685._chip import (
     AUTO_INCREMENT,
     FULL,
     LED0_ON_L,
     MODE1,
+    MODE2,
+    OUTDRV,
     PRE_SCALE,
     SLEEP,
     STEPS,
@@ -16,10 +21,11 @@ from esair.drivers.pca9685._chip import (
 
 _ALL_LED = 0xFA
 _RESTART = 0x80
-_POWER_UP = {MODE1: 0x11, 0x01: 0x04, PRE_SCALE: 0x1E}
+_POWER_UP = {MODE1: 0x11, MODE2: OUTDRV, PRE_SCALE: 0x1E}
+_OFF = {LED0_ON_L + 4 * channel + 3: FULL for channel in range(16)}
 
 
-class FakePca9685:
+class FakePca9685(Registers):
     """The register map: asleep and all channels off after power-up.
 
     Attributes:
@@ -28,60 +34,46 @@ class FakePca9685:
     """
 
     keeps_pointer = True
+    power_up = MappingProxyType(_POWER_UP | _OFF)
 
     def __init__(self) -> None:
-        self._registers = bytearray(256)
         self.stops = 0
-        self.power_cycle()
-
-    def power_cycle(self) -> None:
-        """Lose the power for a moment: everything is forgotten."""
-        self._registers[:] = bytes(256)
-        for register, value in _POWER_UP.items():
-            self._registers[register] = value
-        for channel in range(16):
-            self._registers[LED0_ON_L + 4 * channel + 3] = FULL
+        super().__init__()
 
     @property
     def asleep(self) -> bool:
         """Whether the oscillator is off, and every channel with it."""
-        return bool(self._registers[MODE1] & SLEEP)
+        return bool(self.content[MODE1] & SLEEP)
 
     @property
     def frequency(self) -> float:
         """How many periods a second, in Hz."""
-        return frequency_of(self._registers[PRE_SCALE])
+        return frequency_of(self.content[PRE_SCALE])
 
     def duty(self, channel: int) -> float:
         """Return how much of the time a channel is on, 0 to 1."""
         first = LED0_ON_L + 4 * channel
-        steps = decode_steps(bytes(self._registers[first : first + 4]))
+        steps = decode_steps(bytes(self.content[first : first + 4]))
         return 0.0 if self.asleep else steps / STEPS
 
     def pulse(self, channel: int) -> float:
         """Return how long a channel is on in each period, in seconds."""
         return self.duty(channel) / self.frequency
 
-    def read(self, register: int, length: int) -> bytes:
-        """Return registers."""
-        return bytes(self._registers[each] for each in self._walk(register, length))
+    def places(self, register: int, length: int) -> list[int]:
+        """Return registers that follow one another, or one again and again."""
+        if self.content[MODE1] & AUTO_INCREMENT:
+            return super().places(register, length)
+        return [register] * length
 
-    def write(self, register: int, data: bytes) -> None:
-        """Set registers."""
-        for number, value in zip(self._walk(register, len(data)), data, strict=True):
-            self._set(number, value)
-
-    def _set(self, number: int, value: int) -> None:
-        if number == PRE_SCALE and not self.asleep:
+    def set(self, register: int, value: int) -> None:
+        """Set one register, as far as the chip lets it be set."""
+        if register == PRE_SCALE and not self.asleep:
             return  # it is locked while the chip runs
-        if number == MODE1:
+        if register == MODE1:
             self.stops += not self.asleep and bool(value & SLEEP)
             value &= ~_RESTART
-        self._registers[number] = value
-        if _ALL_LED <= number < _ALL_LED + 4:
+        self.content[register] = value
+        if _ALL_LED <= register < _ALL_LED + 4:
             for channel in range(16):
-                self._registers[LED0_ON_L + 4 * channel + number - _ALL_LED] = value
-
-    def _walk(self, register: int, length: int) -> list[int]:
-        step = 1 if self._registers[MODE1] & AUTO_INCREMENT else 0
-        return [(register + step * index) % 256 for index in range(length)]
+                self.content[LED0_ON_L + 4 * channel + register - _ALL_LED] = value
