@@ -134,6 +134,28 @@ def test_what_computes_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not late
 
 
+def test_what_computes_without_end_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A driver that asks its part again and again hangs no test."""
+    monkeypatch.setattr("esair.testing._threads.ENDLESS", 0.15)
+    enough = threading.Event()
+
+    def ask() -> None:
+        while not enough.is_set():
+            pass
+
+    async def main() -> None:
+        try:
+            await asyncio.to_thread(ask)
+        finally:
+            enough.set()
+
+    with pytest.raises(
+        BlockedError,
+        match=r"0\.15 s of.*\n.*asyncio_0.*test_threads_block.py:\d+ in ask",
+    ):
+        run(main())
+
+
 def test_nothing_but_the_outside_can_wake_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is waited for in real time, not for ever."""
     monkeypatch.setattr("esair.testing._threads.BLOCKED", 0.3)

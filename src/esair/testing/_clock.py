@@ -39,7 +39,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         start: What the clock shows at first, in seconds.
 
     Raises:
-        BlockedError: A thread has slept in a call for ten seconds of real time.
+        BlockedError: A thread has slept in a call for ten seconds of real time, or has
+            computed in it for a minute.
         DeadlockError: Every task waits and nothing can wake one.
         LivelockError: Time does not pass for very many turns.
     """
@@ -207,7 +208,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         if events:
             self._process_events(events)  # type: ignore[attr-defined]
         else:
-            self._threads.look(Door.of(self))
+            self._threads.look(Door.of(self), self._turns)
 
     def _watches_nothing(self) -> bool:
         own = self._ssock.fileno()  # type: ignore[attr-defined]

@@ -19,9 +19,12 @@ ASLEEP = 0.05  # After how long a sleep a thread waits for the outside, in real 
 BLOCKED = 10.0
 """After how long a sleep a thread that time waits for is stuck, in real seconds."""
 
+ENDLESS = 60.0
+"""After how long a thread that computes is stuck, if nothing else happens meanwhile."""
+
 
 class BlockedError(RuntimeError):
-    """Time stands still: a thread sleeps in a call, and nobody knows for how long."""
+    """Time stands still: a thread sleeps in a call, or computes without end."""
 
 
 class Threads:
@@ -30,6 +33,8 @@ class Threads:
     def __init__(self) -> None:
         self._slept: dict[threading.Thread, tuple[float, float]] = {}
         """How much each has computed, and since when it has not, in real seconds."""
+        self._turn = -1  # the last one in which the loop has only waited
+        self._since = 0.0  # when it began to, in real time
 
     def wake(self, door: Door) -> None:
         """Let time wait again for those that have heard from the outside."""
@@ -41,15 +46,20 @@ class Threads:
         """Tell whether some wait for the outside, which may have something to say."""
         return any(outside for _, outside, _ in door.at_hand())
 
-    def look(self, door: Door) -> None:
-        """Let time pass by those that wait for the outside."""
+    def look(self, door: Door, turn: int) -> None:
+        """Let time pass by those that wait for the outside; the loop does nothing else."""
+        now = time.monotonic()
+        if turn != self._turn + 1:  # it has done something since
+            self._since = now
+        self._turn = turn
+        endless = now - self._since >= ENDLESS
         stuck = []
         at_hand = door.at_hand()
         for thread, outside, holds in at_hand:
             slept = self._asleep_for(thread)
             if outside and holds and slept >= ASLEEP:
                 door.rest(thread)
-            elif slept >= BLOCKED and (holds or outside):
+            elif (slept >= BLOCKED and (holds or outside)) or (endless and holds):
                 stuck.append(thread)
         known = {thread for thread, _, _ in at_hand}
         self._slept = {key: it for key, it in self._slept.items() if key in known}
@@ -60,7 +70,8 @@ class Threads:
             self._slept.pop(thread, None)
             door.rest(thread)
         raise BlockedError(
-            f"time stands still, for {BLOCKED:g} s of real time by now:\n{told}\n"
+            f"time stands still, for {ENDLESS if endless else BLOCKED:g} s of real time "
+            f"by now:\n{told}\n"
             "let it take its time by loop.wait_in_thread(seconds), write it as "
             "async def, or mark the test real_clock"
         )
