@@ -172,6 +172,36 @@ class TestActuator(Unplugged, ActuatorContract):
         return [1, 255]
 
 
+class Patient:
+    """A driver that asks its part until it is ready, however long that takes."""
+
+    def __init__(self, i2c: Any) -> None:
+        self.i2c = i2c
+
+    @property
+    def value(self) -> int:
+        """The value, once it is there."""
+        data = bytearray(1)
+        while not data[0]:
+            self.i2c.writeto_then_readfrom(0x10, b"\0", data)
+        return data[0]
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("D21")
+async def test_waiting_without_end_ends_on_the_virtual_clock_too() -> None:
+    """Transfers of a fake take no time there, but only so many fit into a deadline."""
+    bus = FakeI2c(chips={0x10: b""})
+    sensor = AdafruitSensor(library=Patient, name="slow", value="value", bus=bus)
+    sensor.deadline = 0.05
+    async with esair.Robot(resources=[sensor]) as robot:
+        right = await robot.resources.register("me", "slow", esair.Access.READ)
+        with pytest.raises((esair.DeviceFaultError, esair.DriverStuckError)):
+            await robot.sensors.read(right, fresh=True)
+        bus.chips[0x10].write(0, b"\5")
+        assert (await robot.sensors.read(right, fresh=True)).value == 5
+
+
 async def session(sensor: AdafruitSensor | AdafruitActuator, *calls: str) -> Any:
     """Open the device on the thread of its bus, and call its methods there."""
     await sensor.bus.open()

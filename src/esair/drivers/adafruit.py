@@ -54,6 +54,8 @@ __all__ = ["AdafruitActuator", "AdafruitBus", "AdafruitSensor"]
 _PATH = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)*(\(\))?")
 _PIECE = re.compile(r"[A-Za-z_]\w*|\[\d+\]")
 
+_SHORTEST = 20e-6  # What a transfer takes: an address at 1 MHz, in seconds
+
 # adafruit_register has one buffer for all drivers of a process: with two buses, and
 # so two threads, one driver would send what another has just put there.
 _one_at_a_time = threading.Lock()
@@ -73,11 +75,16 @@ class AdafruitBus:
         self._bus = bus
         self.transfers = 0
         """How many have been made."""
-        self.until = math.inf
-        """When no more are made, in the robot's time: the call has no time left.
+        self._until = self._most = math.inf
 
-        So a driver that waits for its part without end comes to one.
+    def allow(self, seconds: float) -> None:
+        """Make transfers for so long, in the robot's time, and no more than fit into it.
+
+        So a driver that waits for its part without end comes to one, on a virtual clock
+        too, where they take no time.
         """
+        self._until = now() + seconds
+        self._most = self.transfers + seconds / _SHORTEST
 
     def __enter__(self) -> AdafruitBus:
         return self
@@ -145,7 +152,7 @@ class AdafruitBus:
 
     def _transfer(self, address: int, write: bytes, read: int) -> bytes:
         self.transfers += 1
-        if now() > self.until:
+        if now() > self._until or self.transfers > self._most:
             raise TimeoutError(
                 f"{self._bus.name}: the call of the driver took too long"
             )
@@ -254,7 +261,7 @@ class _OnPart(Resource):
             )
         try:
             if self._wire is not None:
-                self._wire.until = now() + self.deadline
+                self._wire.allow(self.deadline)
             yield
         finally:
             _one_at_a_time.release()
