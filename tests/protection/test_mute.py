@@ -46,3 +46,38 @@ async def test_a_behavior_cannot_be_muted() -> None:
     async with esair.Robot(resources=[belt], behaviors=[Turn()]) as robot:
         with pytest.raises(esair.BadValueError, match="seconds"):
             robot.behaviors.mute("turn", 0.5, "a trial")
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("PRO-9", "PRO-10")
+async def test_no_behavior_mutes_or_resets() -> None:
+    """Not even one that has the robot in its hands, in a task or in a thread."""
+
+    class Shut(esair.Reaction):
+        rate = 10.0
+        belt = esair.guards(float, latch=True)
+
+        def react(self, belt: float) -> None:
+            """Let nothing pass."""
+
+    def tries() -> None:
+        with pytest.raises(esair.AccessDeniedError, match="only the user"):
+            robot.behaviors.mute("shut", 20.0, "a trial")
+        with pytest.raises(esair.AccessDeniedError, match="only the user"):
+            robot.behaviors.reset("shut")
+
+    class Turn(esair.Behavior):
+        belt = esair.writes(float)
+
+        async def run(self) -> None:
+            tries()
+            assert not await self.belt.write(0.8)
+
+    class Think(esair.ThreadBehavior):
+        def run(self) -> None:
+            tries()
+
+    belt: FakeActuator[float] = FakeActuator("belt", safe=0.0)
+    robot = esair.Robot(resources=[belt], behaviors=[Shut(), Turn(), Think()])
+    async with robot:
+        await robot.ended()

@@ -57,3 +57,22 @@ async def test_a_command_that_is_not_known_is_quoted_in_the_error() -> None:
 
     assert "\x1b" not in str(raised.value)
     assert len(str(raised.value)) < 300
+
+
+@pytest.mark.promise("SUP-1")
+async def test_what_is_typed_while_it_starts_is_done() -> None:
+    """And the error of one that does not run says in words what it is doing."""
+    told: list[str] = []
+
+    class Early(esair.Behavior):
+        async def run(self) -> None:
+            told.append(await robot.behaviors.command("list"))
+
+    robot = esair.Robot(behaviors=[Early()])
+    with pytest.raises(esair.StoppingError, match="it is not started yet"):
+        await robot.behaviors.command("list")
+    async with robot:
+        await robot.ended()
+    assert told == ["early: running"]
+    with pytest.raises(esair.StoppingError, match="it is stopped"):
+        await robot.behaviors.command("list")

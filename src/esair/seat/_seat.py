@@ -95,7 +95,7 @@ class Seat:
         """
         act, fields = act_of(text)
         if self._console is None:
-            raise StoppingError("operator", "the robot has stopped")
+            raise StoppingError("operator", "stopped")
         return act.tells(await self._console.do(act.name, fields, self._typing))
 
 

@@ -405,8 +405,9 @@ class Robot:
     # Inside.
 
     async def _typed(self, text: str) -> str:
-        if self._seat.seat is None and not self._is_up:
-            raise StoppingError(self._title, "it does not run")
+        if self._seat.seat is None and (not self._entered or self._stopping):
+            told = "stopping" if self._entered else "not started yet"
+            raise StoppingError(self._title, told)
         return await self._seat.typed(self, text)
 
     def _stop_once(self) -> asyncio.Task[None]:

@@ -15,9 +15,9 @@ from esair.connections import (
     LastCommand,
     Registrations,
 )
-from esair.exceptions import AccessDeniedError
 from esair.journal import Journal, Kind
-from esair.loop import Door, News, clock_of, current_owner, portal, spawn
+from esair.loop import Door, News, clock_of, spawn
+from esair.supervisors._rules import only_the_user
 from esair.values import printable
 
 TAKEN_WITHIN = 0.25
@@ -106,10 +106,7 @@ class Halts:
 
     def resume(self) -> None:
         """End all halts: who writes next moves."""
-        if current_owner() is not None or portal.get(None) is not None:
-            raise AccessDeniedError(
-                "a behavior", "robot", "resume", "only the user ends a halt"
-            )
+        only_the_user("robot", "resume", "ends a halt")
         loop = self._loop
         if loop is None:
             self._registrations.halt = None

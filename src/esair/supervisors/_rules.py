@@ -6,11 +6,18 @@ from collections.abc import Callable, Iterable
 
 from esair.connections import Registrations, Terms
 from esair.exceptions import AccessDeniedError
+from esair.loop import current_owner, portal
 from esair.messages import Access, Policy
 from esair.plan import denial, not_alone
 
 Declared = Callable[[str, str], Access]
 """What the class of a behavior declares to do with a resource."""
+
+
+def only_the_user(what: str, asked: str, does: str) -> None:
+    """Refuse what people decide to a component that asks, from wherever it asks."""
+    if current_owner() is not None or portal.get(None) is not None:
+        raise AccessDeniedError("a behavior", what, asked, f"only the user {does}")
 
 
 class Rules:

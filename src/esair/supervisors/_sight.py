@@ -10,6 +10,7 @@ from esair.actions import ProfiledAction as Action
 from esair.connections import UNDECIDED, Protection, Protections
 from esair.exceptions import AccessDeniedError, BadValueError
 from esair.loop import wake
+from esair.supervisors._rules import only_the_user
 from esair.values import check_duration, printable
 
 _log = logging.getLogger("esair")
@@ -90,6 +91,7 @@ class Sight:
 
     def mute(self, seconds: float, reason: str) -> None:
         """Let everything pass for a while."""
+        only_the_user(self.name, "mute", "lets pass what is protected")
         self._check_protects("mute")
         check_duration(self.name, "seconds", seconds)
         limit = getattr(self._action, "mute_limit", 0.0)
@@ -104,6 +106,7 @@ class Sight:
 
     def reset(self) -> None:
         """End the latch of a guard."""
+        only_the_user(self.name, "reset", "ends a latch")
         self._check_protects("reset")
         for entry in self.entries:
             if not entry.latch:
