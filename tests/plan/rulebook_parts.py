@@ -153,6 +153,14 @@ class BadType(Brake):
     sonar = esair.reads("sonar")  # type: ignore[arg-type,var-annotated]
 
 
+class BadNumber(Brake):
+    sonar = esair.reads(float, name=3)  # type: ignore[arg-type]
+
+
+class BadFlag(Brake):
+    sonar = esair.reads(float, optional="no")  # type: ignore[arg-type]
+
+
 class BadAge(Brake):
     sonar = esair.reads(float, max_age=0.0)
 

@@ -140,6 +140,10 @@ CASES = [
          "63 at most", "bad_name", "sonar"),
     Case(parts.BadType, "expected a type such as float, not 'sonar' (a name is given by "
          "name=)", "bad_type", "sonar"),
+    Case(parts.BadNumber, "expected a lower-case letter, then letters, digits or '_', "
+         "63 at most", "bad_number", "sonar"),
+    Case(parts.BadFlag, "expected True or False, not 'no'",
+         "bad_flag", "sonar.optional"),
     Case(parts.BadAge, f"{SECONDS} 0.0", "bad_age", "sonar.max_age"),
     Case(parts.BadHold, f"{SECONDS} -1.0", "bad_hold", "wheels.hold"),
     Case(parts.BadPriority, "expected a whole number, not 1.5",

@@ -118,7 +118,7 @@ class Reads(_Declared[T]):
     @property
     def provider(self) -> str:
         """Who has to be there for it: the actuator, if it reads its last command."""
-        return self.resource.removesuffix(APPLIED)
+        return str(self.resource).removesuffix(APPLIED)  # a wrong name is told by it
 
 
 @attrs.frozen

@@ -80,6 +80,10 @@ def wrong_port(attribute: str, need: Need) -> Iterator[tuple[str, str]]:
         if seconds is not None and not is_positive(seconds):
             told = f"expected seconds > 0, not {seconds!r:.80}"
             yield f"{attribute}.{field}", told
+    for field in ("configure", "every", "optional", "latch"):
+        if type(flag := getattr(need, field, False)) is not bool:
+            told = f"expected True or False, not {flag!r:.80}"
+            yield f"{attribute}.{field}", told
 
 
 def _in_reaction(reaction: Reaction) -> Iterator[tuple[str, str]]:
