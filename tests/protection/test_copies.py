@@ -200,3 +200,19 @@ async def test_the_journal_has_what_was_asked() -> None:
         asked["left"] = 0.9
         await asyncio.sleep(0.01)
     assert heard == [{"left": 0.5, "right": 0.5}] * len(KINDS)
+
+
+@pytest.mark.promise("TURN-5")
+async def test_the_journal_has_what_was_asked_while_nothing_may_move() -> None:
+    """Also of a write that the halt has refused."""
+    heard: list[Any] = []
+    op = user()
+    robot = esair.Robot(resources=[Both()], behaviors=[op])
+    robot.journal.listen(lambda event: heard.append(event.value), kinds=(Kind.COMMAND,))
+    async with robot:
+        robot.halt("a hand is in the gripper")
+        asked = {"left": 0.5, "right": 0.5}
+        assert not await op.arms.write(asked)
+        asked["left"] = 0.9
+        await asyncio.sleep(0.01)
+    assert heard == [{"left": 0.5, "right": 0.5}]

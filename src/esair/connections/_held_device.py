@@ -189,10 +189,7 @@ class HeldDevice(ActuatorDevice):
             refused = Refused(USER, HALT_PRIORITY, error.detail, self.since, None)
         else:
             raise self._refusal(registration) from None
-        if self._journal.heard:
-            self._journal.publish(
-                Kind.COMMAND, self.name, registration.behavior, command
-            )
+        self.wanted(registration, command)
         return self._refuse(registration, refused)
 
     def _refusal(self, registration: Registration) -> EsairError:
