@@ -208,6 +208,23 @@ def test_pytest_works_without_pytest_asyncio(pytester, monkeypatch) -> None:
     result.assert_outcomes(passed=1)
 
 
+def test_pytest_asyncio_that_is_switched_off_is_as_one_that_is_not_there(
+    outcomes,
+) -> None:
+    """Plain tests run; one for the virtual clock fails, and never runs on another."""
+    source = """
+def test_plain(fake_sensor):
+    assert fake_sensor("sonar", 1.0).name == "sonar"
+
+async def test_it(fake_sensor):
+    pass
+"""
+    unknown_ini = ("-W", "ignore::pytest.PytestConfigWarning")
+    found = outcomes(source, "-p", "no:asyncio", *unknown_ini)
+
+    assert found == {"passed": 1, "errors": 1}
+
+
 @pytest.mark.real_clock
 async def test_what_a_thread_begins_at_its_end_may_end_too() -> None:
     """It told the loop of its end; the task that came of it needs some turns."""

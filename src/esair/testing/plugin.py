@@ -9,7 +9,6 @@ would run (anyio's plugin, nothing at all) fails and says so, unless it is marke
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 from collections.abc import Callable
 from typing import Any
@@ -37,14 +36,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Describe the markers; do more where pytest-asyncio is."""
-    if importlib.util.find_spec("pytest_asyncio") is not None:
+    """Describe the markers; do more where pytest-asyncio is at work."""
+    if has_clock(config):
         config.pluginmanager.import_plugin("esair.testing._asyncio_plugin")
     for line in (
         "virtual_clock(seed=N): run on a virtual clock, with this order of tasks",
         "real_clock: run in real time, with real threads and descriptors",
     ):
         config.addinivalue_line("markers", line)
+
+
+def has_clock(config: pytest.Config) -> bool:
+    """Tell whether a pytest-asyncio is at work that can be given an event loop."""
+    return hasattr(config.hook, "pytest_asyncio_loop_factories")
 
 
 def uses_kit(item: pytest.Item) -> bool:
@@ -65,7 +69,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """Fail a test that would not run on the clock which it is promised."""
     asynchronous = inspect.iscoroutinefunction(getattr(item, "function", None))
     by_anyio = "anyio_backend" in getattr(item, "fixturenames", ())
-    by_asyncio = item.get_closest_marker("asyncio") is not None
+    by_asyncio = has_clock(item.config) and item.get_closest_marker("asyncio")
     if asynchronous and on_virtual_clock(item) and (by_anyio or not by_asyncio):
         pytest.fail(
             "on the virtual clock of esair only pytest-asyncio runs a test:"
