@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import attrs
 
 from esair.exceptions import DeviceLostError
+from esair.loop import wake
 
 OPERATE = "operate"
 """How the calls of operations are named; the operation's name comes after it."""
@@ -68,6 +69,11 @@ class Call:
         self.cancelled = True
         if self.engine is not None:
             self.engine.cancel()
+
+    def wake(self) -> None:
+        """Let those go on who wait for its outcome, or its end."""
+        waiters, self.waiters = self.waiters, []
+        wake(*waiters)
 
     def __str__(self) -> str:
         what = ", ".join(f"{each!r:.40}" for each in self.args)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextvars
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from esair.connections._call import Apply, Call, End
@@ -148,7 +149,7 @@ class Calls:
         if waits_for is ENDED:
             return light.value
         light.goes_on(coroutine, waits_for)
-        return self._waits(light, kind, args, limit)
+        return self._follow(light, kind, args, limit)
 
     def _begin_untaped(
         self,
@@ -181,9 +182,9 @@ class Calls:
         except BaseException as error:
             contained = self._contained(error)
             raise contained from contained.__cause__
-        if type(value) is not LightTask:
-            return value
-        return self._waits(value, kind, args, limit)
+        if type(value) is not LightTask or value.get_coro() is None:
+            return value  # also a light task that the driver has returned
+        return self._follow(value, kind, args, limit)
 
     def _begin_taped(
         self,
@@ -219,15 +220,13 @@ class Calls:
         value.taped = lambda end: tape.arrived(tag, tuple(end), number=number)
         return value
 
-    def _waits(
+    def _follow(
         self, light: LightTask, kind: str, args: tuple[Any, ...], limit: float | None
-    ) -> Any:
+    ) -> Call:
         """Make the call of a driver that goes on in a light task."""
-        if light.get_coro() is None:
-            return light  # it has not: this is what the driver has returned
         call = self._track(kind, args, limit)
         call.engine = light
-        light.then(lambda value, error: self.over(call, End(value, error)))
+        light.then(partial(self.over, call))
         return call
 
     async def run(
@@ -269,8 +268,13 @@ class Calls:
             raise outcome.error
         return outcome.value
 
-    def over(self, call: Call, end: End) -> None:
-        self._door.end(("call", self.resource), self.ended, call, end)
+    def over(self, call: Call, value: Any, error: BaseException | None) -> None:
+        """Let the end of a call take effect, in its turn."""
+        end = End(value, error)
+        if self._door.has_border:
+            self._door.end(("call", self.resource), self.ended, call, end)
+        else:
+            self.ended(call, end)
 
     def ended(self, call: Call, end: End) -> None:
         """Apply the end of a call: the one place where it takes effect, in the loop.
@@ -293,8 +297,7 @@ class Calls:
             if call.kind == "open" and end.error is None and self.on_late_open:
                 self.on_late_open(call)
             self._on_late(call)
-            waiters, call.waiters = call.waiters, []
-            wake(*waiters)
+            call.wake()
             return
         if call.deadline is not None:
             call.deadline.cancel()
@@ -371,8 +374,8 @@ class Calls:
         call.outcome = end
         if current and call.apply is not None:
             call.apply(call, end)
-        waiters, call.waiters = call.waiters, []
-        wake(*waiters)
+        if call.waiters:
+            call.wake()
 
     def _contained(self, error: BaseException) -> Exception:
         """Make an error that may be raised in any task of what the driver has raised."""
@@ -439,9 +442,7 @@ class ThreadedCall:
             self.set_exception(error)
             return
         if value is WAITS:
-            rest.then(
-                lambda value, error: self._calls.over(self._call, End(value, error))
-            )
+            rest.then(partial(self._calls.over, self._call))
         else:
             self._calls.ended(self._call, End(value, None))
 
