@@ -97,7 +97,10 @@ class Exchanges:
             BusyError: Too many requests wait; it was not sent.
             DriverStuckError: There was no answer, or no turn, in time.
         """
-        async with self.request(*kinds, timeout=timeout, answers=answers) as exchange:
+        exchange = self.request(*kinds, timeout=timeout, answers=answers)
+        if not self.take(exchange):
+            await exchange.turn()
+        with exchange:
             exchange.begin()
             await send(exchange.left)
             return await exchange.answer(patience=patience)
@@ -196,6 +199,8 @@ class Exchanges:
     def end_turn(self, exchange: Exchange) -> None:
         """Let the next one leave, and remember what is owed."""
         self._now = None
+        if self._deadline is not None:
+            self._deadline.cancel()
         if exchange.is_owed:
             left = exchange.due - asyncio.get_running_loop().time()
             self._owe(exchange, max(0.0, left) + self._late_limit)
@@ -206,14 +211,12 @@ class Exchanges:
         if self._line:
             self._let_leave()
 
-    def limited(self, exchange: Exchange) -> Deadline:
+    def limit_wait(self, exchange: Exchange) -> None:
         """Let the one that waits for its answer wait no longer than its time lasts."""
-        deadline = self._deadline
-        if deadline is None or exchange.loop is not self._loop:
+        if self._deadline is None or exchange.loop is not self._loop:
             self._loop = loop = exchange.loop
-            self._deadline = deadline = Deadlines.beside(loop).idle(self._expire)
-        deadline.start(exchange.until)
-        return deadline
+            self._deadline = Deadlines.beside(loop).idle(self._expire)
+        self._deadline.start(exchange.until)
 
     def _expire(self) -> None:
         if self._now is not None:
@@ -307,21 +310,17 @@ class Exchange:
         """Its answer is there, or it was not sent: nothing is owed."""
         self._is_answered = True
 
-    async def answer(self, *, patience: float | None = None) -> bytes:
-        """Wait for the answer; the request has been sent."""
-        seconds = self._seconds if patience is None else patience
-        self.due = self.loop.time() + seconds
+    def answer(self, *, patience: float | None = None) -> asyncio.Future[bytes]:
+        """Return the answer, to be awaited at once; the request has been sent."""
+        self.due = self.loop.time() + (self._seconds if patience is None else patience)
+        self._waiter = waiter = self.loop.create_future()
         if self._message is not None:
-            return self._message
-        if self.error is not None:
-            raise self.error
-        waiter: asyncio.Future[bytes] = self.loop.create_future()
-        self._waiter = waiter
-        deadline = self._exchanges.limited(self)
-        try:
-            return await waiter
-        finally:
-            deadline.cancel()
+            waiter.set_result(self._message)
+        elif self.error is not None:
+            waiter.set_exception(self.error)
+        else:
+            self._exchanges.limit_wait(self)
+        return waiter
 
     async def wait(self) -> None:
         """Wait for its turn, as long as its time lasts."""
@@ -371,18 +370,32 @@ class Exchange:
         if self._waiter is not None:
             fail(self._waiter, TimeoutError())
 
-    async def __aenter__(self) -> Self:
-        if self._exchanges.take(self):
-            return self
+    async def turn(self) -> None:
+        """Wait until it may leave."""
         try:
             await self._exchanges.take_turn(self)
         except DriverStuckError:
             raise
         except TimeoutError:
             raise self._stuck() from None
+
+    async def __aenter__(self) -> Self:
+        if not self._exchanges.take(self):
+            await self.turn()
         return self
 
     async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.__exit__(kind, error, traceback)
+
+    def __enter__(self) -> Self:
+        return self  # its turn has come
+
+    def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,

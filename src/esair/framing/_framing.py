@@ -66,11 +66,12 @@ class Framing(abc.ABC):
         self._buffer.clear()
 
     def _checked(self, payload: bytes, least: int = 0) -> bytes:
-        if not isinstance(payload, bytes | bytearray | memoryview):
-            raise BadValueError(
-                "framing", "payload", f"expected bytes, not {payload!r:.80}"
-            )
-        payload = bytes(payload)
+        if type(payload) is not bytes:
+            if not isinstance(payload, (bytes, bytearray, memoryview)):
+                raise BadValueError(
+                    "framing", "payload", f"expected bytes, not {payload!r:.80}"
+                )
+            payload = bytes(payload)
         if not least <= len(payload) <= self.max_length:
             told = f"at most {self.max_length}"
             if len(payload) < least:

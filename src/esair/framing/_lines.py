@@ -22,10 +22,14 @@ class Delimited(Framing):
     def _cut(self, data: bytes) -> list[bytes]:
         """Return what stands before each delimiter; what is overlong is counted."""
         buffer, delimiter = self._buffer, self.delimiter
+        if not (buffer or self._skipping) and len(data) <= self._max_frame:
+            *pieces, rest = data.split(delimiter)  # as usual: whole messages
+            buffer += rest
+            return pieces
         tail = len(delimiter) - 1
         searched = max(0, len(buffer) - tail)
         buffer += data
-        pieces: list[bytes] = []
+        pieces = []
         if buffer.find(delimiter, searched) >= 0:
             total = len(buffer)
             *pieces, rest = bytes(buffer).split(delimiter)

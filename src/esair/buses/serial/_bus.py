@@ -229,9 +229,12 @@ class SerialBus(Bus):
         self._connected()
         seconds = self.write_timeout if timeout is None else timeout
         kinds = prefix if isinstance(prefix, tuple) else (prefix,)
-        exchange = self._exchanges.request(*kinds, timeout=seconds, answers=answers)
+        exchanges = self._exchanges
+        exchange = Exchange(exchanges, kinds, seconds, answers)
         exchange.name = payload
-        async with exchange:
+        if not exchanges.take(exchange):
+            await exchange.turn()
+        with exchange:
             size = self._put(self.framing.encode(payload), exchange)
             if size:
                 await self._sent(size, exchange.left)
