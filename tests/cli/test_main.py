@@ -53,6 +53,23 @@ def test_a_wrong_command_line_is_told(esair_command, capsys, words) -> None:
     assert "Traceback" not in told.err
 
 
+@pytest.mark.parametrize("option", ["--record", "--page"])
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("{} robot.toml", "{} takes the word after it: write it after the FILE"),
+        ("robot.toml {0} ab {0} cd", "expected one at most, not 'ab cd'"),
+    ],
+)
+def test_an_option_that_may_stand_alone_takes_one_word(
+    esair_command, capsys, option, words, why
+) -> None:
+    """Two are no traceback; who has written the file's name after it is told why."""
+    assert esair_command("sim", *words.format(option).split()) == 2
+    told = capsys.readouterr().err.replace("│", " ").split()
+    assert why.format(option) in " ".join(told)
+
+
 @pytest.mark.real_clock
 @pytest.mark.parametrize(
     ("package", "words", "extra"),

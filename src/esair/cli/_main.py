@@ -56,13 +56,16 @@ def _write_no_more() -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    from cyclopts import CycloptsError
+    from cyclopts import CycloptsError, MissingArgumentError
 
     try:
         verb, bound, _ = make_app().parse_args(
             arguments, exit_on_error=False, print_error=True
         )
-    except CycloptsError:
+    except CycloptsError as error:
+        greedy = [word for word in arguments if word in ("--record", "--page")]
+        if greedy and isinstance(error, MissingArgumentError):
+            tell(f"{greedy[0]} takes the word after it: write it after the FILE")
         return CANNOT_USE
     try:
         return verb(*bound.args, **bound.kwargs) or 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,15 @@ Seconds = Annotated[float | None, Parameter(name="--for")]
 Verbose = Annotated[bool, Parameter(name=["--verbose", "-v"])]
 Out = Annotated[Path | None, Parameter(name=["--out", "-o"])]
 Components = Annotated[list[str] | None, Parameter(name=["--component", "-c"])]
+
+
+def one_at_most(_: object, words: Sequence[object] | None) -> None:
+    """Refuse more than one word: an option that may also stand alone takes a list."""
+    if words is not None and len(words) > 1:
+        raise ValueError(f"expected one at most, not {' '.join(map(str, words))!r}")
+
+
+MaybeNamed = Parameter(consume_multiple=True, validator=one_at_most)
 
 
 @Parameter(name="*")  # its fields are options themselves
@@ -35,7 +45,7 @@ class Running:
     """
 
     seconds: Seconds = None
-    record: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
-    page: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None
+    record: Annotated[list[Path] | None, MaybeNamed] = None
+    page: Annotated[list[str] | None, MaybeNamed] = None
     insecure: bool = False
     verbose: Verbose = False
