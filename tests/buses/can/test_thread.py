@@ -16,6 +16,7 @@ import pytest
 
 from esair.buses import CanBus, CanState
 from esair.buses.can import ALL, Mask, _python_can, _thread_node
+from esair.buses.can._interface import Interface
 from esair.exceptions import (
     ConfigError,
     DeviceLostError,
@@ -390,6 +391,21 @@ async def test_an_interface_that_opens_too_late_is_shut_again(
     Scripted.opening.set()
 
     await until(lambda: made and made[0].shut.is_set())
+
+
+@pytest.mark.parametrize("is_up", [True, False])
+async def test_the_bit_rate_that_is_wanted_is_that_of_the_interface(
+    monkeypatch: pytest.MonkeyPatch, *, is_up: bool
+) -> None:
+    """python-can passes it over there; at another one nobody on the bus is heard."""
+    found = Interface(7, is_up, 16, CanState.ACTIVE, 250_000, has_controller=True)
+    monkeypatch.setattr(_python_can._can_interface, "look_up", lambda _name: found)
+    bus = CanBus(name="drive", channel="can0", bitrate=500_000)
+
+    with pytest.raises(ConfigError if is_up else DeviceLostError) as caught:
+        await bus.open()
+    assert ("is set to 250000, not 500000: ip link set" in str(caught.value)) is is_up
+    await bus.close()
 
 
 async def test_options_reach_python_can(made: list[Scripted]) -> None:

@@ -67,7 +67,8 @@ class CanBus(Bus):
         lost_when: At which state of the controller the bus counts as lost. Short of
             bus-off it works on; `on_state` tells.
         wire: What is opened instead of an interface, such as a bus in memory.
-        **options: Further options of ``can.Bus``, such as ``bitrate=500_000``.
+        **options: Further options of ``can.Bus``, such as ``bitrate=500_000``. An
+            interface of the kernel has its bit rate already: another one is refused.
     """
 
     def __init__(

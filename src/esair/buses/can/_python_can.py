@@ -152,6 +152,15 @@ class _Opening:
             raise ConnectionError(
                 f"the interface is down: ip link set {self._channel} up"
             )
+        wanted = self._options.get("bitrate")
+        actual = found.bitrate  # rounded to what its clock can do
+        if wanted and actual and abs(actual - wanted) > 0.05 * actual:
+            raise ConfigError(
+                self._owner,
+                "bitrate",
+                f"{self._channel} is set to {actual}, not {wanted}: ip link set"
+                f" {self._channel} down, then up type can bitrate {wanted}",
+            )
         if self._options.get("fd") and found.mtu < FD.size:
             raise ConfigError(
                 self._owner,
