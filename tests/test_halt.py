@@ -300,6 +300,31 @@ async def test_a_behavior_stops_the_robot(fake_actuator: Any, caplog: Any) -> No
 
 
 @pytest.mark.promise("ROB-4")
+async def test_a_behavior_stops_the_robot_in_its_first_step(fake_actuator: Any) -> None:
+    """It runs, so the robot has started; in `setup` it has not."""
+    wheels = fake_actuator("wheels", safe=0.0)
+
+    class Once(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            await self.wheels.write(1.0)
+            await self.stop_robot("that was all")
+
+    class Never(esair.Behavior):
+        async def setup(self) -> None:
+            await self.stop_robot("not today")
+
+    async with esair.Robot(resources=[wheels], behaviors=[Once()]) as robot:
+        await robot.ended()
+    assert wheels.commands[:2] == [0.0, 1.0]
+    assert wheels.commands[-1] == 0.0
+    assert robot.stopped.reason == "once: that was all"
+    with pytest.raises(esair.StoppingError, match="not today"):
+        await esair.Robot(behaviors=[Never()]).__aenter__()
+
+
+@pytest.mark.promise("ROB-4")
 async def test_the_block_of_a_stopped_robot_goes_on(fake_actuator: Any) -> None:
     """The user stops it in its own block, looks at it, and leaves."""
     wheels = fake_actuator("wheels", safe=0.0)

@@ -308,8 +308,9 @@ class Robot:
                 self._host.uncancel()
                 raise StoppingError(self._title, f"stopped: {asked}") from None
             raise
-        self._is_up = True
-        self._care.is_up(loop)
+        if self._stopping is None:  # else it was up for a moment
+            self._is_up = True
+            self._care.is_up(loop)
         return self
 
     async def __aexit__(
@@ -358,7 +359,7 @@ class Robot:
         if not self._entered:
             self.stopped = Stopped((), self._reason)
             return self.stopped
-        if self._is_up:
+        if self._is_up or self._behaviors.is_one_that_runs():
             self._stop_once()
         elif self._stopping is None:  # it starts: whoever enters it stops it
             assert self._host is not None

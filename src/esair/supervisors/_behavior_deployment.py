@@ -20,7 +20,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Event, Kind
-from esair.loop import ProcessWatch, script_context, spawn, wake
+from esair.loop import ProcessWatch, current_owner, script_context, spawn, wake
 from esair.messages import Access, BehaviorsPolicy, BehaviorState, BehaviorStatus
 from esair.plan import Finding, Plan, refuse
 from esair.supervisors._command_queue import CommandQueue
@@ -285,6 +285,14 @@ class BehaviorDeployment:
         if waits:
             await asyncio.wait(waits, timeout=START_TIMEOUT)
             _warn_of(process, " or ".join(self.members))
+
+    def is_one_that_runs(self) -> bool:
+        """Whether a behavior that runs is who calls this."""
+        owner, runs = current_owner(), BehaviorState.RUNNING
+        return owner is not None and any(
+            member.owner is owner and member.state is runs
+            for member in self.members.values()
+        )
 
     def forget_waiting(self) -> None:
         """Drop the commands that reactions keep for later: the robot is halted."""
