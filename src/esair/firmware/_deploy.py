@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib.util
-import json
+import re
 import subprocess
 import sys
 import time
@@ -22,25 +22,6 @@ from esair.firmware._lines import Lines
 
 SILENCE: Final = 60.0
 """How long one act of mpremote may take, in seconds."""
-
-_HASHES: Final = """
-import hashlib, binascii, json
-def of(name):
-    whole = hashlib.sha256()
-    with open(name, "rb") as file:
-        while True:
-            piece = file.read(512)
-            if not piece:
-                return binascii.hexlify(whole.digest()).decode()
-            whole.update(piece)
-found = {{}}
-for name in {names!r}:
-    try:
-        found[name] = of(name)
-    except OSError as error:
-        found[name] = repr(error)
-print(json.dumps(found))
-"""
 
 
 @attrs.frozen
@@ -187,18 +168,15 @@ def _parents(name: str) -> Iterator[str]:
 
 
 def _compare(path: str, files: Mapping[str, Path]) -> None:
-    there = json.loads(_mpremote(path, "exec", _HASHES.format(names=list(files))))
-    wrong = [
-        name
-        for name, file in files.items()
-        if there.get(name) != hashlib.sha256(file.read_bytes()).hexdigest()
-    ]
-    if wrong:
-        raise ConfigError(
-            "esair min deploy",
-            wrong[0],
-            f"what is on the board is not what was copied ({there.get(wrong[0])}): is it full?",
-        )
+    told = _mpremote(path, "fs", "sha256sum", *(f":{name}" for name in files))
+    there = re.findall(r"^[0-9a-f]{64}\b", told, re.MULTILINE)
+    for (name, file), found in zip(files.items(), there, strict=True):
+        if found != hashlib.sha256(file.read_bytes()).hexdigest():
+            raise ConfigError(
+                "esair min deploy",
+                name,
+                "what is on the board is not what was copied: is it full?",
+            )
 
 
 def _restart(path: str, seconds: float) -> str:
