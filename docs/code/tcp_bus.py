@@ -63,7 +63,6 @@ class TcpBus(Bus):
         return self._line.transport
 
     async def _open(self) -> None:
-        await self._close()  # what a loss has left behind
         self._exchanges.clear()  # a new connection owes nothing
         loop = asyncio.get_running_loop()
         line = _Line(self)

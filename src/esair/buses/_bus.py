@@ -15,6 +15,7 @@ from esair.values import check_name
 from esair.watchdog import Outlet
 
 T = TypeVar("T")
+E = TypeVar("E", bound=BaseException)
 
 LOOK_TIMEOUT = 1.0
 """How long a bus looks what is there before it opens it, in seconds."""
@@ -28,7 +29,8 @@ class Bus(abc.ABC):
 
     A subclass writes ``_open`` and ``_close``, calls `lost` when the wire is gone
     and, if it can know it, `arrived` when it is there again. Everything else (opening
-    once for all, reopening when a device asks for it after a loss) is here.
+    once for all, reopening when a device asks for it after a loss) is here; so is
+    ``_close`` called, at once, after a loss and after an opening that failed.
 
     A subclass that can say what is there now, without opening it, sets ``_presence``
     to a function that does: it returns None if nothing is there, and another value
@@ -61,6 +63,7 @@ class Bus(abc.ABC):
         """The thread for blocking calls of the devices on this bus."""
         self._opening: asyncio.Task[None] | None = None
         self._closing: asyncio.Future[None] | None = None
+        self._letting_go: asyncio.Task[None] | None = None
         self._on_lost: list[Callable[[BaseException], None]] = []
         self._on_arrival: list[Callable[[], None]] = []
         self._seen_first: Hashable | None = None
@@ -113,11 +116,13 @@ class Bus(abc.ABC):
         task = asyncio.current_task()
         assert task is not None
         try:
+            await self._has_let_go()
             self._seen_first = await self._look_first()
             await self._open()
         except Exception as error:
             self._note(error)
             self._is_missed = not task.cancelling()
+            self._let_go()
             raise
         else:
             self.is_open = True
@@ -191,7 +196,8 @@ class Bus(abc.ABC):
         self._is_missed = False
         was_open, self.is_open = self.is_open, False
         self._keep_watch()
-        if was_open or opening is not None or self.error is not None:
+        await self._has_let_go()
+        if was_open or opening is not None:
             await self._close()
         await self.executor.join(timeout=0.2)
         if self._wire is not None:
@@ -231,6 +237,26 @@ class Bus(abc.ABC):
         self._keep_watch()
         for listener in tuple(self._on_lost):
             listener(error)
+        self._let_go()
+
+    def _let_go(self) -> None:
+        """Close what is left: an open file would keep its number from who returns."""
+        self._letting_go = spawn(  # nobody's: it does not end with who met the loss
+            asyncio.get_running_loop(),
+            self._close_what_is_gone(),
+            name=f"let go {self.name}",
+        )
+
+    async def _close_what_is_gone(self) -> None:
+        try:
+            await self._close()
+        except Exception as error:  # it is gone anyway
+            self.stats.last_error = describe(error)
+
+    async def _has_let_go(self) -> None:
+        if self._letting_go is not None:
+            await asyncio.wait({self._letting_go})
+            self._letting_go = None
 
     def arrived(self) -> None:
         """Tell everybody that the wire is there again; nothing is opened by that."""
@@ -245,10 +271,14 @@ class Bus(abc.ABC):
         far_end.on_plug(self.arrived)
         return far_end
 
-    def _note(self, error: BaseException) -> None:
-        self.error = error
+    def failed(self, error: E) -> E:
+        """Count an error of the bus, and return it to be raised."""
         self.stats.errors += 1
         self.stats.last_error = describe(error)
+        return error
+
+    def _note(self, error: BaseException) -> None:
+        self.error = self.failed(error)
 
     def __repr__(self) -> str:
         state = "open" if self.is_open else "closed"

@@ -10,7 +10,7 @@ from typing import Self
 
 from esair.buses._bus import Bus
 from esair.buses._inbox import within
-from esair.exceptions import BusyError, DeviceLostError, DriverStuckError, describe
+from esair.exceptions import BusyError, DeviceLostError, DriverStuckError
 from esair.loop import Deadline, Deadlines, arrive, fail
 
 LATE_LIMIT = 0.4
@@ -251,10 +251,7 @@ class Exchanges:
 
     def stuck(self, what: str, seconds: float) -> DriverStuckError:
         """Return the error for a request whose time is up, counted."""
-        error = DriverStuckError(self._bus.name, what, seconds)
-        self._bus.stats.errors += 1
-        self._bus.stats.last_error = describe(error)
-        return error
+        return self._bus.failed(DriverStuckError(self._bus.name, what, seconds))
 
 
 class Exchange:

@@ -18,7 +18,6 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.loop import spawn
 from esair.values import check_seconds
 
 T = TypeVar("T")
@@ -75,7 +74,6 @@ class LinkBus(Bus, Generic[L]):
         self._jitter = random.Random(name)
         self._inline = False
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._letting_go: asyncio.Task[None] | None = None
 
     @abc.abstractmethod
     def _open_link(self) -> L:
@@ -122,7 +120,7 @@ class LinkBus(Bus, Generic[L]):
             if isinstance(reason, DeviceLostError) and self._loop is not None:
                 self._loop.call_soon_threadsafe(self.lost, reason)
                 raise reason from error
-            raise self._failed(reason) from error
+            raise self.failed(reason) from error
         self.stats.sent += 1
         return result
 
@@ -194,7 +192,7 @@ class LinkBus(Bus, Generic[L]):
                 function, link, *args, timeout=timeout, guard=wanted
             )
         except DriverStuckError:
-            raise self._failed(self._stuck_with(address, timeout)) from None
+            raise self.failed(self._stuck_with(address, timeout)) from None
         except BusyError:
             self.stats.refused += 1
             raise
@@ -204,19 +202,12 @@ class LinkBus(Bus, Generic[L]):
         if stuck is not None:
             self.stats.refused += 1
             since = asyncio.get_running_loop().time() - stuck + self.timeout
-            raise self._failed(
-                DriverStuckError(self.name, "an earlier transfer", since)
-            )
+            raise self.failed(DriverStuckError(self.name, "an earlier transfer", since))
 
     def _told(self, error: EsairError) -> EsairError:
         if not isinstance(error, DeviceLostError):
-            return self._failed(error)
+            return self.failed(error)
         self.lost(error)
-        return error
-
-    def _failed(self, error: EsairError) -> EsairError:
-        self.stats.errors += 1
-        self.stats.last_error = describe(error)
         return error
 
     def _connected(self) -> L:
@@ -224,20 +215,7 @@ class LinkBus(Bus, Generic[L]):
             raise DeviceLostError(self.name, "the bus is not open")
         return self._link
 
-    def lost(self, error: BaseException) -> None:
-        """Tell everybody on the bus, once, that it is gone, and let it go.
-
-        An open file keeps the kernel from giving the adapter its number again.
-        """
-        if not self.is_open:
-            return
-        super().lost(error)
-        self._letting_go = spawn(
-            asyncio.get_running_loop(), self._close(), name=f"let go {self.name}"
-        )
-
     async def _open(self) -> None:
-        await self._close()  # what a loss has left behind
         self._loop = asyncio.get_running_loop()
         make: Callable[[], L] = self._open_link
         if self._wire is not None:

@@ -185,7 +185,7 @@ class PlayedBus(LinkBus[L]):
             async with asyncio.timeout_at(until):
                 await self._turn_of_play.acquire()
         except TimeoutError:
-            raise self._failed(stuck) from None
+            raise self.failed(stuck) from None
         try:
             async with asyncio.timeout_at(until):
                 await self._go.wait()
@@ -196,7 +196,7 @@ class PlayedBus(LinkBus[L]):
             self.executor.stuck_since = loop.time()
             if self._go.is_set():
                 loop.call_later(max(0.0, self.link.stretch - timeout), self._finish)
-            raise self._failed(stuck) from None
+            raise self.failed(stuck) from None
         except asyncio.CancelledError:
             self._turn_of_play.release()
             raise

@@ -25,7 +25,6 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.loop import spawn
 from esair.values import check_choice
 from esair.watchdog import Outlet
 
@@ -104,7 +103,6 @@ class CanBus(Bus):
         self._of_kernel = wire is None and interface == "socketcan"
         if self._of_kernel:
             self._presence = self._look
-        self._leaving: asyncio.Task[None] | None = None
         self._epoch = 0
         self._lost_in_opening: Exception | None = None
         self._routes = Routes()
@@ -207,7 +205,10 @@ class CanBus(Bus):
             if not await self._outbox.send(key, frame, seconds, replaces):
                 raise self._no_room(seconds, heard)
         except EsairError as error:
-            self._count(error)
+            if isinstance(error, BusyError):
+                self.stats.refused += 1
+            elif isinstance(error, DeviceFaultError | DriverStuckError):
+                self.failed(error)
             raise
         except OSError as error:
             loss = DeviceLostError(self.name, describe(error))
@@ -236,13 +237,6 @@ class CanBus(Bus):
         fault.errno = errno.ETIMEDOUT  # nobody has said anything wrong
         return fault
 
-    def _count(self, error: EsairError) -> None:
-        if isinstance(error, BusyError):
-            self.stats.refused += 1
-        elif isinstance(error, DeviceFaultError | DriverStuckError):
-            self.stats.errors += 1
-            self.stats.last_error = describe(error)
-
     def _connected(self) -> FrameLink:
         if not self.is_open or self._outbox.link is None:
             raise DeviceLostError(self.name, "the bus is not open")
@@ -254,7 +248,7 @@ class CanBus(Bus):
         self._choose()
 
     def _choose(self) -> None:
-        if self._outbox.link is None:
+        if not self.is_open or self._outbox.link is None:
             return
         try:
             self._outbox.link.listen(self._routes.filters)
@@ -262,7 +256,6 @@ class CanBus(Bus):
             self._gone(self._epoch, error)
 
     async def _open(self) -> None:
-        await self._close()  # what a loss has left behind
         self._epoch += 1
         epoch = self._epoch
         self._lost_in_opening = None
@@ -314,8 +307,6 @@ class CanBus(Bus):
         self._epoch += 1
         link, self._outbox.link = self._outbox.link, None
         self._routes.fail(DeviceLostError(self.name, "the bus was closed"))
-        if self._leaving is not None:
-            await asyncio.wait({self._leaving})
         if link is not None:
             await link.close()
 
@@ -394,23 +385,8 @@ class CanBus(Bus):
             self._lost_in_opening = self._lost_in_opening or loss
             return
         self._epoch += 1
-        link, self._outbox.link = self._outbox.link, None
-        if link is not None:  # hear nothing more, hold nothing any longer
-            self._leaving = spawn(  # nobody's: it does not end with who met the loss
-                asyncio.get_running_loop(),
-                self._leave(link),
-                name=f"leave bus {self.name}",
-            )
         self._routes.fail(loss)
         self.lost(loss)
-
-    async def _leave(self, link: FrameLink) -> None:
-        try:
-            await link.close()
-        except Exception as error:  # it is gone anyway
-            self.stats.last_error = describe(error)
-        finally:
-            self._leaving = None
 
     def _look(self) -> Hashable | None:
         from esair.buses.can._interface import is_there

@@ -123,7 +123,7 @@ class I2CBus(LinkBus[RegisterLink]):
         repeated = ITS_CHIP if idempotent else OCCUPIED
         data = await self._turn(transfer, address, timeout, repeated)
         if len(data) != length:
-            raise self._failed(
+            raise self.failed(
                 DeviceFaultError(
                     self.name,
                     f"chip {address:#04x} sent {len(data)} bytes instead of {length}",

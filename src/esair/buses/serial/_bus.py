@@ -24,7 +24,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.framing import Framing
-from esair.loop import Arrivals, spawn
+from esair.loop import Arrivals
 from esair.values import check_seconds, check_whole
 from esair.watchdog import Outlet
 
@@ -113,7 +113,6 @@ class SerialBus(Bus):
             place = SerialPlace(name, port)
             self._presence = None if place.is_url else place.look
         self._open_device: Port | None = None
-        self._letting_go: asyncio.Task[None] | None = None
         self._line: Line | None = None
         self._arrivals: Arrivals
         self._inboxes: list[tuple[bytes, Inbox[bytes]]] = []
@@ -248,7 +247,7 @@ class SerialBus(Bus):
         except DriverStuckError:  # another writer's time was up: all is thrown away
             raise
         except TimeoutError:
-            stuck = self._stuck("write", seconds)
+            stuck = self.failed(DriverStuckError(self.name, "write", seconds))
             self._discard(line, stuck)
             raise stuck from None
         except asyncio.CancelledError as cancelled:
@@ -265,15 +264,6 @@ class SerialBus(Bus):
         line.settle(error)  # first: the link tells who waits then that all is sent
         line.link.flush()
 
-    def _stuck(self, call: str, seconds: float) -> DriverStuckError:
-        error = DriverStuckError(self.name, call, seconds)
-        self._count(error)
-        return error
-
-    def _count(self, error: BaseException) -> None:
-        self.stats.errors += 1
-        self.stats.last_error = describe(error)
-
     def _connected(self) -> Line:
         if not self.is_open or self._line is None:
             raise DeviceLostError(self.name, "the line is not open")
@@ -283,7 +273,6 @@ class SerialBus(Bus):
         self._inboxes = [entry for entry in self._inboxes if entry[1] is not inbox]
 
     async def _open(self) -> None:
-        await self._close()  # what a loss has left behind
         self.framing.reset()
         self._bad_in_row = 0
         self._arrivals = Arrivals.of(asyncio.get_running_loop())
@@ -305,9 +294,6 @@ class SerialBus(Bus):
         if line is not None:
             self._discard(line, gone)
             line.end()  # first, so that nobody watches the descriptor
-        letting_go, self._letting_go = self._letting_go, None
-        if letting_go is not None:
-            await asyncio.wait({letting_go})
         port, self._open_device = self._open_device, None
         if port is not None:
             await close_port(port, self.executor)
@@ -342,8 +328,7 @@ class SerialBus(Bus):
                 "check the baud rate, the parity and the framing",
             )
             self._bad_in_row = 0
-            self._count(fault)
-            self._fail_all(fault)
+            self._fail_all(self.failed(fault))
 
     def _deliver(self, messages: list[bytes]) -> None:
         if not self._inboxes:
@@ -384,11 +369,4 @@ class SerialBus(Bus):
         self._discard(line, loss)
         line.end()
         self._fail_all(loss)
-        port, self._open_device = self._open_device, None
-        if port is not None:  # held, it keeps its number: it would return as another
-            self._letting_go = spawn(
-                asyncio.get_running_loop(),
-                close_port(port, self.executor),
-                name=f"let go {self.name}",
-            )
         self.lost(loss)

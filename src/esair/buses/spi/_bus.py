@@ -127,7 +127,7 @@ class SpiBus(LinkBus[SpiLink]):
             chip, bytes(write) + bytes(read), speed=speed, mode=mode, timeout=timeout
         )
         if len(back) != len(write) + read:
-            raise self._failed(
+            raise self.failed(
                 DeviceFaultError(
                     self.name,
                     f"chip {chip} sent {len(back)} bytes instead of {len(write) + read}",

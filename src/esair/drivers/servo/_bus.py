@@ -325,8 +325,7 @@ class ServoBus(Bus):
             )
             if result == self._rx_timeout:
                 fault.errno = errno.ETIMEDOUT  # it has no power, say
-            self._count(fault)
-            raise fault
+            raise self.failed(fault)
         self.stats.received += 1
         if error & ALERT and what != f"read {self.table.errors}":
             bits = await self._make_one(servo, self.table.errors, 1, None)
@@ -354,12 +353,11 @@ class ServoBus(Bus):
                 self._run, link, call, timeout=seconds, guard=wanted
             )
         except DriverStuckError as stuck:
-            self._count(stuck)
+            self.failed(stuck)
             raise
         except TimeoutError as slow:
             late = DriverStuckError(self.name, what, ANSWER_TIMEOUT)
-            self._count(late)
-            raise late from slow
+            raise self.failed(late) from slow
         except OSError as gone:
             loss = DeviceLostError(self.name, describe(gone))
             self._exchanges.fail(loss)
@@ -370,12 +368,7 @@ class ServoBus(Bus):
         link.is_using = False  # what a call that has failed half-way has left
         return call(self._handler, link)
 
-    def _count(self, error: BaseException) -> None:
-        self.stats.errors += 1
-        self.stats.last_error = describe(error)
-
     async def _open(self) -> None:
-        await self._close()  # what a loss has left behind
         self._snapshots.clear()
         line: ServoLink
         if self._opener is None:
