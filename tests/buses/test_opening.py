@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -245,4 +246,42 @@ async def test_an_opening_waits_for_a_close_that_is_under_way(turns: int) -> Non
     assert bus.is_open
     assert bus.stats.opened == 2
     assert bus.overlaps == 0
+    await bus.close()
+
+
+class Broken(Bus):
+    """Holds something open as soon as it begins to open, and can fail after that."""
+
+    def __init__(self) -> None:
+        super().__init__(name="broken")
+        self.holds = 0
+        self.fails = False
+
+    async def _open(self) -> None:
+        assert not self.holds, "the opening before has left something"
+        self.holds += 1
+        if self.fails:
+            raise DeviceLostError(self.name, "there is nothing at its other end")
+
+    async def _close(self) -> None:
+        self.holds = 0
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-1")
+@pytest.mark.parametrize("fails", [True, False], ids=["in its opening", "later"])
+async def test_what_is_lost_is_let_go_at_once(fails: bool) -> None:
+    """Nobody has to close or to open it for that; its opening finds nothing left."""
+    bus = Broken()
+    bus.fails = fails
+    with contextlib.suppress(DeviceLostError):
+        await bus.open()
+    bus.lost(DeviceLostError(bus.name, "gone"))
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert not bus.holds
+
+    bus.fails = False
+    await bus.open()
+    assert bus.holds == 1
     await bus.close()

@@ -5,14 +5,16 @@ from __future__ import annotations
 import abc
 import asyncio
 import contextlib
+import errno
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Generic, NamedTuple, Protocol, TypeVar, cast
 
 from esair.buses._bus import Bus, Wire, wanted
 from esair.buses._opening import open_on, shut_on
 from esair.exceptions import (
     BusyError,
+    DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
     EsairError,
@@ -21,6 +23,9 @@ from esair.exceptions import (
 from esair.values import check_seconds
 
 T = TypeVar("T")
+
+GONE = frozenset({errno.ENODEV, errno.EBADF, errno.ENOENT, errno.ESHUTDOWN})
+"""The adapter itself is not there; some say it of a chip."""
 
 OPEN_TIMEOUT = 2.0
 """How long opening a bus may take, in seconds."""
@@ -73,21 +78,58 @@ class LinkBus(Bus, Generic[L]):
         self._link: L | None = None
         self._jitter = random.Random(name)
         self._inline = False
+        self._opened_as: Hashable | None = None
+        if wire is None:
+            self._presence = self._look
+            self._still_there = self._same_place
         self._loop: asyncio.AbstractEventLoop | None = None
 
     @abc.abstractmethod
     def _open_link(self) -> L:
-        """Open the kernel's bus; blocks."""
+        """Open the kernel's bus, and set its ``path``; blocks."""
 
     @abc.abstractmethod
+    def _look(self) -> Hashable | None:
+        """Look what is where the bus is; another value is another arrival of it."""
+
+    @abc.abstractmethod
+    def _identity(self) -> Hashable | None:
+        """Return what tells the bus that is open from another; None if it is gone."""
+
+    _chip_form = "chip {}"
+    """How a chip is called, by its address or chip select."""
+
+    def _chip(self, address: int | None) -> str:
+        return "a chip" if address is None else self._chip_form.format(address)
+
+    def _same_place(self) -> bool:
+        seen = self._identity()
+        return seen is not None and seen == self._opened_as
+
+    def _is_there(self, error: OSError) -> bool | None:
+        """Tell whether the adapter is, after an error; None where nobody can know."""
+        return self._same_place() if self.path else None
+
+    def _fault_text(self, error: OSError, address: int | None) -> str:
+        """Say what a transfer failed with."""
+        return f"transfer with {self._chip(address)} failed: {describe(error)}"
+
     def _explained(
         self, error: OSError, address: int | None, seconds: float
     ) -> EsairError:
         """Find out what an error of a transfer means; may look into files."""
+        there, code = self._is_there(error), error.errno
+        if there is False or (there is None and code in GONE):
+            return DeviceLostError(self.name, describe(error))
+        if code == errno.ETIMEDOUT:
+            return self._stuck_with(address, seconds)
+        fault = DeviceFaultError(self.name, self._fault_text(error, address))
+        fault.errno = code
+        return fault
 
-    @abc.abstractmethod
     def _stuck_with(self, address: int | None, seconds: float) -> DriverStuckError:
-        """Return the error for a transfer that takes too long."""
+        what = f"a transfer with {self._chip(address)}"
+        return DriverStuckError(self.name, what, seconds)
 
     def direct(self, transfer: Callable[[L], T], *, address: int | None = None) -> T:
         """Make transfers from a plain method of a driver, which may block.
@@ -110,19 +152,15 @@ class LinkBus(Bus, Generic[L]):
                 f"{self.name}: direct() is for plain (not async) methods of drivers, "
                 "which run on the thread of the bus"
             )
-        link = self._connected()
-        try:
-            result = transfer(link)
-        except EsairError:
-            raise
-        except OSError as error:
-            reason = self._explained(error, address, self.timeout)
-            if isinstance(reason, DeviceLostError) and self._loop is not None:
-                self._loop.call_soon_threadsafe(self.lost, reason)
-                raise reason from error
-            raise self.failed(reason) from error
+        outcome = self._make(self._connected(), transfer, address, self.timeout)
+        if isinstance(outcome, Failure):
+            if not isinstance(outcome.error, DeviceLostError):
+                self.failed(outcome.error)
+            elif self._loop is not None:
+                self._loop.call_soon_threadsafe(self.lost, outcome.error)
+            raise outcome.error from outcome.cause
         self.stats.sent += 1
-        return result
+        return outcome
 
     @property
     def stuck_since(self) -> float | None:
@@ -215,9 +253,14 @@ class LinkBus(Bus, Generic[L]):
             raise DeviceLostError(self.name, "the bus is not open")
         return self._link
 
+    def _open_of_kernel(self) -> L:
+        link = self._open_link()
+        self._opened_as = self._identity()
+        return link
+
     async def _open(self) -> None:
         self._loop = asyncio.get_running_loop()
-        make: Callable[[], L] = self._open_link
+        make: Callable[[], L] = self._open_of_kernel
         if self._wire is not None:
             make = (await self._far_end(self._wire)).open
             self._inline = getattr(self._loop, "virtual", False)

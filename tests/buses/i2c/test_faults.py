@@ -316,23 +316,26 @@ async def test_all_devices_on_a_stuck_bus_are_stale(fake_i2c) -> None:
 
 
 @pytest.mark.fault("I06")
-async def test_a_chip_of_a_driver_of_the_kernel_is_not_taken(tmp_path) -> None:
+async def test_a_chip_of_a_driver_of_the_kernel_is_not_taken(
+    tmp_path, monkeypatch
+) -> None:
     """It says how to take it back; nothing is forced, and nothing is repeated."""
     driver = tmp_path / "bus/i2c/drivers/lm75"
     device = tmp_path / "1-0048"
     driver.mkdir(parents=True)
     device.mkdir()
     (device / "driver").symlink_to(driver)
-    from esair.buses.i2c import _errors as _i2c_errors
     from esair.buses.i2c import _kernel as _i2c_kernel
 
     owner = _i2c_kernel.owner("/dev/i2c-1", 0x48, tmp_path)
     assert owner == device / "driver"
     assert _i2c_kernel.owner("/dev/i2c-1", 0x49, tmp_path) is None
 
-    error = _i2c_errors.explained(
-        "body", OSError(errno.EBUSY, "busy"), 0x48, there=True, seconds=0.2, owner=owner
-    )
+    monkeypatch.setattr(_i2c_kernel, "owner", lambda _path, _address: owner)
+    bus = I2CBus(name="body")
+    bus.path = "/dev/i2c-1"
+    monkeypatch.setattr(bus, "_same_place", lambda: True)
+    error = bus._explained(OSError(errno.EBUSY, "busy"), 0x48, 0.2)
 
     assert isinstance(error, DeviceFaultError)
     assert error.errno == errno.EBUSY

@@ -16,14 +16,12 @@ from esair.buses.i2c._errors import (
     GOING_TIME,
     ITS_CHIP,
     OCCUPIED,
-    explained,
-    stuck_with,
+    fault_text,
 )
 from esair.buses.i2c._link import RegisterLink
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
-    DriverStuckError,
     EsairError,
 )
 from esair.watchdog import Outlet
@@ -62,6 +60,8 @@ class I2CBus(LinkBus[RegisterLink]):
             ``open()`` returns the link.
     """
 
+    _chip_form = "chip {:#04x}"
+
     def __init__(
         self,
         *,
@@ -74,10 +74,6 @@ class I2CBus(LinkBus[RegisterLink]):
         super().__init__(name=name, timeout=timeout, wire=wire)
         self.place = kernel.check_place(name, bus)
         self.pec = pec
-        if wire is None:
-            self._presence = self._look
-            self._still_there = self._same_place
-        self._opened_as: Hashable | None = None
         self._is_removable = False
 
     @property
@@ -292,19 +288,14 @@ class I2CBus(LinkBus[RegisterLink]):
         self.stats.sent += 1
         return "answers"
 
-    def _explained(
-        self, error: OSError, address: int | None, seconds: float
-    ) -> EsairError:
-        there = self._same_place() if self.path else None
+    def _is_there(self, error: OSError) -> bool | None:
+        there = super()._is_there(error)
         if there and self._is_removable and error.errno not in ITS_CHIP:
-            there = self._stays()
-        owner = self._owner(error, address)
-        return explained(
-            self.name, error, address, there=there, seconds=seconds, owner=owner
-        )
+            return self._stays()
+        return there
 
-    def _stuck_with(self, address: int | None, seconds: float) -> DriverStuckError:
-        return stuck_with(self.name, address, seconds)
+    def _fault_text(self, error: OSError, address: int | None) -> str:
+        return fault_text(self._chip(address), error, self._owner(error, address))
 
     def _owner(self, error: OSError, address: int | None) -> Path | None:
         """Return the kernel's driver that keeps us from a chip, if one does."""
@@ -340,10 +331,10 @@ class I2CBus(LinkBus[RegisterLink]):
     def _look(self) -> Hashable | None:
         return kernel.presence(self.place)
 
-    def _same_place(self) -> bool:
+    def _identity(self) -> Hashable | None:
         seen = kernel.presence(self.path)
         # A changed time may be a changed permission; device and file are the adapter.
-        return seen is not None and seen[:2] == self._opened_as
+        return None if seen is None else seen[:2]
 
     def _stays(self) -> bool:
         """Look for a moment: a transfer that is cut fails before its adapter is gone."""
@@ -358,7 +349,5 @@ class I2CBus(LinkBus[RegisterLink]):
         path = kernel.find(self.place)
         link = kernel.open_bus(path, pec=self.pec)
         self._is_removable = kernel.is_removable(path)
-        seen = kernel.presence(path)
-        self._opened_as = None if seen is None else seen[:2]
         self.path = path
         return link

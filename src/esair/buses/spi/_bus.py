@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Callable, Hashable
 from typing import TypeVar
 
@@ -13,16 +12,10 @@ from esair.buses.spi._kernel import LIMIT, SpiLink
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
-    DeviceLostError,
-    DriverStuckError,
-    EsairError,
-    describe,
 )
 from esair.values import check_whole
 
 T = TypeVar("T")
-
-_GONE = frozenset({errno.ENODEV, errno.EBADF, errno.ENOENT, errno.ESHUTDOWN})
 
 
 class SpiBus(LinkBus[SpiLink]):
@@ -61,10 +54,6 @@ class SpiBus(LinkBus[SpiLink]):
         self.bus = check_whole(name, "bus", bus, 0)
         self.speed = check_whole(name, "speed", speed, 1)
         self.mode = check_whole(name, "mode", mode, 0, 3)
-        if wire is None:
-            self._presence = self._look
-            self._still_there = lambda: self._files() == self._opened_as
-        self._opened_as: Hashable | None = None
 
     async def exchange(
         self,
@@ -165,24 +154,6 @@ class SpiBus(LinkBus[SpiLink]):
 
         return await self._turn(make, chip, timeout)
 
-    def _explained(
-        self, error: OSError, address: int | None, seconds: float
-    ) -> EsairError:
-        there = self._files() == self._opened_as if self.path else None
-        code = error.errno
-        if there is False or (there is None and code in _GONE):
-            return DeviceLostError(self.name, describe(error))
-        if code == errno.ETIMEDOUT:
-            return self._stuck_with(address, seconds)
-        fault = DeviceFaultError(
-            self.name, f"transfer with {_chip(address)} failed: {describe(error)}"
-        )
-        fault.errno = code
-        return fault
-
-    def _stuck_with(self, address: int | None, seconds: float) -> DriverStuckError:
-        return DriverStuckError(self.name, f"a transfer with {_chip(address)}", seconds)
-
     def _check(self, chip: int, length: int, speed: int, mode: int) -> None:
         for field, value, least, most, what in (
             ("chip", chip, 0, 255, ""),
@@ -194,19 +165,14 @@ class SpiBus(LinkBus[SpiLink]):
                 told = f"expected {least} to {most}{what}, not {value!r:.80}"
                 raise BadValueError(self.name, field, told)
 
-    def _files(self) -> Hashable:
+    def _identity(self) -> Hashable | None:
         # A changed time may be a changed permission; device and file are the bus.
-        return tuple(each[:3] for each in kernel.presence(self.bus) or ())
+        return tuple(each[:3] for each in kernel.presence(self.bus) or ()) or None
 
     def _look(self) -> Hashable | None:
         return kernel.presence(self.bus)
 
     def _open_link(self) -> SpiLink:
         link = kernel.open_bus(self.name, self.bus)
-        self._opened_as = self._files()
         self.path = f"/dev/spidev{self.bus}"
         return link
-
-
-def _chip(chip: int | None) -> str:
-    return "a chip" if chip is None else f"chip {chip}"
