@@ -17,15 +17,7 @@ from esair.demo._plan import (
     way_to_frontier,
 )
 from esair.demo._values import Scan, Twist
-from esair.exceptions import (
-    BehaviorFailedError,
-    BehaviorRemovedError,
-    BehaviorUnavailableError,
-    DeviceFaultError,
-    DeviceLostError,
-    StaleReadingError,
-    UnknownNameError,
-)
+from esair.exceptions import BehaviorFailedError, BehaviorRemovedError
 from esair.loop import every
 
 PERIOD = 0.05  # Between two commands for the wheels, in seconds
@@ -33,15 +25,6 @@ THINK = 8  # How many commands are made on one plan before it is looked at again
 CRUISE = 0.55  # How fast the rover drives, in m/s
 LOOK_AHEAD = 0.3  # Which point of the way is driven to, in metres ahead
 ARRIVED = 0.22  # How near the goal is near enough, in metres
-
-_NO_ANSWER = (
-    BehaviorFailedError,
-    BehaviorRemovedError,
-    BehaviorUnavailableError,
-    UnknownNameError,
-)
-
-_BLIND = (DeviceLostError, DeviceFaultError, StaleReadingError)
 
 
 class Journey(Behavior):
@@ -54,43 +37,41 @@ class Journey(Behavior):
         super().__init__(name=name)
         self.mapper = mapper
         self.blind = 0  # How many commands it did not make because it could not see
-        self.refused = 0  # How many commands were refused because somebody else drove
         self.way: Way | None = None
-        self.tried: tuple[Point, ...] = ()
+        self.tried: tuple[Point, ...] = ()  # Where it did not get to
+        self._left = math.inf  # How long the way was at least, when it was looked at
 
     async def run(self) -> None:
         """Go on until there is nowhere to go."""
         seeing = False
         thinking = 0
-        best = math.inf
         async for _ in every(PERIOD):
             belief = await self._look(seeing)
             seeing = belief is not None
+            thinking -= 1
             if belief is None:
                 self.way = None
                 continue
-            way, position = self.way, belief.position
-            thinking -= 1
-            if way is not None and position.distance_to(*way.goal) < ARRIVED:
-                way = None
-            if way is None or thinking <= 0:
-                if way is not None:
-                    left = _length(way, position)
-                    if left > best - 0.05:  # it does not get there
-                        self.tried = (*self.tried[-7:], way.goal)
-                        way = None
-                    best = min(best, left)
-                if way is None or not self.is_good(way, belief):
-                    way = self.plan(belief)
-                    best = math.inf
+            position = belief.position
+            if self.way is not None and position.distance_to(*self.way.goal) < ARRIVED:
+                self.way = None
+            if self.way is None or thinking <= 0:
+                self._think(belief)
                 thinking = THINK
-            self.way = way
-            if way is None:
-                if await self.rest(position):
-                    return
-                continue
-            if not await self.wheels.write(follow(way, position)):
-                self.refused += 1
+            if self.way is not None:
+                await self.wheels.write(follow(self.way, position))
+            elif await self.rest(position):
+                return
+
+    def _think(self, belief: Belief) -> None:
+        """Look for another way, unless this one is good and it gets on."""
+        if self.way is not None:
+            before, self._left = self._left, _length(self.way, belief.position)
+            if self._left > before - 0.05:  # it does not get there
+                self.tried = (*self.tried[-7:], self.way.goal)
+            elif self.is_good(self.way, belief):
+                return
+        self.way, self._left = self.plan(belief), math.inf
 
     def plan(self, belief: Belief) -> Way | None:
         """Return the way to go now; None if there is nowhere to go."""
@@ -107,7 +88,7 @@ class Journey(Behavior):
     async def _look(self, was_seeing: bool) -> Belief | None:
         try:
             await self.ranges.read(timeout=0.1)
-        except _BLIND:
+        except OSError:  # lost, at fault or stale
             self.blind += 1
             if was_seeing:  # the rover does not drive on blindly till the time-out
                 await self.wheels.write(Twist(0.0, 0.0))
@@ -115,8 +96,8 @@ class Journey(Behavior):
             return None
         try:
             belief: Belief = await self.get(self.mapper, interval=0.1)
-        except _NO_ANSWER:
-            return None
+        except (BehaviorFailedError, BehaviorRemovedError, OSError, LookupError):
+            return None  # no mapper, or one that is busy
         return belief if belief.settled else None
 
 
@@ -137,8 +118,7 @@ class Explore(Journey):
 
     async def rest(self, position: Position) -> bool:
         """Turn and look around: what is unknown may come into sight."""
-        if not await self.wheels.write(Twist(0.0, 0.8)):
-            self.refused += 1
+        await self.wheels.write(Twist(0.0, 0.8))
         return False
 
 
