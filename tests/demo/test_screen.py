@@ -19,9 +19,9 @@ from rich.console import Console
 
 from esair.demo._drawing import Drawing
 from esair.demo._map import FloorMap
+from esair.demo._samples import Event
 from esair.demo._screen import Screen
 from esair.demo._show import Ending, perform
-from esair.demo._story import Event
 
 
 def test_the_map_has_north_at_the_top() -> None:
@@ -85,9 +85,7 @@ def test_events_stay_when_the_drawing_is_gone() -> None:
     console = Console(file=text, force_terminal=True, width=120, height=40)
 
     with Screen(console, live=True) as screen:
-        screen.tell(
-            Event(1.0, "unplug", "the range finder is unplugged", "", (0.0, 0.0))
-        )
+        screen.tell(Event(1.0, "unplug", "the range finder is unplugged", (0.0, 0.0)))
 
     assert "the range finder is unplugged" in text.getvalue().rpartition("\x1b[?25h")[2]
 

@@ -82,6 +82,13 @@ def event_time(show: Show, kind: str) -> float:
     return next(event.time for event in show.ending.run.events if event.kind == kind)
 
 
+def milliseconds(show: Show, kind: str) -> list[int]:
+    """Return what an event says of times, in ms."""
+    assert show.ending.run is not None
+    (event,) = [each for each in show.ending.run.events if each.kind == kind]
+    return [int(found) for found in re.findall(r"after (\d+) ms", event.detail)]
+
+
 def test_all_events_happen_in_their_order(show: Show) -> None:
     """Nothing that should have happened is missing."""
     assert show.ending.run is not None
@@ -109,10 +116,11 @@ def test_the_wheels_stop_when_the_rover_cannot_see(show: Show) -> None:
     assert any(moves for _, _, moves in before)
     assert any(moves for _, _, moves in after)
     assert show.ending.run is not None
-    (fault,) = show.ending.run.faults
-    assert 0 <= fault.noticed < 0.1
-    assert 0 <= fault.safe < 0.1
-    assert 0 < fault.back <= fault.moved < 2.0
+    noticed, stopped = milliseconds(show, "unplug")
+    seen, moved = milliseconds(show, "plug")
+    assert 0 <= noticed < 100
+    assert 0 <= stopped < 100
+    assert 0 < seen <= moved < 1000
 
 
 def test_one_line_of_the_log_tells_of_the_loss_and_one_of_the_return(
@@ -193,8 +201,8 @@ def test_the_motors_told_what_they_did(show: Show) -> None:
         assert told[-1].angle != 0.0
 
 
-def test_the_table_names_every_component_and_the_fault(show: Show) -> None:
-    """Distance, rates, faults and what they cost, what the wheels were told."""
+def test_the_table_names_every_component(show: Show) -> None:
+    """And what the wheels were told last."""
     assert show.ending.run is not None
     text = io.StringIO()
 
@@ -202,12 +210,7 @@ def test_the_table_names_every_component_and_the_fault(show: Show) -> None:
 
     words = ["ranges", "bumper", "odometry", "imu", "wheels"]
     words += ["explore", "mapper", "avoid", "brake", "bump"]
-    for word in (
-        *words,
-        "range finder unplugged: noticed after",
-        "commands of explore not made",
-        "Twist(linear=0.0, angular=0.0)",
-    ):
+    for word in (*words, "Twist(linear=0.0, angular=0.0)"):
         assert word in text.getvalue()
 
 
@@ -215,6 +218,7 @@ def test_each_event_is_told_as_it_happens(show: Show) -> None:
     """One line each where there is no terminal."""
     assert show.text.count("unplugged") == 1
     assert show.text.count("replaces explore") == 1
+    assert show.text.count("commands of explore were not made meanwhile") == 1
 
 
 def test_the_picture_is_a_png_of_a_good_size(show: Show, tmp_path: Path) -> None:

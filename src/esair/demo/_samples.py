@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import collections
+from collections.abc import Callable
 from typing import Any
 
 import attrs
 
+from esair import journal
 from esair.demo._mapper import Mapper
+from esair.demo._reactions import Bump
 from esair.demo._values import Twist
-from esair.journal import Event, Kind
+from esair.journal import Kind
 from esair.loop import every
 from esair.sim import Simulation
 from esair.standard import Robot
@@ -22,12 +25,23 @@ STILL = Twist(0.0, 0.0)
 
 
 @attrs.frozen
+class Event:
+    """Something that happened."""
+
+    time: float  # In seconds since the show began
+    # ``person``, ``unplug``, ``plug``, ``refuse``, ``swap``, ``bump`` or ``end``
+    kind: str
+    text: str  # What it was, in one line
+    place: tuple[float, float]  # Where the rover was, in metres
+    detail: str = ""  # What came of it, in one line
+
+
+@attrs.frozen
 class Sample:
     """How things were at a moment."""
 
     time: float  # In seconds since the show began
     place: tuple[float, float]  # Where the rover really was, in metres
-    heading: float  # In rad
     holder: str | None  # Who held the wheels; None if nobody did
     asked: float  # The speed that the holder had asked for last, in m/s
     linear: float  # The speed that the wheels were told last, in m/s
@@ -37,27 +51,54 @@ class Sample:
 class Witness:
     """Sees everything and changes nothing: it is no part of the robot."""
 
-    def __init__(self, robot: Robot, simulation: Simulation, mapper: Mapper) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        simulation: Simulation,
+        mapper: Mapper,
+        bump: Bump,
+        on_event: Callable[[Event], None],
+    ) -> None:
         self.samples: collections.deque[Sample] = collections.deque(maxlen=SAMPLE_LIMIT)
+        self.events: list[Event] = []  # What has happened, in the order of its telling
         self.belief = mapper.belief()  # What the mapper believed last
         self.asked = self.told = STILL
-        # When each device was lost, and when it was back, the newest
-        self.turns: dict[tuple[str, Kind], float] = {}
+        self.lost: dict[str, float] = {}  # When each device was lost last
         self._robot = robot
         self._simulation = simulation
         self._mapper = mapper
+        self._bump = bump
+        self._on_event = on_event
         self._wanted: dict[str, Any] = {}
-        kinds = (Kind.COMMAND, Kind.SENT, Kind.SAFE, Kind.UP, Kind.DOWN)
+        self._time = asyncio.get_running_loop().time
+        self._begin = self._time()
+        kinds = (Kind.COMMAND, Kind.SENT, Kind.SAFE, Kind.DOWN)
         robot.journal.listen(self._hear, kinds=kinds)
+
+    @property
+    def now(self) -> float:
+        """Seconds since the show began."""
+        return self._time() - self._begin
 
     @property
     def is_braked(self) -> bool:
         """Whether the wheels were told less than they were asked for."""
         return bool(self.told.linear < self.asked.linear - 0.05)
 
-    def _hear(self, event: Event) -> None:
-        if event.kind in {Kind.UP, Kind.DOWN}:
-            self.turns[event.component, event.kind] = event.time
+    def event(self, kind: str, text: str) -> Event:
+        """Return what happens now and here; what comes of it is told later."""
+        pose = self._simulation.world.pose
+        return Event(self.now, kind, text, (pose.x, pose.y))
+
+    def tell(self, event: Event, detail: str) -> None:
+        """Tell what came of an event."""
+        event = attrs.evolve(event, detail=detail)
+        self.events.append(event)
+        self._on_event(event)
+
+    def _hear(self, event: journal.Event) -> None:
+        if event.kind is Kind.DOWN:
+            self.lost[event.component] = event.time - self._begin
         elif event.kind is Kind.COMMAND:
             self._wanted[event.peer] = event.value
         elif event.kind is Kind.SAFE:
@@ -68,15 +109,13 @@ class Witness:
 
     async def look(self) -> None:
         """Take a sample every 0.05 s, and look into the mapper now and then, for ever."""
-        loop = asyncio.get_running_loop()
-        begin = loop.time()
+        bumps = self._bump.bumps
         async for _ in every(SAMPLE_PERIOD):
             pose = self._simulation.world.pose
             self.samples.append(
                 Sample(
-                    loop.time() - begin,
+                    self.now,
                     (pose.x, pose.y),
-                    pose.heading,
                     self._robot.resources.why("wheels").holder,
                     self.asked.linear,
                     self.told.linear,
@@ -85,3 +124,7 @@ class Witness:
             )
             if len(self.samples) % 4 == 1:
                 self.belief = self._mapper.belief()
+            if self._bump.bumps > bumps:
+                touched = "it touches something low, over which its beams look"
+                self.tell(self.event("bump", touched), "the reaction bump backs off")
+            bumps = self._bump.bumps

@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.text import Text
 
 from esair.demo._drawing import Drawing
-from esair.demo._story import Event
+from esair.demo._samples import Event
 from esair.seat.screen import picture
 
 FRAMES_PER_SECOND = 4

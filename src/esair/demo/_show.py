@@ -23,7 +23,7 @@ from esair.demo._mapper import Mapper
 from esair.demo._reactions import Bump
 from esair.demo._samples import Witness
 from esair.demo._screen import Screen
-from esair.demo._story import Event, Story
+from esair.demo._story import Story
 from esair.demo._summary import Run
 from esair.exceptions import EsairError, describe
 from esair.loop import TurnLoop, every
@@ -190,22 +190,12 @@ async def _play(
     bump = reflex.reaction
     assert isinstance(bump, Bump)
     loop = asyncio.get_running_loop()
-    began = loop.time()
-    events: list[Event] = []
-
-    def tell(event: Event) -> None:
-        events.append(event)
-        screen.tell(event)
-
     async with robot:
-        witness = Witness(robot, simulation, mapper)
+        witness = Witness(robot, simulation, mapper, bump, screen.tell)
         status = Status(robot, loop)
-        story = Story(
-            robot, simulation, witness, tell, explore=explore, duration=duration
-        )
+        story = Story(robot, simulation, witness, explore=explore, duration=duration)
         watchers = [
             loop.create_task(witness.look()),
-            loop.create_task(_watch_bumps(bump, simulation, tell)),
             loop.create_task(_show(screen, status, witness)),
         ]
         try:
@@ -221,14 +211,13 @@ async def _play(
         arena=simulation.world.arena,
         belief=belief,
         samples=tuple(witness.samples),
-        events=tuple(sorted(events, key=lambda event: event.time)),
-        seconds=loop.time() - began,
+        events=tuple(sorted(witness.events, key=lambda event: event.time)),
+        seconds=witness.now,
         distance=simulation.world.distance,
         known=belief.floor.known(simulation.world.arena.size),
         error=belief.position.distance_to(pose.x, pose.y),
         bumps=bump.bumps,
         status=at_the_end,
-        faults=tuple(story.faults),
         told=robot.stopped,
         unmet=tuple(story.unmet),
     )
@@ -243,21 +232,6 @@ async def _show(screen: Screen, status: Status, witness: Witness) -> None:
             place = (belief.position.x, belief.position.y)
             drawing = Drawing(belief.floor, track, place)
         screen.show(status.picture(), drawing)
-
-
-async def _watch_bumps(
-    bump: Bump, simulation: Simulation, tell: Callable[[Event], None]
-) -> None:
-    loop = asyncio.get_running_loop()
-    begin = loop.time()
-    count = bump.bumps
-    async for _ in every(0.05):
-        if bump.bumps > count:
-            pose = simulation.world.pose
-            what = "it touches something low, over which its beams look"
-            done = "the reaction bump backs off"
-            tell(Event(loop.time() - begin, "bump", what, done, (pose.x, pose.y)))
-        count = bump.bumps
 
 
 def _robot_file() -> Path:

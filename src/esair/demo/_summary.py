@@ -6,12 +6,10 @@ from typing import Any
 
 import attrs
 from rich.console import Console
-from rich.text import Text
 
 from esair.connections import LastCommand
 from esair.demo._mapper import Belief
-from esair.demo._samples import Sample
-from esair.demo._story import Event, Fault
+from esair.demo._samples import Event, Sample
 from esair.seat.screen import picture
 from esair.sim import Arena
 
@@ -30,7 +28,6 @@ class Run:
     error: float  # How far its belief of where it is was off at the end, in metres
     bumps: int  # How often it touched something
     status: dict[str, Any]
-    faults: tuple[Fault, ...]  # What went wrong, and what it cost
     # What each actuator was told last, and whether it answered
     told: tuple[LastCommand, ...]
     unmet: tuple[str, ...]  # What should have happened and did not
@@ -50,8 +47,6 @@ class Run:
         console.print()
         console.print(picture(self.status, console, height=10_000, hint=""))
         console.print()
-        for fault in self.faults:
-            console.print(Text(f"{fault}", "yellow"))
         for told in self.told:
             console.print(f"last command: {told}")
         for what in self.unmet:
