@@ -453,7 +453,9 @@ class SupervisorMachine(RuleBasedStateMachine):
     def what_was_put_is_where_its_outcome_says(self) -> None:
         """INV1: delivered once, or not at all; in the order of its sender."""
         members = self.robot._behaviors.members
-        inboxes = {name: list(member.inbox) for name, member in members.items()}
+        inboxes = {
+            name: [data for _, data in member.inbox] for name, member in members.items()
+        }
         everywhere = [
             *self.handed_back,
             *(n for seen in self.seen_ever() for n in seen),

@@ -75,6 +75,7 @@ class BehaviorDeployment:
         self.journal = resources.journal
         self.commands = CommandQueue("behaviors", asleep=True)
         self.members: dict[str, Member] = {}
+        self.mediator = Mediator(self.members, self.journal)
         self.coming: list[Member] = []  # those whose ``setup`` a command waits for
         self.ending: list[Member] = []
         self.grace = grace
@@ -96,18 +97,11 @@ class BehaviorDeployment:
         }
         self._start_patience = start_patience
         self.halt_robot, self.stop_robot = halt, stop
-        self._mediator: Mediator | None = None
         self._all_ended: asyncio.Future[None] | None = None
         self.journal.count("behaviors", self._counted)
         self.journal.attach(Kind.UP, self._resource_up)
         self.journal.attach(Kind.ADDED, self._resource_changed)
         self.journal.attach(Kind.REMOVED, self._resource_changed)
-
-    @property
-    def mediator(self) -> Mediator:
-        if self._mediator is None:
-            self._mediator = Mediator(self.members, self.journal)
-        return self._mediator
 
     def member(self, name: str) -> Member:
         member = self.members.get(name)
@@ -307,8 +301,7 @@ class BehaviorDeployment:
     async def stop(self) -> None:
         """End every behavior, the last one first; all share one grace period."""
         await self.commands.close()
-        if self._mediator is not None:
-            self._mediator.close()
+        self.mediator.close()
         members = list(reversed(self.members.values()))
         members += [each for each in self.ending if each not in members]
         await asyncio.gather(*(self.end(member) for member in members))
@@ -334,8 +327,7 @@ class BehaviorDeployment:
     def _counted(self) -> Iterator[tuple[str, Mapping[str, int]]]:
         for name, member in self.members.items():
             yield name, member.counts()
-        if self._mediator is not None:
-            yield "behaviors", self._mediator.counts()
+        yield "behaviors", self.mediator.counts()
         yield "behaviors", {"zombies": self.zombie_count}
 
     def _resource_changed(self, event: Event) -> None:

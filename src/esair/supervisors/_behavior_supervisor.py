@@ -232,7 +232,7 @@ class BehaviorSupervisor(abc.Supervisor):
             member.sight.removed()
             self._journal.publish(Kind.REMOVED, name, "behavior")
             self._deployment.ended()
-            return list(member.inbox)
+            return [data for _, data in member.inbox]
 
         return await self._commands.run(work, name=f"remove {name}", undo=False)
 
@@ -288,7 +288,7 @@ class BehaviorSupervisor(abc.Supervisor):
             new.gate.set_result(None)  # its run begins when the old one is fenced off
             await self._deployment.end(old)
             self._deployment.ended()
-            return list(old.inbox)
+            return [data for _, data in old.inbox]
 
         return await self._commands.run(work, name=f"replace {name}", undo=True)
 

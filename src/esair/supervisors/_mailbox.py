@@ -76,7 +76,6 @@ class Mailbox:
         "is_quick",
         "latest",
         "name",
-        "origins",
         "outbox",
         "outlived",
         "owner",
@@ -101,8 +100,7 @@ class Mailbox:
         """Tasks of a run that has ended may be there; they must not speak for it."""
         self.state = BehaviorState.STARTING
         self.error: BaseException | None = None
-        self.inbox: list[Any] = []
-        self.origins: list[str] = []  # who put what lies in the inbox
+        self.inbox: list[tuple[str, Any]] = []  # who put what
         self.latest: Any = NOTHING  # what everybody may get again and again
         self.outbox: list[Any] = []
         self.dropped = 0
@@ -204,10 +202,9 @@ class Mailbox:
         inbox = self.inbox
         if len(inbox) >= self.room:
             drop = len(inbox) if self.action.inbox_policy == "latest" else 1  # type: ignore[union-attr]
-            del inbox[:drop], self.origins[:drop]
+            del inbox[:drop]
             self.dropped += drop
-        inbox.append(data)
-        self.origins.append(sender)
+        inbox.append((sender, data))
         if self.takers:
             self.wake()
 
@@ -291,10 +288,10 @@ class Mailbox:
                 self.takers.remove(taker)
                 if not self.takers:
                     self.takers = None
-        data, sender = self.inbox.pop(0), self.origins.pop(0)
+        taken = self.inbox.pop(0)
         if self.senders.count:
             self._mediator.admit(self)
-        return sender, data
+        return taken
 
     def offer(self, data: Any, latest: bool) -> None:
         """Lay data out for whoever asks for it."""

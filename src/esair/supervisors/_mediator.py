@@ -47,7 +47,6 @@ class Mediator(Ledger):
     def __init__(self, members: Mapping[str, Mailbox], journal: Journal) -> None:
         super().__init__(journal)
         self._members = members
-        self._deadlines = Deadlines.of(asyncio.get_running_loop())
         self.closed = False
 
     # Put.
@@ -64,8 +63,7 @@ class Mediator(Ledger):
             or not 0.0 < interval <= _LONGEST
         ):
             return False
-        member.inbox.append(data)
-        member.origins.append(sender)
+        member.inbox.append((sender, data))
         if member.takers:
             member.wake()
         self.delivered += 1
@@ -304,7 +302,8 @@ class Mediator(Ledger):
             raise
         self.pending.begin(request)
         if limit is not None:
-            request.deadline = self._deadlines.after(limit, request.expire, limit)
+            deadlines = Deadlines.of(asyncio.get_running_loop())
+            request.deadline = deadlines.after(limit, request.expire, limit)
 
 
 def _queues(member: Mailbox) -> tuple[RequestQueue, ...]:
