@@ -197,14 +197,24 @@ class ResourceDeployment:
         """
         name = life.name
         if self.lives.get(name) is life and name not in self._departures:
-            self._depart(name)
-            await self._leave(name, self.deadline())
+            await self.remove(name, self.deadline())
 
     async def remove(self, name: str, until: float) -> None:
-        """Fence a resource off in one step, make it safe, and close it."""
+        """Fence a resource off in one step, make it safe, close it, and forget it."""
         self._depart(name)
         self._fence(name)
-        await self._leave(name, until)
+        life = self.lives[name]
+        self.commands.changed()
+        try:
+            await self._make_safe_to_leave(name, until)
+        finally:
+            try:
+                if self.lives.get(name) is life:
+                    await self._undeploy(name, ResourceState.REMOVED, until)
+                    await self._let_go(life, until)
+            finally:
+                self._has_departed(name)
+        self.journal.publish(Kind.REMOVED, name, "resource")
 
     async def replace(
         self, name: str, resource: Resource, *, keep: bool, until: float
@@ -253,21 +263,6 @@ class ResourceDeployment:
         for part in (name, name + APPLIED):
             for each in self.registrations.of_resource(part):
                 self.registrations.revoke(each, lambda: ResourceRemovedError(name))
-
-    async def _leave(self, name: str, until: float) -> None:
-        """Make a resource safe, close it, and forget it; bounded."""
-        life = self.lives[name]
-        self.commands.changed()
-        try:
-            await self._make_safe_to_leave(name, until)
-        finally:
-            try:
-                if self.lives.get(name) is life:
-                    await self._undeploy(name, ResourceState.REMOVED, until)
-                    await self._let_go(life, until)
-            finally:
-                self._has_departed(name)
-        self.journal.publish(Kind.REMOVED, name, "resource")
 
     async def _let_go(
         self, life: ResourceLife, until: float, new: Resource | None = None
