@@ -30,6 +30,7 @@ _MARK = "_esair_answers"
 class RequestLoop(Protocol):
     """One loop over a port for requests."""
 
+    def __aiter__(self) -> AsyncIterator[Any]: ...
     async def next(self) -> Any: ...
     def serve(self) -> None: ...
 
@@ -60,11 +61,7 @@ class RequestPort(Generic[R]):
         An error that leaves its ``async with`` block, a block that is left without
         an answer, and going on to the next without one, all fail the request.
         """
-        return _Requests(self._source.loop())
-
-    def blocking(self, portal: Portal) -> BlockingRequestPort[R]:
-        """Return the same port for a plain behavior's thread."""
-        return BlockingRequestPort(self._source, portal)
+        return aiter(self._source.loop())
 
 
 class BlockingRequestPort(Generic[R]):
@@ -78,29 +75,11 @@ class BlockingRequestPort(Generic[R]):
 
     def __iter__(self) -> Iterator[R]:
         """Yield each request as it comes, as `RequestPort` does; the thread waits."""
-        return _BlockingRequests(self._source.loop(), self._portal)
-
-
-class _Requests(AsyncIterator[R]):
-    # No generator: one that is left is closed late, by the collector.
-    def __init__(self, loop: RequestLoop) -> None:
-        self._loop = loop
-
-    async def __anext__(self) -> R:
-        request: R = await self._loop.next()
-        self._loop.serve()
-        return request
-
-
-class _BlockingRequests(Iterator[R]):
-    def __init__(self, loop: RequestLoop, portal: Portal) -> None:
-        self._loop = loop
-        self._portal = portal
-
-    def __next__(self) -> R:
-        request: R = self._portal.call(self._loop.next)
-        self._loop.serve()
-        return request
+        loop = self._source.loop()
+        while True:
+            request: R = self._portal.call(loop.next)
+            loop.serve()
+            yield request
 
 
 @attrs.frozen

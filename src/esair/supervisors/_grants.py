@@ -10,6 +10,7 @@ from typing import Any
 from esair.actions import (
     ActuatorPort,
     Behavior,
+    BlockingRequestPort,
     GuardRunner,
     Guards,
     Need,
@@ -192,9 +193,9 @@ def fill(
         behavior.__dict__[attribute] = blocking(port, portal) if portal else port
     for attribute, each in behavior.takes.items():
         if isinstance(each, Takes):
-            requests: Any = RequestPort(queues[each.type])
+            queue = queues[each.type]
             behavior.__dict__[attribute] = (
-                requests.blocking(portal) if portal else requests
+                BlockingRequestPort(queue, portal) if portal else RequestPort(queue)
             )
 
 

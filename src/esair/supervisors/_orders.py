@@ -6,7 +6,7 @@ import asyncio
 import logging
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 from esair.actions import Answers, Takes, taken
@@ -234,12 +234,18 @@ class OrderQueue(ServedQueue):
                     self._takers.remove(taker)
 
 
-class Loop:
+class Loop(AsyncIterator[Any]):
     """One loop of a behavior over the requests that it takes (`RequestLoop`)."""
 
+    # No generator: one that is left is closed late, by the collector.
     def __init__(self, queue: OrderQueue) -> None:
         self._queue = queue
         self.current: Order | None = None
+
+    async def __anext__(self) -> Asked[Any]:
+        request = await self.next()
+        self.serve()
+        return request
 
     async def next(self) -> Asked[Any]:
         """Wait for the next request."""
