@@ -16,7 +16,7 @@ from esair.actions._supervisor import Behaviors, BlockingBehaviors
 from esair.actions._takes import Answers, Takes, declared_requests
 from esair.connections import ActuatorPort, Halting, SensorPort, Stopped
 from esair.exceptions import BadValueError, ConfigError
-from esair.loop import PUT_COST, VERB_COST, Portal, portal
+from esair.loop import PUT_COST, VERB_COST, Budget, Portal, portal
 from esair.messages import Access, Restart
 from esair.values import check_duration, passes_as, type_name
 
@@ -184,8 +184,7 @@ class Behavior(ProfiledAction):
             BusyError: Too many requests wait.
             StoppingError: The robot is stopping.
         """
-        host = self._host
-        return await host.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
+        return await self._host.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
 
     @overload
     async def receive(self, *, timeout: float | None = None) -> Any: ...
@@ -248,8 +247,7 @@ class Behavior(ProfiledAction):
         Raises:
             BusyError: The outbox is full, and its policy is ``"reject"``.
         """
-        host = self._host
-        host.offer(data, latest)
+        self._host.offer(data, latest)
 
     async def perform(
         self,
@@ -280,10 +278,7 @@ class Behavior(ProfiledAction):
             Exception: What the reaction raised.
         """
         host = self._host
-        budget = host.budget
-        budget.left -= VERB_COST
-        if budget.left < 0:
-            await budget.give_way()
+        await Budget.spend(VERB_COST)
         adapted: Reaction = adapt_action(reaction)
         return await host.perform(adapted, until, timeout, blind_timeout)
 
@@ -362,8 +357,8 @@ class Behavior(ProfiledAction):
             AccessDeniedError: A rule denies it.
             ConfigError: It gives or takes something else.
         """
-        host = self._host
-        return await host.register(resource, access, as_type, priority, hold, max_age)
+        terms = resource, access, as_type, priority, hold, max_age
+        return await self._host.register(*terms)
 
     @property
     def supervisor(self) -> Behaviors:
@@ -390,8 +385,7 @@ class Behavior(ProfiledAction):
             What each actuator is told and answers: await it, or, in a thread, call
             its ``result``.
         """
-        host = self._host
-        return host.halt_robot(reason)
+        return self._host.halt_robot(reason)
 
     async def stop_robot(self, reason: str) -> Stopped:
         """Stop the robot in order, this behavior too; see `Robot.stop`.
@@ -399,8 +393,7 @@ class Behavior(ProfiledAction):
         Args:
             reason: Why, for `Robot.stopped` and the log.
         """
-        host = self._host
-        return await host.stop_robot(reason)
+        return await self._host.stop_robot(reason)
 
     @property
     def takes(self) -> Mapping[str, Takes[Any] | Answers | ConfigError]:

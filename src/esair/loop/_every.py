@@ -6,14 +6,13 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Iterator
 
-from esair.exceptions import BadValueError
 from esair.loop._budget import Budget
 from esair.loop._futures import wake
 from esair.loop._ownership import is_outside
 from esair.loop._portal import portal
 from esair.loop._scheduler import Scheduler
 from esair.loop._timer import clock_of
-from esair.values import is_positive
+from esair.values import check_duration
 
 
 class Every:
@@ -24,11 +23,7 @@ class Every:
     """
 
     def __init__(self, period: float) -> None:
-        if not is_positive(period):
-            raise BadValueError(
-                "every", "period", f"expected seconds > 0, not {period!r:.80}"
-            )
-        self.period = float(period)
+        self.period = float(check_duration("every", "period", period))
         self.late = 0
         self._begin: float | None = None
         self._count = 0

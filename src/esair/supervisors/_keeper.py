@@ -5,17 +5,15 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal
 
-from esair.exceptions import ConfigError, describe
+from esair.exceptions import describe
 from esair.loop import Job, News, Scheduler, outside, spawn
 from esair.supervisors._resource_deployment import ResourceDeployment
-from esair.values import check_seconds
+from esair.values import check_choice, check_seconds
 
 if TYPE_CHECKING:
     from esair.watchdog import Watchdog
-
-T = TypeVar("T", bound=str)
 
 BEATS = 5  # how many beats the watchdog gets in its limit
 STARTS = 3  # how often a watchdog that dies is started anew in the life of a robot
@@ -39,9 +37,10 @@ class Keeper:
         self._resources = resources
         self._halt = halt
         owner = f"robot {robot!r}"
-        self._on_death = _one_of(owner, "watchdog_death", on_death, "stop", "alarm")
+        choices = "stop", "alarm"
+        self._on_death = check_choice(owner, "watchdog_death", on_death, choices)
         self._limit = limit = check_seconds(owner, "watchdog_limit", limit)
-        policy = _one_of(owner, "watchdog_policy", policy, "kill", "freeze")
+        check_choice(owner, "watchdog_policy", policy, ("kill", "freeze"))
         from esair.watchdog import Watchdog  # only for the robots that have one
 
         self._watchdog: Watchdog = Watchdog(
@@ -101,10 +100,3 @@ class Keeper:
         if self._job is not None:
             self._job.stop()
         await outside(("watchdog", "close"), self._watchdog.close)
-
-
-def _one_of(owner: str, field: str, value: T, *choices: T) -> T:
-    if value in choices:
-        return value
-    expected = " or ".join(repr(choice) for choice in choices)
-    raise ConfigError(owner, field, f"expected {expected}, not {value!r:.80}")
