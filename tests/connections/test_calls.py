@@ -12,7 +12,8 @@ import pytest
 
 import esair
 from esair import ResourceState
-from esair.connections._calls import ABANDONED_LIMIT
+from esair.connections._calls import ABANDONED_LIMIT, Calls
+from esair.connections._driver import Driver
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -534,3 +535,31 @@ async def test_tools_see_whose_driver_runs(user_of: Any) -> None:
     async with esair.Robot(resources=[Sonar()], behaviors=[user]):
         assert await user.sonar.read() == 1.0
     assert all("sonar" in name for name in names)
+
+
+@pytest.mark.promise("CALL-1")
+async def test_calls_that_overlap_have_each_its_own_deadline() -> None:
+    """Whichever began first, and also when one of them has ended meanwhile."""
+    motor = Motor(10.0, name="motor")
+    calls = Calls(
+        Driver(motor),
+        asyncio.get_running_loop(),
+        on_late=lambda _call: None,
+        on_stuck=lambda _call: None,
+        left=set(),
+    )
+    told: list[tuple[float, float]] = []
+
+    async def call(limit: float) -> None:
+        method = calls.driver.method("write")
+        with pytest.raises(esair.DriverStuckError, match=f"{limit:g}"):
+            await calls.run("write", method, 1.0, limit=limit)
+        told.append((limit, round(now(), 6)))
+
+    async def short() -> None:
+        await calls.run("safe", calls.driver.method("write"), 0.0, limit=0.05)
+
+    motor.safe_takes = 0.02
+    await asyncio.gather(*(call(limit) for limit in (0.3, 0.1, 0.2)), short())
+
+    assert told == [(0.1, 0.1), (0.2, 0.2), (0.3, 0.3)]

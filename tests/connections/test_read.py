@@ -36,6 +36,31 @@ async def test_the_newest_value_is_enough_within_the_period(
 
 
 @pytest.mark.promise("SC-1")
+async def test_readers_of_a_silent_device_have_each_their_own_time(
+    fake_sensor: Any, user_of: Any
+) -> None:
+    """Whoever asked first, and also when one of them gives up meanwhile."""
+    sonar = fake_sensor("sonar", 1.0, rate=10.0)
+    user = user_of("user", sonar=esair.reads(float))
+    loop, told = asyncio.get_running_loop(), []
+
+    async def read(timeout: float) -> None:
+        with pytest.raises(esair.StaleReadingError):
+            await user.sonar.read(timeout=timeout)
+        told.append((timeout, round(loop.time() - began, 6)))
+
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        sonar.stall()
+        began = loop.time()
+        readers = [asyncio.create_task(read(each)) for each in (0.4, 0.1, 0.3, 0.2)]
+        await asyncio.sleep(0.15)
+        readers.pop().cancel()
+        await asyncio.gather(*readers)
+
+    assert told == [(0.1, 0.1), (0.3, 0.3), (0.4, 0.4)]
+
+
+@pytest.mark.promise("SC-1")
 async def test_every_reading_has_its_time_and_number(
     fake_sensor: Any, user_of: Any
 ) -> None:

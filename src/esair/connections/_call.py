@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
@@ -50,7 +51,8 @@ class Call:
     cancelled: bool = False  # its caller has gone; what it still does is nobody's fault
     owner: object = None  # the right by which it was begun, if it needs one
     engine: Engine | None = None
-    deadline: Any = None
+    until: float = math.inf  # when its time is over, on the loop's clock
+    limit: float = math.inf  # for how many seconds that was
     waiters: list[asyncio.Future[None]] = attrs.field(factory=list)
     taped: Callable[[End], None] | None = None  # keeps its end, where a run is recorded
 

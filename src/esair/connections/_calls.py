@@ -45,6 +45,7 @@ class Calls:
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
+        "_deadline",
         "_deadlines",
         "_door",
         "_left",
@@ -86,6 +87,8 @@ class Calls:
         self._loop = loop
         self._time = clock_of(loop)
         self._deadlines = Deadlines.of(loop)
+        self._deadline = self._deadlines.idle(self._expire)
+        """That of the call whose time is over first."""
         self._door = Door.of(loop)
         self._on_late = on_late
         self._on_stuck = on_stuck
@@ -167,7 +170,7 @@ class Calls:
             try:
                 threaded.submit(self._loop)
             except BaseException:
-                self._forget(call)
+                del self.alive[call.number]
                 raise
             return call
         try:
@@ -299,8 +302,7 @@ class Calls:
             self._on_late(call)
             call.wake()
             return
-        if call.deadline is not None:
-            call.deadline.cancel()
+        self._rest()
         if end.error is not None:
             end = End(None, self._contained(end.error))
         self._tell(call, end)
@@ -339,30 +341,37 @@ class Calls:
         call = Call(self.resource, kind, self.opening, number, args, self._time())
         self.alive[number] = call
         if limit is not None:
-            call.deadline = self._deadlines.after(limit, self._expire, call, limit)
+            call.until, call.limit = call.begun + limit, limit
+            self._deadline.start_by(call.until)
         return call
 
-    def _forget(self, call: Call) -> None:
-        del self.alive[call.number]
-        if call.deadline is not None:
-            call.deadline.cancel()
+    def _rest(self) -> None:
+        """Have no deadline if nobody waits for an outcome."""
+        if not self.alive or all(each.outcome for each in self.alive.values()):
+            self._deadline.cancel()
 
-    def _expire(self, call: Call, limit: float) -> None:
-        if call.outcome is None:
-            self._abandon(call, DriverStuckError(self.resource, call.kind, limit))
+    def _expire(self) -> None:
+        now = self._time() + REACHED
+        for call in tuple(self.alive.values()):
+            if call.outcome is not None:
+                continue
+            if call.until > now:
+                self._deadline.start_by(call.until)
+            else:
+                stuck = DriverStuckError(self.resource, call.kind, call.limit)
+                self._abandon(call, stuck)
 
     def _abandon(self, call: Call, error: BaseException) -> None:
         if call.kind != "stream":  # nobody waits for the end of a stream
             self.abandoned += 1
         self._left.add(call)
-        if call.deadline is not None:
-            call.deadline.cancel()
         if type(call.engine) is ThreadedCall:
             call.engine.expired()
         current = call.opening == self.opening
         if current:
             self._deadlines.after(UNWIND, self._give_up, call)
         self._tell(call, End(None, error), current=current)
+        self._rest()
         if call.engine is not None:
             call.engine.cancel()
 

@@ -7,19 +7,20 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.exceptions import BusyError, EsairError
-from esair.loop import Deadlines, arrive
+from esair.loop import REACHED, Deadlines, arrive, clock_of
 from esair.messages import Reading
 
 WAITING_LIMIT = 1024  # how many readers may wait for one sensor at a time
 
-Waiter = tuple[float, asyncio.Future[Reading[Any]]]
-"""Of which transaction the answer must be at least, and what gets it."""
+Waiter = tuple[float, asyncio.Future[Reading[Any]], float, float]
+"""Of which transaction the answer must be at least, what gets it, until when, and for
+how many seconds that was."""
 
 
 class WaitingReaders:
     """Keeps readers until the answer to a question that came after theirs."""
 
-    __slots__ = ("_deadlines", "_loop", "_name", "_silent", "readers")
+    __slots__ = ("_deadline", "_loop", "_name", "_silent", "_time", "readers")
 
     def __init__(
         self,
@@ -30,7 +31,9 @@ class WaitingReaders:
         self._name = name
         self._loop = loop
         self._silent = silent
-        self._deadlines = Deadlines.of(loop)
+        self._time = clock_of(loop)
+        self._deadline = Deadlines.of(loop).idle(self._expire)
+        """That of the reader whose time is over first."""
         self.readers: list[Waiter] = []  # who waits
 
     async def reading(self, need: float, timeout: float) -> Reading[Any]:
@@ -38,21 +41,22 @@ class WaitingReaders:
         if len(self.readers) >= WAITING_LIMIT:
             raise BusyError(self._name, "number of waiting readers", WAITING_LIMIT)
         future: asyncio.Future[Reading[Any]] = self._loop.create_future()
-        waiter = (need, future)
+        until = self._time() + timeout
+        waiter = (need, future, until, timeout)
         self.readers.append(waiter)
-        deadline = self._deadlines.after(timeout, self._expire, future, timeout)
+        self._deadline.start_by(until)
         try:
             return await future
         finally:
-            deadline.cancel()
             if waiter in self.readers:
                 self.readers.remove(waiter)
+                self._rest()
 
     def answer(self, number: float, answer: Reading[Any] | EsairError) -> None:
         """Tell what transaction `number` has given to those who wait for it."""
         waiters, self.readers = self.readers, []
         for waiter in waiters:
-            need, future = waiter
+            need, future, *_ = waiter
             if future.done():
                 continue
             if need > number:
@@ -61,7 +65,18 @@ class WaitingReaders:
                 arrive(future, answer, read=True)
             else:
                 future.set_exception(answer)
+        self._rest()
 
-    def _expire(self, future: asyncio.Future[Reading[Any]], timeout: float) -> None:
-        if not future.done():
-            future.set_exception(self._silent(timeout))
+    def _rest(self) -> None:
+        if not self.readers:
+            self._deadline.cancel()
+
+    def _expire(self) -> None:
+        now = self._time() + REACHED
+        for _, future, until, timeout in self.readers:
+            if future.done():
+                continue
+            if until > now:
+                self._deadline.start_by(until)
+            else:
+                future.set_exception(self._silent(timeout))

@@ -51,8 +51,14 @@ class Deadline:
         if when < deadlines._looks_at:  # noqa: SLF001
             deadlines._look_at(when)  # noqa: SLF001
 
+    def start_by(self, when: float) -> None:
+        """Call it at a moment, unless it is called before that anyway."""
+        if when < self.when:
+            self.start(when)
+
     def cancel(self) -> None:
         """Do not call it, until it is started again. Also fine when it has been called."""
+        self.when = math.inf
         self._deadlines._waiting.pop(self, None)  # noqa: SLF001 - two halves of one
 
     def _call(self) -> None:
@@ -136,7 +142,7 @@ class Deadlines(OfLoop):
             if now - deadline.when > HELD_UP and not deadline.put_off:
                 deadline.put_off, deadline.when = True, now + CHANCE
             else:
-                del self._waiting[deadline]
+                deadline.cancel()
                 contained(self._loop, deadline._call)  # noqa: SLF001 - two halves of one
         earliest = min((each.when for each in self._waiting), default=math.inf)
         if earliest < self._looks_at:
