@@ -187,6 +187,17 @@ def test_a_length_that_reaches_into_the_next_frame_does_not_swallow_it() -> None
 
 
 @pytest.mark.parametrize("framing", [*FRAMED, Raw(max_length=20)], ids=name)
+@pytest.mark.parametrize("kind", [bytearray, memoryview])
+def test_bytes_of_any_kind_are_taken(framing: Framing, kind: Any) -> None:
+    """What comes out is bytes, which nobody can change any more."""
+    frame = framing.encode(b"12")
+    taken = framing.fresh()
+    found = [*taken.feed(kind(frame + frame)), *taken.feed(kind(frame))]
+    assert b"".join(found) == b"121212"
+    assert {type(payload) for payload in found} == {bytes}
+
+
+@pytest.mark.parametrize("framing", [*FRAMED, Raw(max_length=20)], ids=name)
 @given(st.data())
 def test_what_was_encoded_comes_out(framing: Framing, data) -> None:
     """Whatever payloads a framing takes, they come out as they went in."""

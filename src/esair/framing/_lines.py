@@ -23,7 +23,7 @@ class Delimited(Framing):
         """Return what stands before each delimiter; what is overlong is counted."""
         buffer, delimiter = self._buffer, self.delimiter
         if not (buffer or self._skipping) and len(data) <= self._max_frame:
-            *pieces, rest = data.split(delimiter)  # as usual: whole messages
+            *pieces, rest = bytes(data).split(delimiter)  # as usual: whole messages
             buffer += rest
             return pieces
         tail = len(delimiter) - 1
