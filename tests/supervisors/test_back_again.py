@@ -121,3 +121,44 @@ async def test_what_is_still_missing_is_not_told_again(
         with pytest.raises(esair.ResourceRemovedError):
             await drive.sonar.read()
     assert not [r for r in caplog.records if r.levelname == "WARNING"]
+
+
+class Follow(esair.Behavior):
+    """Lets what it meets end its run."""
+
+    sonar = esair.reads(float)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.met: list[Any] = []
+
+    async def run(self) -> None:
+        async for value in self.sonar:
+            self.met.append(value)
+
+
+@pytest.mark.parametrize("way", ["again", "replaced"])
+async def test_another_type_between_two_that_fit(fake_sensor: Any, way: str) -> None:
+    """Whoever begins anew is parked with it, no port gives it, and each has the next one."""
+    follow, drive = Follow(), esair.Behavior(reads={"sonar": esair.reads(float)})
+    first = fake_sensor("sonar", 1.0, type=float)
+    async with esair.Robot(resources=[first], behaviors=[follow, drive]) as robot:
+
+        async def put(device: Any) -> None:
+            if way == "replaced":
+                await robot.resources.replace("sonar", device)
+            else:
+                await robot.resources.remove("sonar")
+                await robot.resources.add(device)
+            await asyncio.sleep(0.5)
+
+        await put(fake_sensor("sonar", "one", type=str))
+        status = robot.behaviors.query("follow")
+        assert status.detail == "it reads float, but 'sonar' gives str"
+        assert status.state is esair.BehaviorState.PARKED
+        with pytest.raises(esair.ResourceRemovedError):
+            await drive.sonar.read()  # type: ignore[attr-defined]
+        await put(fake_sensor("sonar", 2.0, type=float))
+        assert await drive.sonar.read() == 2.0  # type: ignore[attr-defined]
+        assert set(follow.met) == {1.0, 2.0}
+        assert robot.behaviors.query("follow").restarts == 0

@@ -181,6 +181,9 @@ class Member(Life, Mailbox):
             )
             self._start_runner(self.runner, self.action)
             return
+        if self.task is not None and (misfit := self._misfit()):
+            self._runs(False, misfit)  # another device has come in the place of one
+            return
         survivors = self.owner.living()
         self.owner = Owner(self.crew.context)
         self.owner.stream = self.stream
@@ -424,6 +427,12 @@ class Member(Life, Mailbox):
             self._runs(False, f"{', '.join(missing)} was removed")
             return
         bind(runner, reaction, self.grants)
+
+    def _misfit(self) -> str:
+        """Say why it cannot begin anew with what is there now; empty if it can."""
+        needs = self.action.needs.values()
+        found = (self.grants.misfit(self.action, need.provider) for need in needs)
+        return next(filter(None, found), "")
 
     def resource_changed(self, resource: str) -> None:
         """Bind an action anew when one of its resources was added or removed."""

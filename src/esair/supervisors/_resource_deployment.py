@@ -242,6 +242,7 @@ class ResourceDeployment:
                 new = self.deploy(resource, channel)
             else:
                 self._forget(name, ResourceState.REMOVED)
+                self._leaving.discard(name)  # ports that fit live again with it
                 new = self.deploy(resource)
             self.came(name, resource, "in its place")
             return new
