@@ -13,7 +13,7 @@ from esair.loop._end_of_loop import (
 from esair.loop._ending import Ending
 from esair.loop._every import every
 from esair.loop._executor import CallRefused, Executor
-from esair.loop._futures import fail, has_come, look_at, wake, wake_one
+from esair.loop._futures import fail, has_come, look_at, raisable, wake, wake_one
 from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import (
     ENDED,
@@ -103,6 +103,7 @@ __all__ = [
     "now",
     "outside",
     "portal",
+    "raisable",
     "run_and_end",
     "script_context",
     "sleep_in_thread",

@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Iterable
 from typing import Any
 
+from esair.exceptions import describe
+
 
 def wake(*futures: asyncio.Future[None] | None) -> None:
     """Let those go on who still wait for some futures."""
@@ -39,6 +41,15 @@ def settle(
         future.set_result(value)
     else:
         future.set_exception(error)
+
+
+def raisable(error: BaseException, who: str = "it") -> Exception:
+    """Make an error that may be raised in any task of what somebody has raised."""
+    if isinstance(error, Exception) and not isinstance(error, StopIteration):
+        return error  # a future takes everything but a StopIteration
+    wrapped = RuntimeError(f"{who} raised {describe(error)}")
+    wrapped.__cause__ = error
+    return wrapped
 
 
 def look_at(ended: asyncio.Future[Any]) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 from esair.loop._door import Door
+from esair.loop._futures import settle
 from esair.loop._tape import WAITS, First, Player, Tag, TapeWriter
 
 T = TypeVar("T")
@@ -44,13 +45,9 @@ async def outside(tag: Tag, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
     def over(end: tuple[Any, BaseException | None]) -> None:
         if isinstance(tape, TapeWriter):
             tape.arrived(tag, end, number=number)
-        if outcome.done():
-            return
         value, error = end
-        if error is not None and not (isinstance(tape, Player) and tape.is_over):
-            outcome.set_exception(error)
-        else:
-            outcome.set_result(value)
+        is_over = isinstance(tape, Player) and tape.is_over
+        settle(outcome, value, None if is_over else error)
 
     if isinstance(tape, Player):
         if tape.is_over:  # the robot stops: nothing outside is left that could fail
@@ -62,17 +59,15 @@ async def outside(tag: Tag, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
     if isinstance(tape, TapeWriter):
         number = tape.first(tag, WAITS)
     # A context of nobody: what it starts is no part of the robot.
-    task = asyncio.Task(work(), loop=loop, name=" ".join(tag), context=_nobodys())
+    task = asyncio.Task(
+        work(), loop=loop, name=" ".join(tag), context=contextvars.Context()
+    )
     task.add_done_callback(lambda done: door.end(tag, over, _end_of(done)))
     try:
         return await outcome
     except asyncio.CancelledError:
         task.cancel()
         raise
-
-
-def _nobodys() -> contextvars.Context:
-    return contextvars.Context()
 
 
 def _end_of(task: asyncio.Task[Any]) -> tuple[Any, BaseException | None]:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from esair.exceptions import BehaviorRemovedError
 from esair.loop._door import Door
-from esair.loop._futures import look_at, settle
+from esair.loop._futures import look_at, raisable, settle
 from esair.loop._ownership import Owner, spawn
 
 T = TypeVar("T")
@@ -46,7 +46,8 @@ class Portal:
 
         def finished(error: BaseException | None) -> None:
             owner.threads = tuple(t for t in owner.threads if t is not thread)
-            settle(ended, None, None if error is None else raisable(error))
+            failed = None if error is None else raisable(error, "the behavior")
+            settle(ended, None, failed)
 
         go: concurrent.futures.Future[int] = concurrent.futures.Future()
 
@@ -157,15 +158,6 @@ class Portal:
         self.closed = True
         for call in tuple(self._calls):
             call.cancel()
-
-
-def raisable(error: BaseException) -> BaseException:
-    """Make an error that may be raised in any task of what a thread has raised."""
-    if isinstance(error, StopIteration | KeyboardInterrupt | SystemExit):
-        wrapped = RuntimeError(f"the behavior raised {type(error).__name__}")
-        wrapped.__cause__ = error
-        return wrapped
-    return error
 
 
 portal: contextvars.ContextVar[Portal] = contextvars.ContextVar("esair_portal")

@@ -18,9 +18,8 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.loop._door import Door
-from esair.loop._futures import settle
+from esair.loop._futures import raisable, settle
 from esair.loop._ownership import current_owner
-from esair.loop._portal import raisable
 from esair.loop._scheduler import Scheduler
 from esair.loop._tape import Player, TapeWriter
 
@@ -122,7 +121,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
             try:
                 result = func(*args)
             except BaseException as raised:  # contained, as in a task
-                error = raisable(raised)
+                error = raisable(raised, "the behavior")
             with contextlib.suppress(RuntimeError):  # the loop is closed
                 self._door.post(0, tag, settle, future, result, error)
 

@@ -6,13 +6,21 @@ import inspect
 import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, TypeVar, overload
 
 import attrs
 
 from esair import abc
 from esair.exceptions import BadValueError, UnknownNameError, did_you_mean
-from esair.values import checked_class, hints_of, is_positive, passes_as, type_name
+from esair.values import (
+    checked_class,
+    hints_of,
+    is_positive,
+    once_for_class,
+    passes_as,
+    type_name,
+)
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -152,19 +160,19 @@ def operation(function: Any = None, /, *, deadline: float | None = None) -> Any:
     return mark if function is None else mark(function)
 
 
-def operations_of(component: type[abc.Resource]) -> dict[str, Operation]:
+@once_for_class
+def operations_of(component: type[abc.Resource]) -> Mapping[str, Operation]:
     """Return the operations that a class of resources declares, by name."""
-    return {
-        name: _described(component, name, marked) for name, marked in _marked(component)
-    }
+    return MappingProxyType(
+        {name: _described(component, name, each) for name, each in _marked(component)}
+    )
 
 
 def operation_of(resource: abc.Resource, name: str) -> Operation:
-    for each, marked in _marked(type(resource)):
-        if each == name:
-            return _described(type(resource), name, marked)
     known = operations_of(type(resource))
-    raise UnknownNameError("operation", name, known, user=resource.name)
+    if name not in known:
+        raise UnknownNameError("operation", name, known, user=resource.name)
+    return known[name]
 
 
 def wrong_operations(component: type[abc.Resource]) -> Iterator[tuple[str, str]]:

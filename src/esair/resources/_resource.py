@@ -10,10 +10,12 @@ from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypedDict
 
+import attrs
+
 from esair import abc
 from esair.exceptions import ConfigError
 from esair.resources._operation import Operation, operations_of
-from esair.resources._setting import Setting, check_settings, setting, settings_of
+from esair.resources._setting import Setting, check_settings, settings_of
 from esair.values import once_for_class
 
 if TYPE_CHECKING:
@@ -113,17 +115,7 @@ class Resource(abc.Resource):
             plain = vars(cls).get(name, described)
             if not isinstance(plain, Setting):  # ``rate = 50.0`` in a subclass
                 value = described.check(f"class {cls.__name__}", plain)
-                narrowed = setting(
-                    value,
-                    unit=described.unit,
-                    min=described.min,
-                    max=described.max,
-                    choices=described.choices,
-                    doc=described.doc,
-                    secret=described.secret,
-                )
-                typing.cast("Setting", narrowed).__set_name__(cls, name)
-                setattr(cls, name, narrowed)
+                setattr(cls, name, attrs.evolve(described, default=value))
         owner = next(each for each in cls.__mro__ if "open" in vars(each))
         own = vars(owner)["open"]
         is_checked = owner is not cls and issubclass(owner, Resource)
@@ -160,7 +152,7 @@ class Resource(abc.Resource):
     @property
     def operations(self) -> Mapping[str, Operation]:
         """What can be called by `operate`, by name, with its parameters (read only)."""
-        return MappingProxyType(operations_of(type(self)))
+        return operations_of(type(self))
 
     if TYPE_CHECKING:
 

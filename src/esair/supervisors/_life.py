@@ -7,6 +7,7 @@ import logging
 
 from esair.exceptions import describe
 from esair.journal import Journal, Kind
+from esair.loop import raisable
 from esair.messages import Restart
 
 _log = logging.getLogger("esair")
@@ -42,7 +43,7 @@ class Life:
                 self.name,
                 self.restarts.policy.max,
                 describe(error),
-                exc_info=safe_to_raise(error),
+                exc_info=raisable(error),
             )
         return pause
 
@@ -77,12 +78,3 @@ class RestartBudget:
         times.append(now)
         self.count += 1
         return pause
-
-
-def safe_to_raise(error: BaseException) -> Exception:
-    """Make an error that is safe to raise in a task of somebody else."""
-    if isinstance(error, Exception) and not isinstance(error, StopIteration):
-        return error  # a future takes everything but a StopIteration
-    wrapped = RuntimeError(f"it raised {describe(error)}")
-    wrapped.__cause__ = error
-    return wrapped

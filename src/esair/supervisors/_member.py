@@ -30,6 +30,7 @@ from esair.loop import (
     Portal,
     Stream,
     fail,
+    raisable,
     spawn,
     speaks_for_nobody,
     wake,
@@ -39,7 +40,7 @@ from esair.supervisors._absence import absent, absent_for
 from esair.supervisors._crew import Crew
 from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
 from esair.supervisors._grants import Grants, bind, empty, fill
-from esair.supervisors._life import Life, RestartBudget, safe_to_raise
+from esair.supervisors._life import Life, RestartBudget
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._perform import Steps, runner_for
 from esair.supervisors._sight import Sight
@@ -287,7 +288,7 @@ class Member(Life, Mailbox):
         ready = self.ready
         if ready is not None and not ready.done() and self in self.crew.coming:
             self.state = BehaviorState.FAILED
-            fail(ready, safe_to_raise(error))
+            fail(ready, raisable(error))
             return
         self._is_ready()
         missing = absent_for(error, self.action, self.crew.resources.is_ready)
@@ -312,7 +313,7 @@ class Member(Life, Mailbox):
                 describe(error),
                 self.restarts.count,
                 pause,
-                exc_info=safe_to_raise(error),
+                exc_info=raisable(error),
             )
             self._timer = loop.call_later(pause, self._restart)
         self.crew.mediator.peer_failed(self, error)

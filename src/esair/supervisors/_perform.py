@@ -9,11 +9,10 @@ from typing import Any
 from esair.actions import GuardRunner, Reaction, ReactionRunner
 from esair.connections import Registration
 from esair.exceptions import ConfigError
-from esair.loop import Owner, fail
+from esair.loop import Owner, fail, raisable
 from esair.plan import examine_step, refuse
 from esair.supervisors._crew import Crew
 from esair.supervisors._grants import Grants, bind
-from esair.supervisors._life import safe_to_raise
 from esair.supervisors._sight import Sight
 from esair.values import check_duration
 
@@ -155,7 +154,7 @@ class Step:
             self.ended.set_result(result)
 
     def crash(self, error: BaseException) -> None:
-        fail(self.ended, safe_to_raise(error))
+        fail(self.ended, raisable(error))
 
 
 def runner_for(reaction: Reaction, sight: Sight, **hooks: Any) -> ReactionRunner:

@@ -90,15 +90,15 @@ class ResourceLife(Life):
         self._faults_in_row = 0
         self._successes = 0
         self._is_open = False
-        self._over = False
+        self.is_over = False
+        """The resource was removed, or another one has its place."""
         # Its own: the channel goes on with those of a successor.
         self._driver = channel.driver
         self._calls = channel.calls
         self._calls.on_late_open = self._opened_late
         self._identity: Any = resource.identity
         """What the device answered when it was asked for the first time who it is."""
-        self._task: asyncio.Task[None]
-        self._error_of_try: BaseException | None = None
+        self._task: asyncio.Task[object]
         self._last_try: asyncio.Task[None] | None = None
         self._looks: Deadline | None = None
         """When it is asked next whether the set-up of the device is still there."""
@@ -152,7 +152,7 @@ class ResourceLife(Life):
     def _look(self) -> None:
         """Ask the device whether it has restarted, unless it is busy."""
         self._looks = None
-        if self._over or self.channel.state is not ResourceState.READY:
+        if self.is_over or self.channel.state is not ResourceState.READY:
             return
         method = self._driver.method("is_set_up")
         asked = self.channel.between(method, self._has_told)
@@ -171,11 +171,11 @@ class ResourceLife(Life):
         resource = self.resource
         before = {name: resource.settings[name] for name in changes}
         try:
-            await self._apply(changes)
+            await self._call("apply", **changes)
         except Exception as error:
             self._check_ready(error)
             try:
-                await self._apply(before)
+                await self._call("apply", **before)
             except Exception as second:
                 # Nobody knows its settings now: close it and begin anew.
                 unknown = f"its settings are unknown: {describe(second)}"
@@ -202,16 +202,8 @@ class ResourceLife(Life):
             shown(self.resource, self.resource.settings),
         )
 
-    @property
-    def is_over(self) -> bool:
-        """Whether the resource was removed, or another one has its place."""
-        return self._over
-
-    async def _apply(self, changes: dict[str, Any]) -> None:
-        await self._call("apply", **changes)
-
     def _check_ready(self, cause: BaseException | None) -> None:
-        if self._over or self.channel.state is not ResourceState.READY:
+        if self.is_over or self.channel.state is not ResourceState.READY:
             lost = self.channel.error or DeviceLostError(self.name, "it was replaced")
             raise lost from cause
 
@@ -231,7 +223,7 @@ class ResourceLife(Life):
         assert isinstance(channel, ActuatorChannel)
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=LAST_TRY)
-        if self._over:
+        if self.is_over:
             return  # it was removed meanwhile: nobody would close it again
         trying = spawn(self._loop, self._open_once(), name=f"{name} opening")
         self._task = trying
@@ -240,16 +232,16 @@ class ResourceLife(Life):
         if not trying.done():
             trying.cancel()
             channel.not_told(DriverStuckError(name, "open", seconds))
-        elif self._error_of_try is not None:
-            channel.not_told(self._error_of_try)
+        elif (error := trying.result()) is not None:
+            channel.not_told(error)
 
-    async def _open_once(self) -> None:
+    async def _open_once(self) -> BaseException | None:
         await self._close()
-        self._error_of_try = await self._try_to_open()
+        return await self._try_to_open()
 
     async def stop(self, until: float) -> None:
         """Close the device, whatever it is doing."""
-        self._over = True
+        self.is_over = True
         if self._looks is not None:
             self._looks.cancel()
         for forget in self._forget_bus:
@@ -274,7 +266,7 @@ class ResourceLife(Life):
     def _opened_late(self, _call: Call) -> None:
         """An opening has ended that was given up: the device must not stay open."""
         self._is_open = True
-        if self._over:
+        if self.is_over:
             spawn(self._loop, self._close(), name=f"{self.name} close")
 
     def _told(self, error: BaseException | None) -> None:
@@ -286,7 +278,7 @@ class ResourceLife(Life):
             self._hear(error)  # the loss of an earlier opening is no news
 
     def _hear(self, error: BaseException | None) -> None:
-        if self._over:
+        if self.is_over:
             return
         if self._news is None or self._news.done():
             if error is None:
