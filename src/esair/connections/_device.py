@@ -1,18 +1,28 @@
-"""What sensors and actuators have in common on their way to the connection."""
+"""One device, whatever it is: its driver, its state, and its operations."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
-from esair.connections._call import Call, given_up
+import attrs
+
+from esair.connections._call import OPERATE, Call, End, given_up
 from esair.connections._calls import Calls
-from esair.connections._driver import Driver
-from esair.connections._operations import Operating, Operations
-from esair.connections._registrations import Registrations
-from esair.exceptions import DeviceLostError, EsairError, ResourceRemovedError
-from esair.loop import clock_of
+from esair.connections._driver import Driver, translate_call
+from esair.connections._registrations import Registration, Registrations
+from esair.exceptions import (
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    HaltedError,
+    ResourceRemovedError,
+    describe,
+)
+from esair.journal import Kind
+from esair.loop import Deadlines, clock_of
 from esair.messages import ResourceState
 from esair.resources import Resource
 
@@ -47,9 +57,12 @@ class Device:
     # Of those that know what it is for.
     configured: Callable[[], None]
     down: Callable[[ResourceState, EsairError], None]
-    operated: Callable[[Call | None], None]
-    operating: Callable[[Operating, Call], None]
     ready_for: Callable[[Operating], bool]
+    """Tells whether an operation may begin now; or sees to it that it soon may."""
+    operating: Callable[[Operating, Call], None]
+    """The device has begun with an operation, and is busy."""
+    operated: Callable[[Call | None], None]
+    """It has its outcome; the device is free once the call has ended."""
     _late: Callable[[Call], None]
 
     def __init__(self, resource: Resource, robot: OfRobot) -> None:
@@ -84,3 +97,171 @@ class Device:
     def removed(self) -> None:
         """The user took the device away."""
         self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
+
+
+@attrs.define(eq=False)
+class Operating:
+    """One operation that was asked for: it waits for its turn, or runs."""
+
+    registration: Registration
+    name: str
+    parameters: dict[str, Any]
+    until: float
+    limit: float
+    outcome: asyncio.Future[Any]
+    call: Call | None = None
+    ended_by: EsairError | None = None  # why it was ended before its time
+
+    def __repr__(self) -> str:
+        given = ", ".join(f"{key}={value!r}" for key, value in self.parameters.items())
+        return f"<operation {self.name}({given})>"
+
+
+class Operations:
+    """Runs the operations of a device; its caller sees to it that there is one."""
+
+    def __init__(
+        self, device: Device, loop: asyncio.AbstractEventLoop, on_error: Any
+    ) -> None:
+        self._device = device
+        self._loop = loop
+        self._on_error = on_error
+        self.current: Operating | None = None  # what waits for its turn, or runs
+
+    async def run(
+        self,
+        registration: Registration,
+        name: str,
+        parameters: dict[str, Any],
+        until: float,
+        limit: float,
+    ) -> Any:
+        """Call an operation when the device is free, and wait for its outcome.
+
+        Whoever is cancelled here ends it.
+        """
+        assert self.current is None
+        outcome: asyncio.Future[Any] = self._loop.create_future()
+        this = Operating(registration, name, parameters, until, limit, outcome)
+        self.current = this
+        stuck = DriverStuckError(self._device.name, f"{OPERATE} {name}", limit)
+        deadline = Deadlines.of(self._loop).after(
+            max(0.0, until - self._device.time()), self._expire, this, stuck
+        )
+        try:
+            self.look()
+            return await outcome
+        except asyncio.CancelledError:
+            if this.call is None:
+                self.current = None
+            else:
+                this.call.cancel()
+            raise
+        finally:
+            deadline.cancel()
+
+    def look(self) -> None:
+        """Begin with what waits, if the device is free."""
+        this = self.current
+        if this is None or this.call is not None or this.outcome.done():
+            return
+        device = self._device
+        begun = False
+        try:
+            self.check(this.registration)
+            if not device.ready_for(this):
+                return
+            begun = True
+            method = device.driver.method(this.name)
+            if this.parameters:
+                method = method.bound(**this.parameters)
+            value = device.calls.begin(
+                f"{OPERATE} {this.name}",
+                method,
+                (),
+                max(0.001, this.until - device.time()),
+            )
+        except Exception as error:
+            if begun:
+                error = self._translated(this, error)
+            self._over(this, End(None, error))
+            if begun:
+                device.operated(None)
+            return
+        if type(value) is Call:
+            value.apply = partial(self._ended, this)
+            this.call = value
+            device.operating(this, value)
+        else:
+            self._over(this, End(value, None))
+            device.operated(None)
+
+    def check(self, registration: Registration) -> None:
+        """Pass if a registration is valid, the device is there, and nothing is halted."""
+        device = self._device
+        table = device.registrations
+        if table.live.get(registration.number) is not registration:
+            raise table.refusal(registration)
+        if table.halt is not None:
+            raise HaltedError(device.name, table.halt.reason)
+        if device.state is not ResourceState.READY:
+            raise device.absence()
+
+    def end(self, error: EsairError) -> None:
+        """End what waits or runs, because it must not go on."""
+        this = self.current
+        assert this is not None
+        this.ended_by = this.ended_by or error
+        if this.call is None:
+            self._over(this, End(None, error))
+        elif not this.call.cancelled:
+            this.call.cancel()
+
+    @property
+    def running(self) -> bool:
+        return self.current is not None and self.current.call is not None
+
+    def gone(self, error: EsairError) -> None:
+        """The device is gone; its calls are fenced."""
+        if self.current is not None:
+            self._over(self.current, End(None, error))
+
+    def drop(self, registration: Registration) -> None:
+        """End what was begun by a right that is void."""
+        if self.current is not None and self.current.registration is registration:
+            self.end(self._device.registrations.refusal(registration))
+
+    def _expire(self, this: Operating, stuck: DriverStuckError) -> None:
+        if self.current is this and this.call is None:  # a call has its own deadline
+            self._over(this, End(None, stuck))
+
+    def _ended(self, this: Operating, call: Call, end: End) -> None:
+        if end.error is not None:
+            end = End(None, self._translated(this, end.error))
+        self._over(this, end)
+        self._device.operated(call)
+
+    def _over(self, this: Operating, end: End) -> None:
+        self.current = None
+        device = self._device
+        error = this.ended_by or end.error
+        device.registrations.journal.publish(
+            Kind.OPERATED,
+            device.name,
+            this.registration.behavior,
+            end.value if error is None else error,
+            this.name if error is None else f"{this.name}: {describe(error)}",
+        )
+        if this.outcome.done():
+            return  # who asked for it has gone
+        if error is None:
+            this.outcome.set_result(end.value)
+        else:
+            this.outcome.set_exception(error)
+
+    def _translated(self, this: Operating, error: BaseException) -> EsairError:
+        """Make what its caller gets of what the driver has raised."""
+        translated = translate_call(self._device.name, this.name, this.limit, error)
+        if isinstance(translated, DeviceLostError):
+            self._on_error(translated)
+        return translated

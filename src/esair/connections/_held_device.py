@@ -10,10 +10,9 @@ from typing import Any
 
 from esair.connections._actuator_device import ActuatorDevice
 from esair.connections._call import Call, End
-from esair.connections._device import OfRobot
+from esair.connections._device import OfRobot, Operating
 from esair.connections._driver import Guard
 from esair.connections._halt import HALT, HALT_PRIORITY, Halt
-from esair.connections._operations import Operating
 from esair.connections._protection import Protection
 from esair.connections._registrations import Registration
 from esair.connections._weaker import is_same, weaker_of

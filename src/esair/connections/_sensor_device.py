@@ -8,9 +8,8 @@ from collections.abc import Callable
 from typing import Any
 
 from esair.connections._call import Call, End
-from esair.connections._device import Device, OfRobot
+from esair.connections._device import Device, OfRobot, Operating
 from esair.connections._driver import Method
-from esair.connections._operations import Operating
 from esair.connections._waiting_readers import WaitingReaders
 from esair.exceptions import StaleReadingError
 from esair.messages import ResourceState
