@@ -8,7 +8,7 @@ import contextlib
 import errno
 import random
 from collections.abc import Callable, Hashable
-from typing import Generic, NamedTuple, Protocol, TypeVar, cast
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from esair.buses._bus import Bus, Wire, wanted
 from esair.buses._opening import open_on, shut_on
@@ -184,7 +184,7 @@ class LinkBus(Bus, Generic[L]):
                 self._make, transfer, address, left, timeout=left, address=address
             )
             if not isinstance(outcome, Failure):
-                return cast("T", outcome)
+                return outcome  # type: ignore[no-any-return]
             pause = RETRY_PERIOD * 2**attempt * self._jitter.uniform(0.5, 1.5)
             left = until - loop.time() - pause
             if outcome.code not in repeated or attempt == RETRIES or left <= 0:

@@ -24,6 +24,9 @@ from esair.loop._timer import clock_of
 
 _log = logging.getLogger("esair")
 
+_new = tuple.__new__
+"""Makes an entry of what is in the right order, in half of the time."""
+
 
 class Door(OfLoop):
     """Where what threads have done comes into a loop. One for each event loop.
@@ -148,7 +151,9 @@ class Door(OfLoop):
                 else:
                     self.at_work -= 1
             self.number += 1
-            entry = Entry(self.number, self._time(), work, tag, function, arguments)
+            entry = _new(
+                Entry, (self.number, self._time(), work, tag, function, arguments)
+            )
             divert = self.divert
             if divert is None or (work and tag[0] != "thread"):
                 self._add(entry)
@@ -202,13 +207,13 @@ class Door(OfLoop):
                 self._entries.clear()
         with self._arrivals:
             while entries:
-                entry = entries.popleft()
-                if entry.tag[0] == "thread" and isinstance(self.tape, TapeWriter):
-                    self.tape.arrived(entry.tag, number=1)
+                _, _, _, tag, function, arguments = entries.popleft()
+                if tag[0] == "thread" and isinstance(self.tape, TapeWriter):
+                    self.tape.arrived(tag, number=1)
                 try:
-                    entry.function(*entry.arguments)
+                    function(*arguments)
                 except Exception:
-                    _log.exception("what came in from %s raised", " ".join(entry.tag))
+                    _log.exception("what came in from %s raised", " ".join(tag))
 
 
 def _by_work(entry: Entry) -> tuple[int, Tag, int]:

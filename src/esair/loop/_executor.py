@@ -13,9 +13,11 @@ import attrs
 
 from esair.exceptions import BusyError, DriverStuckError
 from esair.loop._arrivals import arrive
-from esair.loop._deadlines import Deadlines
+from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._door import Door
 from esair.loop._now import works_for
+from esair.loop._rate_group import REACHED
+from esair.loop._timer import clock_of
 
 T = TypeVar("T")
 
@@ -45,7 +47,18 @@ class Call:
     args: tuple[Any, ...]
     guard: Callable[[], bool] | None
     future: Outcome
+    jobs: queue.SimpleQueue[Call | None]
+    results: Results
     work: int = 0
+
+    def begin(self, work: int) -> None:
+        """Come to the thread."""
+        self.work = work
+        self.jobs.put(self)
+        results = self.results
+        results.held -= 1
+        if results.is_over and not results.held:
+            self.jobs.put(None)
 
 
 class Executor:
@@ -112,14 +125,17 @@ class Executor:
         )
         if outside:
             return await future
-        assert self._results is not None
-        deadline = self._results.deadlines.after(
-            timeout, self._expire, future, function, timeout
-        )
+        results = self._results
+        assert results is not None
+        until = results.time() + timeout
+        results.waits[future] = (until, timeout, function)
+        results.deadline.start_by(until)
         try:
             return await future
         finally:
-            deadline.cancel()
+            del results.waits[future]
+            if not results.waits:
+                results.deadline.cancel()
 
     def submit(
         self,
@@ -137,19 +153,11 @@ class Executor:
                 f"executor {self.name}", "number of waiting calls", self.limit
             )
         jobs = self._start(loop)
-        call = Call(function, args, guard, outcome)
         results = self._results
         assert results is not None
         results.held += 1
-
-        def begin(work: int) -> None:
-            call.work = work
-            jobs.put(call)
-            results.held -= 1
-            if results.is_over and not results.held:
-                jobs.put(None)
-
-        results.door.give_out(begin, self._thread, outside=outside)
+        call = Call(function, args, guard, outcome, jobs, results)
+        results.door.give_out(call.begin, self._thread, outside=outside)
 
     def expired(self) -> None:
         """Take note that a call has not returned within its deadline."""
@@ -205,16 +213,6 @@ class Executor:
             self._thread = thread
         return self._jobs
 
-    def _expire(
-        self, future: asyncio.Future[Any], function: Callable[..., Any], timeout: float
-    ) -> None:
-        if future.done():
-            return
-        self.expired()
-        # Not repr(): it is the driver's own code, may fail, and is long for a partial.
-        call = getattr(function, "__qualname__", type(function).__qualname__)
-        future.set_exception(DriverStuckError(self.name, call, timeout))
-
 
 class Results:
     """What the thread of an executor has done, on its way into the event loop."""
@@ -223,8 +221,14 @@ class Results:
         self._executor = executor
         self._tag = (executor.name,)
         self.door: Door = Door.of(loop)
-        self.deadlines: Deadlines = Deadlines.beside(loop)
         self.loop = loop
+        self.time = clock_of(loop)
+        self.waits: dict[
+            asyncio.Future[Any], tuple[float, float, Callable[..., Any]]
+        ] = {}
+        """Who waits for a result: until when, how many seconds that was, and of what."""
+        self.deadline: Deadline = Deadlines.beside(loop).idle(self._expire)
+        """That of the one whose time is over first."""
         self.held = 0
         """How many calls it was given that have not come to its thread: see `Door`."""
         self.is_over = False  # whether the thread ends after them
@@ -244,18 +248,31 @@ class Results:
         self._executor.returned(self)
         if future.done():  # it came too late, or its caller has gone
             return
-        if isinstance(error, StopIteration) or (
-            error is not None and not isinstance(error, Exception)
-        ):  # raised in a task, it would end the task, or the process
+        if error is None:
+            if isinstance(future, asyncio.Future):
+                arrive(future, result)
+            else:
+                future.set_result(result)
+        elif isinstance(error, Exception) and not isinstance(error, StopIteration):
+            future.set_exception(error)
+        else:  # raised in a task, it would end the task, or the process
             wrapped = RuntimeError(f"the driver raised {type(error).__name__}")
             wrapped.__cause__ = error
             future.set_exception(wrapped)
-        elif error is not None:
-            future.set_exception(error)
-        elif isinstance(future, asyncio.Future):
-            arrive(future, result)
-        else:
-            future.set_result(result)
+
+    def _expire(self) -> None:
+        now = self.time() + REACHED
+        for future, (until, seconds, function) in self.waits.items():
+            if future.done():
+                continue
+            if until > now:
+                self.deadline.start_by(until)
+                continue
+            self._executor.expired()
+            # Not repr(): it is the driver's own code, may fail, and is long for a partial.
+            call = getattr(function, "__qualname__", type(function).__qualname__)
+            stuck = DriverStuckError(self._executor.name, call, seconds)
+            future.set_exception(stuck)
 
 
 def _work(calls: queue.SimpleQueue[Call | None], results: Results) -> None:
