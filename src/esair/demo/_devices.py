@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
-from typing import ClassVar, TypeVar
+from collections.abc import AsyncIterator, Sequence
+from typing import Any, ClassVar
 
 import attrs
 
@@ -22,13 +21,8 @@ from esair.drivers.wheel_motor import (
     encode_command,
     feedback_id,
 )
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
-from esair.framing import SentenceError, decode_sentence, encode_sentence
-from esair.resources import Actuator, Sensor, setting
-
-T = TypeVar("T")
-
-IDENTITY_TIMEOUT = 0.5  # How long a part may take to say who it is, in seconds
+from esair.exceptions import DeviceFaultError
+from esair.resources import Actuator, Resource, Sensor, setting
 
 
 @attrs.frozen
@@ -50,109 +44,81 @@ class Travel:
     time: float
 
 
-class _SerialSensor:
-    """What the parts on serial lines have in common."""
+class _Talker(Resource):
+    """What the parts on serial lines have in common: they talk in sentences."""
 
-    name: str
-    bus: object
+    bus: SerialBus
     talker: ClassVar[str]
     model: ClassVar[str]
-    bad_lines = 0  # How many sentences were damaged on their way
+    tells: ClassVar[str]
+    """Which of its sentences have a value."""
+
+    bad_sentences = 0
+    """How many of those had none."""
 
     async def open(self) -> None:
         """Make sure that it is this part and not something else."""
-        fields = await self._ask(f"{self.talker}IAM", f"{self.talker}WHO")
-        if fields[1:2] != [self.model]:
-            told = f"expected a {self.model}, found {fields[1:]}"
+        fields = await self._ask("WHO", "IAM")
+        if fields[:1] != [self.model]:
+            told = f"expected a {self.model}, found {fields}"
             raise DeviceFaultError(self.name, told)
 
-    @property
-    def _line(self) -> SerialBus:
-        if not isinstance(self.bus, SerialBus):
-            raise ConfigError(
-                self.name, "bus", f"expected a SerialBus, not {self.bus!r}"
-            )
-        return self.bus
+    async def _ask(self, question: str, answer: str) -> list[str]:
+        prefix = f"{self.talker}{answer}".encode()
+        told = await self.bus.ask(f"{self.talker}{question}".encode(), prefix=prefix)
+        return told.decode().split(",")[1:]
 
-    async def _ask(self, answer: str, *question: str | int) -> list[str]:
-        inbox = self._line.frames(b"$" + answer.encode(), limit=4)
-        try:
-            await self._line.write(encode_sentence(*question))
-            return decode_sentence(await inbox.take(timeout=IDENTITY_TIMEOUT))
-        except SentenceError as error:
-            raise DeviceFaultError(self.name, str(error)) from error
-        except TimeoutError as error:
-            raise DeviceLostError(self.name, f"no answer to {question[0]}") from error
-        finally:
-            inbox.close()
+    def value_of(self, fields: list[str]) -> Any:
+        """Return what a sentence tells, after its number."""
+        raise NotImplementedError
 
-    async def _told(
-        self, what: str, read: Callable[[list[str]], T]
-    ) -> AsyncGenerator[T, None]:
-        """Yield what each sentence says that arrives whole."""
-        inbox = self._line.frames(f"${self.talker}{what}".encode(), limit=4)
+    async def stream(self) -> AsyncIterator[Any]:
+        """Yield what it tells."""
+        inbox = self.bus.frames(f"{self.talker}{self.tells},".encode(), limit=4)
         try:
-            async for line in inbox:
+            async for sentence in inbox:
                 try:
-                    value = read(decode_sentence(line))
-                except ValueError:  # a SentenceError, or a field that is no number
-                    self.bad_lines += 1
+                    value = self.value_of(sentence.decode().split(",")[2:])
+                except ValueError:  # too few fields, or one that is no number
+                    self.bad_sentences += 1
                 else:
                     yield value
         finally:
             inbox.close()
 
 
-class RangeFinder(_SerialSensor, Sensor[Scan]):
-    """A range finder with a fan of beams, on a serial line."""
+class RangeFinder(_Talker, Sensor[Scan]):
+    """A range finder with a fan of beams, on a serial line of sentences."""
 
-    talker, model = "RF", "fan41"
+    talker, model, tells = "RF", "fan41", "SWP"
     rate = setting(10.0, unit="Hz", min=1.0, max=20.0, doc="how often it sweeps")
 
     async def apply(self, *, rate: float, **_: object) -> None:
         """Tell it how often to sweep."""
         hertz = round(rate)
-        if await self._ask("RFACK", "RFRTE", hertz) != ["RFACK", "RTE", str(hertz)]:
+        if await self._ask(f"RTE,{hertz}", "ACK") != ["RTE", str(hertz)]:
             raise DeviceFaultError(self.name, f"it did not accept {hertz} Hz")
 
-    async def stream(self) -> AsyncIterator[Scan]:
-        """Yield every sweep that arrives whole."""
-        async with contextlib.aclosing(self._told("SWP", _scan)) as scans:
-            async for scan in scans:
-                yield scan
+    def value_of(self, fields: list[str]) -> Scan:
+        """Return a sweep: angles come in hundredths of a degree, distances in mm."""
+        first, step, *distances = fields
+        millimetres = map(int, distances)
+        return Scan(
+            math.radians(int(first) / 100),
+            math.radians(int(step) / 100),
+            tuple(value / 1000 if value > 0 else math.inf for value in millimetres),
+        )
 
 
-def _scan(fields: list[str]) -> Scan:
-    _, _, first, step, *distances = fields
-    millimetres = [int(distance) for distance in distances]
-    return Scan(
-        math.radians(int(first) / 100),
-        math.radians(int(step) / 100),
-        tuple(value / 1000 if value > 0 else math.inf for value in millimetres),
-    )
+class Bumper(_Talker, Sensor[Touch]):
+    """A bumper with two switches; it tells each touch, and ten times a second."""
 
+    talker, model, tells = "BM", "skirt2", "STA"
 
-class Bumper(_SerialSensor, Sensor[Touch]):
-    """A bumper with two switches, on a serial line."""
-
-    talker, model = "BM", "skirt2"
-
-    async def stream(self) -> AsyncIterator[Touch]:
-        """Yield what it feels, at each touch and ten times a second."""
-        async with contextlib.aclosing(self._told("STA", _touch)) as touches:
-            async for touch in touches:
-                yield touch
-
-
-def _touch(fields: list[str]) -> Touch:
-    _, _, left, right = fields
-    return Touch(left == "1", right == "1")
-
-
-def _drive(name: str, bus: object) -> CanBus:
-    if not isinstance(bus, CanBus):
-        raise ConfigError(name, "bus", f"expected a CanBus, not {bus!r}")
-    return bus
+    def value_of(self, fields: list[str]) -> Touch:
+        """Return which of its switches is closed."""
+        left, right = fields
+        return Touch(left == "1", right == "1")
 
 
 class Wheels(Actuator[Twist]):
@@ -169,6 +135,7 @@ class Wheels(Actuator[Twist]):
     command_timeout = 0.2
     limits = {"linear": (-0.6, 0.6), "angular": (-2.5, 2.5)}  # noqa: RUF012 - the base says so
     own_timeout = OWN_TIMEOUT
+    bus: CanBus
     _sequence = 0
 
     async def write(self, command: Twist) -> Twist:
@@ -179,10 +146,9 @@ class Wheels(Actuator[Twist]):
         scale = min(1.0, MAX_SPEED / max(abs(left), abs(right), MAX_SPEED))
         self._sequence += 1
         enable = command != self.safe
-        bus = _drive(self.name, self.bus)
         for side, speed in ((LEFT, left * scale), (RIGHT, right * scale)):
             data = encode_command(side, WheelCommand(speed, enable, self._sequence))
-            await bus.send(command_id(side), data, replaces=True)
+            await self.bus.send(command_id(side), data, replaces=True)
         return Twist(command.linear * scale, command.angular * scale)
 
 
@@ -196,13 +162,13 @@ class Odometry(Sensor[Travel]):
 
     wheel_radius = Wheels.wheel_radius
     wheel_base = Wheels.wheel_base
+    bus: CanBus
     bad_frames = 0
 
     async def stream(self) -> AsyncIterator[Travel]:
         """Yield how far it is, each time both wheels have told."""
-        bus = _drive(self.name, self.bus)
         sides = {feedback_id(side): side for side in (LEFT, RIGHT)}
-        inbox = bus.frames(*sides, limit=32)
+        inbox = self.bus.frames(*sides, limit=32)
         told: dict[int, tuple[float, float]] = {}
         try:
             async for frame in inbox:

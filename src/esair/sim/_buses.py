@@ -34,13 +34,19 @@ class SimSerialBus(SerialBus):
         name: The name of the bus.
         line: ``front`` (range finder) or ``skirt`` (bumper).
         baudrate: Bits per second; a pseudo-terminal does not care.
+        framing: Where a message ends: the parts on these lines talk in sentences.
     """
 
     def __init__(
-        self, *, name: str, line: str = "front", baudrate: int = 115200
+        self,
+        *,
+        name: str,
+        line: str = "front",
+        baudrate: int = 115200,
+        framing: str = "nmea",
     ) -> None:
         wire = _wire(lambda simulation: simulation.line(line))
-        super().__init__(name=name, baudrate=baudrate, wire=wire)
+        super().__init__(name=name, baudrate=baudrate, framing=framing, wire=wire)
 
 
 class SimCanBus(CanBus):

@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable
 from typing import Protocol
 
-from esair.framing import SentenceError, decode_sentence, encode_sentence
+from esair.framing import Sentences
 from esair.sim._world import World
 
 BEAMS = 41  # How many directions a sweep has
@@ -32,28 +32,29 @@ class _Part:
     """What takes sentences from a line, and counts what it could not read."""
 
     def __init__(self, world: World, line: Line) -> None:
-        self.bad_lines = 0
         self._world = world
         self._line = line
-        self._rest = b""
+        self._sentences = Sentences()
+        self._refused = 0
         self._sequence = 0
         self._due = 0.0
         line.heard = self._hear
 
+    @property
+    def bad_sentences(self) -> int:
+        """How many came damaged, or say nothing to it."""
+        return self._sentences.bad_frames + self._refused
+
     def _hear(self, data: bytes) -> None:
-        *lines, rest = (self._rest + data).split(b"\n")
-        self._rest = rest[-256:]
-        for line in lines:
-            try:
-                self._obey(decode_sentence(line))
-            except SentenceError:
-                self.bad_lines += 1
+        for payload in self._sentences.feed(data):
+            self._obey(payload.decode("ascii").split(","))
 
     def _obey(self, fields: list[str]) -> None:
-        self.bad_lines += 1
+        raise NotImplementedError
 
     def _say(self, *fields: str | int) -> None:
-        self._line.write(encode_sentence(*fields))
+        payload = ",".join(map(str, fields)).encode("ascii")
+        self._line.write(self._sentences.encode(payload))
 
     def _next(self) -> int:
         self._sequence = (self._sequence + 1) % 1000
@@ -99,7 +100,7 @@ class SimRangeFinder(_Part):
                 self._period = 1.0 / int(hertz)
                 self._say("RFACK", "RTE", int(hertz))
             case _:
-                self.bad_lines += 1
+                self._refused += 1
                 self._say("RFNAK", fields[0][:8])
 
 
@@ -123,4 +124,4 @@ class SimBumper(_Part):
         if fields == ["BMWHO"]:
             self._say("BMIAM", "skirt2", "1.0")
         else:
-            self.bad_lines += 1
+            self._refused += 1

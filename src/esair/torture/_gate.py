@@ -7,7 +7,7 @@ import contextlib
 import functools
 import inspect
 import random
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any, Protocol
 
 import attrs
@@ -134,15 +134,14 @@ class Gate:
             if _has(resource, name):
                 inner = getattr(resource, name)
                 if stand_in is not None:
-                    inner = _instead_of(inner, getattr(stand_in, name))
+                    inner = getattr(stand_in, name)
                 own[name] = self._passing(name, inner)
         if isinstance(resource, Sensor) and resource.pushes:
             values = resource.stream if stand_in is None else stand_in.stream
             own["stream"] = self._stream(values)
         if stand_in is not None:
             for name in resource.operations:
-                inner = _instead_of(getattr(resource, name), stand_in.operate)
-                own[name] = self._passing(name, inner)
+                own[name] = self._passing(name, stand_in.operate)
 
     def _passing(self, name: str, inner: Callable[..., Any]) -> Callable[..., Any]:
         if inspect.iscoroutinefunction(inner):
@@ -320,18 +319,6 @@ class _StandIn:
     def value(self) -> Any:
         resource: Any = self._gate.resource
         return make(resource.value_type, self._dice, resource.limits)
-
-
-def _instead_of(
-    inner: Callable[..., Any], answer: Callable[..., Coroutine[Any, Any, Any]]
-) -> Callable[..., Any]:
-    """Return a coroutine function that looks like a method, and answers for it."""
-
-    @functools.wraps(inner)
-    async def instead(*args: Any, **options: Any) -> Any:
-        return await answer(*args, **options)
-
-    return instead
 
 
 def _has(resource: Resource, name: str) -> bool:
