@@ -12,8 +12,7 @@ from typing import Any, Literal, overload
 
 from esair.config._classes import searched_first
 from esair.exceptions import ConfigError, describe, hint_for
-from esair.plan import only_looking
-from esair.standard import Robot, RunWanted, instead_of_running
+from esair.standard import Robot, RunWanted, only_looking
 
 
 def is_of_module(target: str) -> bool:
@@ -44,6 +43,12 @@ def find_robot(target: str, *, or_maker: bool = False) -> Any:
             module = _import_file(where) if where.endswith(".py") else _import(where)
     except KeyboardInterrupt:
         raise
+    except RunWanted as wanted:
+        told = (
+            f"{where!r} starts the robot {wanted.robot.name!r} when it is imported: put "
+            "that below if __name__ == '__main__'"
+        )
+        raise ConfigError(target, "", told) from None
     except BaseException as error:  # the user's code may do anything
         told = f"{where!r} cannot be imported: {describe(error)}"
         raise ConfigError(target, "", told) from error
@@ -92,10 +97,11 @@ def _robot_of_program(path: str) -> Robot:
     sys.path.insert(0, str(place.resolve().parent))
     sys.argv = [str(place)]
     try:
-        with instead_of_running():
+        with only_looking():
             exec(compile(place.read_bytes(), str(place), "exec"), vars(program))
     except RunWanted as wanted:
-        return wanted.robot
+        robot: Robot = wanted.robot
+        return robot
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # the user's code may do anything

@@ -13,7 +13,6 @@ A new rule goes into the file of its subject, and is asked in ``_examine.py``.
 from esair.plan._derived import depths
 from esair.plan._examine import examine, examine_action, examine_resource, examine_step
 from esair.plan._finding import Finding, Severity, errors_in, refuse
-from esair.plan._looking import only_looking, refuse_while_looking
 from esair.plan._names import in_use
 from esair.plan._needs import unmet
 from esair.plan._plan import Plan
@@ -44,10 +43,8 @@ __all__ = [
     "examine_step",
     "in_use",
     "not_alone",
-    "only_looking",
     "protection",
     "refuse",
-    "refuse_while_looking",
     "unmet",
     "when_alone",
 ]

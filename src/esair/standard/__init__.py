@@ -1,11 +1,10 @@
 """ESAIR STD: the robot, its four resident objects, and their order of start and stop."""
 
 from esair.standard._care import STALL_WARNING
+from esair.standard._looking import RunWanted, only_looking
 from esair.standard._recording import FORMAT
 from esair.standard._robot import LAST_WAIT, Robot
 from esair.standard._run import (
-    RunWanted,
-    instead_of_running,
     prepare_replay,
     recorded_as,
     run,
@@ -18,7 +17,7 @@ __all__ = [
     "STALL_WARNING",
     "Robot",
     "RunWanted",
-    "instead_of_running",
+    "only_looking",
     "prepare_replay",
     "recorded_as",
     "run",

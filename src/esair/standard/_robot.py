@@ -33,9 +33,10 @@ from esair.messages import (
     Recording,
     ResourceState,
 )
-from esair.plan import Plan, errors_in, examine, refuse_while_looking
+from esair.plan import Plan, errors_in, examine
 from esair.resources import Resource, adapt_resource
 from esair.standard._care import STALL_WARNING, LoopCare
+from esair.standard._looking import not_while_looking
 from esair.standard._recording import Keeping, repeats
 from esair.standard._seating import Seating
 from esair.supervisors import (
@@ -258,7 +259,7 @@ class Robot:
             raise StoppingError(
                 self._title, f"stopped before its start: {self._reason}"
             )
-        refuse_while_looking(self.name)
+        not_while_looking(self)
         if mistakes := errors_in(examine(self.plan)):
             raise ExceptionGroup(f"{self._title} cannot start", mistakes)
         anyio.CancelScope()  # what the stop needs is imported before there can be one

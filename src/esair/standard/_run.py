@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import contextvars
 import gc
 import logging
 import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -25,36 +23,11 @@ from esair.loop import (
     threads_that_keep_the_process,
 )
 from esair.standard._care import STALL_WARNING
+from esair.standard._looking import not_while_looking
 from esair.standard._robot import LAST_WAIT, Robot
 from esair.values import check_seconds
 
 _log = logging.getLogger("esair")
-
-_wanted: contextvars.ContextVar[bool] = contextvars.ContextVar(
-    "esair.standard.wanted", default=False
-)
-
-
-class RunWanted(BaseException):
-    """A program has come to its `run`, and the robot is wanted, not its run.
-
-    Attributes:
-        robot: The robot.
-    """
-
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot.name)
-        self.robot = robot
-
-
-@contextlib.contextmanager
-def instead_of_running() -> Iterator[None]:
-    """Have `run` raise `RunWanted` meanwhile: a program ends where it runs its robot."""
-    token = _wanted.set(True)
-    try:
-        yield
-    finally:
-        _wanted.reset(token)
 
 
 def run(
@@ -88,8 +61,7 @@ def run(
     """
     if not isinstance(robot, Robot):
         raise ConfigError("run", "robot", f"expected an esair.Robot, not {robot!r:.80}")
-    if _wanted.get():
-        raise RunWanted(robot)
+    not_while_looking(robot)
     if asyncio._get_running_loop() is not None:  # noqa: SLF001 - it does not raise
         raise ConfigError(
             "run", "", "an event loop is running: write 'async with robot:' in it"
