@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import socket
 import threading
 import time
@@ -192,6 +193,20 @@ def test_a_message_is_found_behind_some_garbage(
         framing.reset()
         cut = data.draw(st.integers(0, len(wire)))
         assert framing.feed(wire[:cut]) + framing.feed(wire[cut:]) == [message]
+
+
+@pytest.mark.fault("D08", "D09")
+@pytest.mark.parametrize("piece", [1, 2, 3, 5, 8, 12])
+def test_a_stray_byte_costs_one_answer_of_tcp(piece: int) -> None:
+    """Also when it comes in pieces: the rest of a message is not taken for the next."""
+    framing = ModbusTcp()
+    answers = [number.to_bytes(2, "big") + b"\x03\x05\0\3\0\0" for number in (257, 258)]
+    wire = b"\x11" + b"".join(map(framing.encode, answers))
+
+    found = [framing.feed(wire[at : at + piece]) for at in range(0, len(wire), piece)]
+
+    assert list(itertools.chain(*found)) in (answers, answers[1:])
+    assert framing.bad_frames == 1
 
 
 def test_garbage_costs_little() -> None:

@@ -36,14 +36,31 @@ def _crc(data: bytes | bytearray) -> bytes:
     return value.to_bytes(2, "little")
 
 
-class ModbusRtu(Framing):
+class _Searching(Framing):
+    """Looks for the beginning of a message, place by place.
+
+    After `PATIENCE` places that begin none a chunk is thrown away whole, so that garbage
+    costs next to nothing.
+    """
+
+    def __init__(self, *, max_length: int) -> None:
+        super().__init__(max_length=max_length)
+        self._failed = 0
+
+    def _drop(self, is_bad: bool) -> None:
+        self.bad_frames += is_bad
+        self._failed += 1
+        count = len(self._buffer) if self._failed > PATIENCE else 1
+        self.discarded += count
+        del self._buffer[:count]
+
+
+class ModbusRtu(_Searching):
     """Modbus RTU: the unit, the function and its data, a CRC.
 
     A message has no beginning and no length of its own; silence separates them, which
     no computer sees. So its length is that of its function: 1 to 6, 15 and 16. Master and
-    unit take turns: what came before a message is sent is no part of its answer. After
-    `PATIENCE` places that begin no message a chunk is thrown away whole, so that garbage
-    costs next to nothing.
+    unit take turns: what came before a message is sent is no part of its answer.
 
     Args:
         max_length: The longest message, in bytes without its CRC.
@@ -56,7 +73,6 @@ class ModbusRtu(Framing):
 
     def __init__(self, *, max_length: int = LONGEST) -> None:
         super().__init__(max_length=max_length)
-        self._failed = 0
 
     def feed(self, data: bytes) -> list[bytes]:
         """Return the messages that are complete now, without their CRC."""
@@ -92,13 +108,6 @@ class ModbusRtu(Framing):
             size <= len(buffer) and _crc(buffer[: size - 2]) == buffer[size - 2 : size]
         )
 
-    def _drop(self, was_cut: bool) -> None:
-        self.bad_frames += was_cut
-        self._failed += 1
-        count = len(self._buffer) if self._failed > PATIENCE else 1
-        self.discarded += count
-        del self._buffer[:count]
-
 
 def _sizes(buffer: bytearray) -> tuple[int, ...]:
     """Return how long a message can be, an answer or a request, with its CRC."""
@@ -113,7 +122,7 @@ def _sizes(buffer: bytearray) -> tuple[int, ...]:
     return (5,) if 0x80 < function <= 0x90 else ()
 
 
-class ModbusTcp(Framing):
+class ModbusTcp(_Searching):
     """Modbus TCP: a number that the answer repeats, a length, the unit, the function.
 
     A payload is the number (two bytes), the unit, and the function with its data.
@@ -144,11 +153,11 @@ class ModbusTcp(Framing):
         while len(buffer) >= 8:
             number, protocol, length = struct.unpack_from(">HHH", buffer)
             if protocol or not 2 <= length <= LONGEST:
-                self.bad_frames += 1  # it is a stream: what follows has no beginning
-                self.reset()
-                break
+                self._drop(is_bad=not self._failed)
+                continue
             if len(buffer) < 6 + length:
                 break
+            self._failed = 0
             found.append(number.to_bytes(2, "big") + buffer[6 : 6 + length])
             del buffer[: 6 + length]
         return found
