@@ -67,7 +67,7 @@ async def test_an_actuator_obeys_those_who_are_blind_and_all_guards() -> None:
     assert wheels.holds == ["hold_9", "hold_1"]
     assert wheels.guards == ["guard_9", "guard_1"]
     assert arm.news() == (0, 0)
-    table.sees([high, first])
+    table.blind([high, first], "")
     assert wheels.holds == ["hold_1"]
     assert wheels.guards == ["guard_9", "guard_1"]
     table.leave([low])
@@ -88,8 +88,8 @@ async def test_only_a_change_of_a_guard_has_what_stands_looked_at() -> None:
         table.blind(entries, "no sonar")
         table.blind(entries, "no sonar")
         assert wheels.news() == (1, looks)
-        table.sees(entries)
-        table.sees(entries)
+        table.blind(entries, "")
+        table.blind(entries, "")
         assert wheels.news() == (1, looks)
         table.mute(entries, 1.0, "a test")
         assert wheels.news() == (1, looks)
@@ -112,7 +112,7 @@ async def test_an_entry_tells_since_when_it_is_as_it_is() -> None:
     await asyncio.sleep(1.0)
     table.blind([entry], "no sonar")
     assert entry.since == began
-    table.sees([entry])
+    table.blind([entry], "")
     assert entry.since == began + 1.0
     await asyncio.sleep(1.0)
     table.blind([entry], "no sonar")
@@ -130,7 +130,7 @@ async def test_nobody_has_decided_on_an_actuator_that_has_come() -> None:
     table = Protections({"wheels": wheels})
     sees, blind, guards = hold(1), hold(2), guard()
     table.enter([sees, blind, guards])
-    table.sees([sees, guards])
+    table.blind([sees, guards], "")
     table.blind([blind], "no sonar")
     await asyncio.sleep(1.0)
     wheels.news()

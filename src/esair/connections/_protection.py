@@ -266,18 +266,12 @@ class Protections:
                 self._tell(entry.actuator, guards=entry.guards)
 
     def blind(self, entries: Iterable[Protection], reason: str) -> None:
-        """Take note that a component cannot decide, and why."""
+        """Take note why a component cannot decide; empty if it can."""
         for entry in entries:
             if entry.reason != reason:
-                entry.since = entry.since if entry.reason else _now()
+                still = entry.reason and reason
+                entry.since = entry.since if still else _now()
                 entry.reason = reason
-                self._tell(entry.actuator, guards=entry.guards)
-
-    def sees(self, entries: Iterable[Protection]) -> None:
-        for entry in entries:
-            if entry.reason:
-                entry.reason = ""
-                entry.since = _now()
                 self._tell(entry.actuator, guards=entry.guards)
 
     def mute(self, entries: Iterable[Protection], seconds: float, reason: str) -> None:

@@ -58,13 +58,12 @@ class Sight:
         self._table.leave(old.entries)
 
     def blind(self, reason: str) -> None:
-        """It cannot decide, and why."""
+        """Take note why it cannot decide; empty if it can."""
         self.reason = reason
         self._table.blind(self.entries, reason)
 
     def sees(self) -> None:
-        self.reason = ""
-        self._table.sees(self.entries)
+        self.blind("")
         wake(self._decided)
 
     def leave(self) -> None:
