@@ -13,7 +13,12 @@ from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
 from esair.connections._held_device import BeingReplacedError
 from esair.connections._ports import ActuatorPort, Port, SensorPort
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
-from esair.connections._registrations import Registration, Registrations, Terms
+from esair.connections._registrations import (
+    Registration,
+    Registrations,
+    Terms,
+    run_ended,
+)
 from esair.connections._sensor_channel import Follower, SensorChannel
 from esair.connections._sensor_connection import SensorConnection
 
@@ -54,5 +59,6 @@ __all__ = [
     "is_loss",
     "limits_by_field",
     "part_of",
+    "run_ended",
     "translate",
 ]

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
-from esair.connections._registrations import Registration
+from esair.connections._registrations import Registration, run_ended
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.exceptions import EsairError, NotRegisteredError, UnknownNameError
 from esair.loop import WRITE_COST, Budget, current_owner, speaks_for_nobody, wake
@@ -72,7 +72,7 @@ class Port(Generic[T]):
             BadValueError: A setting is unknown, or a value is not allowed.
         """
         if speaks_for_nobody():
-            raise run_ended(self.registration)
+            raise run_ended(self.registration.behavior, self.resource)
         await self._control.configure(self.registration, **settings)
 
     async def operate(self, name: str, /, **parameters: Any) -> Any:
@@ -96,7 +96,7 @@ class Port(Generic[T]):
             DriverStuckError: It did not end within its deadline.
         """
         if speaks_for_nobody():
-            raise run_ended(self.registration)
+            raise run_ended(self.registration.behavior, self.resource)
         return await self._control.operate(self.registration, name, **parameters)
 
     @property
@@ -116,13 +116,6 @@ class Port(Generic[T]):
 
     def __repr__(self) -> str:
         return f"<port of {self.registration!r}>"
-
-
-def run_ended(registration: Registration) -> NotRegisteredError:
-    """Make the error for a task that outlived its run and finds the port of the next."""
-    return NotRegisteredError(
-        registration.behavior, registration.resource, "this run of it has ended"
-    )
 
 
 class SensorPort(Port[T]):
@@ -352,7 +345,7 @@ class ActuatorPort(Port[T]):
             check_duration(self.resource, "hold", hold)
         owner = current_owner()
         if owner is not None and owner.over:
-            raise run_ended(self.registration)
+            raise run_ended(self.registration.behavior, self.resource)
         outcome = self._channel.begin(self.registration, command, hold)
         if type(outcome) is Written or isinstance(outcome, Answer):
             return outcome

@@ -150,3 +150,8 @@ class Registrations:
         if self.live.get(registration.number) is registration:
             detail = f"its registration is for {registration.access} only"
         return NotRegisteredError(registration.behavior, registration.resource, detail)
+
+
+def run_ended(behavior: str, resource: str = "robot") -> NotRegisteredError:
+    """Make the error for what has outlived the run that it was begun in."""
+    return NotRegisteredError(behavior, resource, "this run of it has ended")

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from esair import abc
 from esair.actions import Behavior, Reaction
-from esair.connections import ActuatorChannel, Halting, Stopped
+from esair.connections import Halting, Stopped
 from esair.exceptions import (
     AccessDeniedError,
     BehaviorFailedError,
@@ -20,7 +20,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Event, Kind
-from esair.loop import ProcessWatch, current_owner, script_context, spawn, wake
+from esair.loop import ProcessWatch, current_owner, script_context, wake
 from esair.messages import Access, BehaviorsPolicy, BehaviorState, BehaviorStatus
 from esair.plan import Finding, Plan, refuse
 from esair.supervisors._command_queue import CommandQueue
@@ -221,7 +221,8 @@ class BehaviorDeployment:
         ]
         member.state = BehaviorState.REMOVED
         if wrote:
-            await self._until_safe(wrote, deadline)
+            # What is sent goes on to be sent.
+            await asyncio.gather(*(channel.safe_now(deadline) for channel in wrote))
         self.ending.remove(member)
         wake(over)
         self.undead.update(undead)
@@ -232,21 +233,6 @@ class BehaviorDeployment:
             self.zombies.append(Zombie(member.name, name, loop.time()))
             del self.zombies[:-ZOMBIE_LIMIT]
             _log.warning("%s: %s would not end; it is fenced off", member.name, name)
-
-    async def _until_safe(
-        self, channels: Iterable[ActuatorChannel], deadline: float
-    ) -> None:
-        """Wait for the safe commands of actuators, until a moment."""
-        loop = asyncio.get_running_loop()
-        waits = [
-            spawn(loop, channel.safe_now(), name=f"safe {channel.name}")
-            for channel in channels
-        ]
-        try:
-            await asyncio.wait(waits, timeout=max(0.0, deadline - loop.time()))
-        finally:
-            for wait in waits:
-                wait.cancel()  # what is sent goes on to be sent
 
     # What the robot does at its start and stop.
 
@@ -267,10 +253,7 @@ class BehaviorDeployment:
         members = list(self.members.values())
         process = ProcessWatch(asyncio.get_running_loop())
         for member in members:
-            try:
-                member.start()
-            except Exception as error:
-                member._crashed(error)  # noqa: SLF001 - its owner
+            member.try_to_start()
         # All are deployed: a setup that gives a command does not wait for itself.
         self.commands.initialized()
         await self._await_sight()

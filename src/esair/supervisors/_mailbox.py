@@ -7,6 +7,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, Protocol
 
 from esair.actions import NOTHING, Behavior, Reaction
+from esair.connections import run_ended
 from esair.exceptions import (
     BehaviorFailedError,
     BehaviorRemovedError,
@@ -14,7 +15,6 @@ from esair.exceptions import (
     BusyError,
     ConfigError,
     EsairError,
-    NotRegisteredError,
     describe,
 )
 from esair.loop import Budget, Owner, speaks_for_nobody, wake, wake_one
@@ -167,7 +167,7 @@ class Mailbox:
         if not self.alive:
             raise self.absence()
         if speaks_for_nobody():
-            raise NotRegisteredError(self.name, "robot", "this run of it has ended")
+            raise run_ended(self.name)
 
     # What the mediator asks.
 

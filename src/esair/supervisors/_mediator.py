@@ -9,14 +9,13 @@ from typing import Any
 
 from esair.actions import NOTHING, Behavior
 from esair.actions import Request as Asked
+from esair.connections import run_ended
 from esair.exceptions import (
     BadValueError,
     BehaviorFailedError,
     BehaviorRemovedError,
     BusyError,
     CircularRequestError,
-    EsairError,
-    NotRegisteredError,
     RefusedError,
     StoppingError,
     UnknownNameError,
@@ -123,16 +122,12 @@ class Mediator(Ledger):
         self, sender: str, receiver: str, interval: float, by: Mailbox | None = None
     ) -> Any:
         """Ask a behavior for data; see `BehaviorSupervisor.get`."""
-        offered = self.take(sender, receiver, interval)
+        member = self._check(sender, "interval", interval)
+        offered = self.take(sender, receiver, float(interval))
         if offered is not NOTHING:
             return offered
-        member = self._check(sender, "interval", interval)
         request = Request("get", None, receiver, member.askers, by, self)
         path = circle_of_get(receiver, sender, self._members, self.pending.of_asker)
-        if not path and (member.outbox or member.latest is not NOTHING):
-            offered = member.outbox.pop(0) if member.outbox else member.latest
-            self.record("get", sender, receiver, _DELIVERED, offered)
-            return offered
         self._begin(request, interval, path)
         member.askers.roused()
         try:
@@ -224,13 +219,8 @@ class Mediator(Ledger):
         """End every request of a behavior whose run has ended, whoever waits in it."""
         for request in tuple(self.pending.of_asker.get(member.name, ())):
             if request.by is member:
-                error: EsairError = (
-                    BehaviorRemovedError(member.name)
-                    if removed
-                    else NotRegisteredError(
-                        member.name, "robot", "this run of it has ended"
-                    )
-                )
+                ended = run_ended(member.name)
+                error = BehaviorRemovedError(member.name) if removed else ended
                 request.withdraw(Outcome.WITHDRAWN, error=error)
 
     def peer_removed(self, member: Mailbox) -> None:

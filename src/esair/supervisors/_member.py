@@ -6,6 +6,7 @@ import asyncio
 import inspect
 import logging
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any
 
 from esair.actions import (
@@ -16,11 +17,10 @@ from esair.actions import (
     SensorPort,
     blocking,
 )
-from esair.connections import UNDECIDED, Halting, Registration, Stopped
+from esair.connections import UNDECIDED, Halting, Registration, Stopped, run_ended
 from esair.exceptions import (
     BehaviorRemovedError,
     EsairError,
-    NotRegisteredError,
     describe,
 )
 from esair.journal import Kind
@@ -205,6 +205,13 @@ class Member(Life, Mailbox):
         )
         self.task.add_done_callback(self._ended)
 
+    def try_to_start(self) -> None:
+        """Start it; an error is a crash of its own."""
+        try:
+            self.start()
+        except Exception as error:
+            self._crashed(error)
+
     async def _live(self, behavior: Behavior) -> BaseException | None:
         """Run one incarnation; returns its error, so that nothing escapes a task."""
         error: BaseException | None = None
@@ -338,10 +345,7 @@ class Member(Life, Mailbox):
     def _restart(self) -> None:
         self._timer = None
         self.tell(Kind.RESTARTED, self.error)
-        try:
-            self.start()
-        except Exception as error:
-            self._crashed(error)
+        self.try_to_start()
 
     def uses(self) -> list[Registration]:
         performed = (r for step in self.steps.now for r in step.own)
@@ -351,12 +355,7 @@ class Member(Life, Mailbox):
         """Revoke all its registrations in one step; what it moved is made safe."""
         if self.runner is not None:
             self.runner.stop()
-        if reason is None:
-            name = self.name
-
-            def reason() -> EsairError:
-                return NotRegisteredError(name, "resource", "this run of it has ended")
-
+        reason = reason or partial(run_ended, self.name, "resource")
         for registration in self.uses():
             self.crew.resources.control.revoke(registration, reason)
         self.grants.registrations.clear()
@@ -455,11 +454,8 @@ class Member(Life, Mailbox):
         self.fence()
         if misfit:
             self._runs(False, misfit)
-            return
-        try:
-            self.start()
-        except Exception as error:
-            self._crashed(error)
+        else:
+            self.try_to_start()
 
     def counts(self) -> dict[str, int]:
         found = {"restarts": self.restarts.count, "inbox": len(self.inbox)}
