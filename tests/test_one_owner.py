@@ -140,3 +140,20 @@ async def test_a_cancelled_scope_of_anyio_does_not_make_the_stop_spin(
     assert scope.cancelled_caught
     assert robot.stopped[0].safe
     assert len(hurried) == 1  # it was not cancelled again and again
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("ROB-5")
+async def test_where_no_signal_is_heard_it_is_said(caplog: Any) -> None:
+    """In another thread than the main one, unless a robot is in that."""
+
+    async def short() -> None:
+        async with esair.Robot(name="away"):
+            pass
+
+    await asyncio.to_thread(asyncio.run, short())
+    assert "no signal stops it" in caplog.text
+    caplog.clear()
+    async with esair.Robot(name="here"):
+        await asyncio.to_thread(asyncio.run, short())
+    assert not caplog.records

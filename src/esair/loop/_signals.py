@@ -51,17 +51,17 @@ class SignalWatch:
         self.host: asyncio.Task[Any] | None = None
         self.number: int | None = None  # the first signal that it was told of
 
-    def start(self, *, interrupts: bool) -> None:
-        """Begin to watch.
+    def start(self, *, interrupts: bool) -> bool:
+        """Begin to watch; tells whether anybody in this process hears of signals.
 
         Only signals that would kill the program without any clean-up are taken over,
-        and only in the main thread.
+        and only in the main thread: Python lets no other one do so.
         """
         self.loop = asyncio.get_running_loop()
         self.host = asyncio.current_task()
         self.ending = Ending(self.loop, self._hear)
         self.ending.start()
-        desk.join(self, interrupts=interrupts)
+        return desk.join(self, interrupts=interrupts)
 
     def stop(self) -> None:
         """Give the signals back, if no other robot needs them."""
@@ -109,14 +109,16 @@ class SignalDesk:
         self._last_word = math.inf
         self._code = 1
 
-    def join(self, watch: SignalWatch, *, interrupts: bool) -> None:
+    def join(self, watch: SignalWatch, *, interrupts: bool) -> bool:
         if not self._watches:
             overseer.join(self)
         self._watches = (*self._watches, watch)
-        if threading.current_thread() is threading.main_thread():
+        is_main = threading.current_thread() is threading.main_thread()
+        if is_main:
             self._install(interrupts=interrupts)
         if self._first:  # one that starts while the others end
             watch.first(self._first)
+        return is_main or bool(self._before)
 
     def leave(self, watch: SignalWatch) -> None:
         """Tell it no more; the last one puts everything back."""

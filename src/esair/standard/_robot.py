@@ -65,7 +65,8 @@ class Robot:
     It is an async context manager. Entering it runs the initialization phase;
     leaving it stops everything in the reverse order, and every actuator reaches
     its safe command, whatever the reason for leaving is: the end of the block, an
-    exception, a cancellation, SIGINT, SIGTERM or SIGHUP.
+    exception, a cancellation, SIGINT, SIGTERM or SIGHUP (where it, or another robot,
+    was entered in the main thread: Python tells signals nowhere else).
 
     Args:
         name: The name of the robot.
@@ -284,8 +285,9 @@ class Robot:
         self._halts.start(loop)
         self._log_lines = LogLines(self.journal)
         self._log_lines.start()
-        if not repeats(loop):
-            self._watch.start(interrupts=self._interrupts)
+        if not repeats(loop) and not self._watch.start(interrupts=self._interrupts):
+            told = "it was not entered in the main thread, nor is another robot there"
+            _log.warning("robot %s: no signal stops it: %s", self.name, told)
         self._signals = News(loop, ("robot", "signal"), self._end_by_signal)
         lists = self._list_of_resources, self._list_of_behaviors
         for components in lists:
