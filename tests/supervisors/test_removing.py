@@ -65,6 +65,26 @@ async def test_removal_ends_rights_at_once_and_makes_safe() -> None:
         assert registered(robot) == {}
 
 
+@pytest.mark.promise("SUP-5")
+@pytest.mark.fault("B19")
+async def test_what_a_crashed_one_wrote_is_undone_before_its_removal_returns() -> None:
+    """Its rights ended with the crash; the safe command was still under way."""
+    device = wheels()
+
+    async def drives(behavior: Any) -> None:
+        await behavior.wheels.write(1.0)
+        device.slow(0.03)
+        raise RuntimeError("crashed")
+
+    driver = Scripted(drives, name="driver", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[device], behaviors=[driver]) as robot:
+        await asyncio.sleep(0.01)
+        assert device.commands[-1] == 1.0
+        await robot.behaviors.remove("driver")
+
+        assert device.commands[-1] == 0.0
+
+
 @pytest.mark.promise("SUP-3")
 @pytest.mark.fault("B10")
 @pytest.mark.parametrize("seed", seeds)

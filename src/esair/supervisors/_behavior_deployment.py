@@ -208,10 +208,6 @@ class BehaviorDeployment:
         """End a member; what it moved is safe, or the time for both is over."""
         loop = asyncio.get_running_loop()
         deadline = loop.time() + self.grace + MARGIN
-        uses = {registration.resource for registration in member.uses()}
-        wrote = [
-            c for name, c in self.resources.actuators.channels.items() if name in uses
-        ]
         self.ending.append(member)
         over = member.over = member.over or loop.create_future()
         undead = await member.stop(self.grace)
@@ -220,6 +216,8 @@ class BehaviorDeployment:
             *(thread.name for thread in member.owner.threads),
         ]
         member.state = BehaviorState.REMOVED
+        channels = self.resources.actuators.channels
+        wrote = [channel for name, channel in channels.items() if name in member.used]
         if wrote:
             # What is sent goes on to be sent.
             await asyncio.gather(*(channel.safe_now(deadline) for channel in wrote))

@@ -72,6 +72,7 @@ class Member(Life, Mailbox):
         "steps",
         "stream",
         "task",
+        "used",
     )
 
     def __init__(self, action: Behavior | Reaction, crew: Crew, name: str) -> None:
@@ -99,6 +100,8 @@ class Member(Life, Mailbox):
         self._portal: Portal | None = None
         self.sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
+        self.used: frozenset[str] = frozenset()
+        """Which resources its last run has used; what it moved may not be safe yet."""
 
     # What the behavior asks (`Host`).
 
@@ -356,7 +359,10 @@ class Member(Life, Mailbox):
         if self.runner is not None:
             self.runner.stop()
         reason = reason or partial(run_ended, self.name, "resource")
-        for registration in self.uses():
+        uses = self.uses()
+        if uses:
+            self.used = frozenset(each.resource for each in uses)
+        for registration in uses:
             self.crew.resources.control.revoke(registration, reason)
         self.grants.registrations.clear()
         if self._portal is not None:
