@@ -311,7 +311,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         request = Request(self.next(), sender, receiver)
         work = self.workers[sender].put(receiver, request.number, interval=interval)
         if receiver not in self.workers:
-            self.refused(esair.UnknownNameError, work)
+            self.refused(self.mistake(sender), work)
             return
         self.puts.append(request)
         request.task = self.fly("put", work)
@@ -323,15 +323,19 @@ class SupervisorMachine(RuleBasedStateMachine):
             return
         work = self.workers[receiver].get(sender, interval=interval)
         if sender not in self.workers:
-            self.refused(esair.UnknownNameError, work)
+            self.refused(self.mistake(receiver), work)
         elif sender == receiver:
-            worker = self.robot._behaviors.members[sender]
-            if worker.state is esair.BehaviorState.FAILED:
-                self.refused(esair.BehaviorFailedError, work)
-            else:
-                self.refused(esair.CircularRequestError, work)
+            self.refused(self.mistake(sender, esair.CircularRequestError), work)
         else:
             self.fly("get", work)
+
+    def mistake(
+        self, asker: str, error: type[Exception] = esair.UnknownNameError
+    ) -> type[Exception]:
+        """Which error tells of a mistake: one who has failed learns of that first."""
+        if self.state(asker) is esair.BehaviorState.FAILED:
+            return esair.BehaviorFailedError
+        return error
 
     @rule(name=NAMES)
     def offer(self, name: str) -> None:
