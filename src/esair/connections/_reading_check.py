@@ -40,6 +40,8 @@ class ReadingCheck:
             self.wrong = self._number
         elif self._wanted is float and bounded:
             self.wrong = self._number_in_limits
+        elif self._wanted in _ATOMS and not self._limits:
+            self.wrong = self._atom
 
     def _number(self, value: Any) -> str | None:
         if type(value) is float and math.isfinite(value):
@@ -51,6 +53,9 @@ class ReadingCheck:
         if type(value) is float and self._low <= value <= self._high:
             return None
         return self._any(value)
+
+    def _atom(self, value: Any) -> str | None:
+        return None if type(value) is self._wanted else self._any(value)
 
     def _any(self, value: Any) -> str | None:
         wanted = self._wanted
