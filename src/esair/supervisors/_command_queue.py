@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import collections
 import math
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 from esair.exceptions import BusyError, StoppingError
-from esair.loop import VERB_COST, Budget, has_come, look_at, spawn
+from esair.loop import VERB_COST, Budget, look_at, spawn
 from esair.messages import SupervisorPhase
 
 T = TypeVar("T")
@@ -30,7 +29,11 @@ class CommandQueue:
         self.name = name
         self._asleep = asleep
         self._phase = SupervisorPhase.INITIALIZING
-        self._waiting: collections.deque[asyncio.Future[None]] = collections.deque()
+        self._begins = asyncio.Event()
+        """Set from when commands have their turns."""
+        self._turn = asyncio.Lock()
+        """Held by the work that has not changed the table yet."""
+        self._waiting = 0
         self._work: asyncio.Task[Any] | None = None
         self._undoes: dict[asyncio.Task[Any], bool] = {}
         """Every command that is not done, and whether it can be undone still."""
@@ -38,7 +41,8 @@ class CommandQueue:
     @property
     def phase(self) -> SupervisorPhase:
         """What the supervisor is doing; it handles a request until that is done."""
-        if self._phase is SupervisorPhase.WAIT_REQUEST and self._undoes:
+        is_busy = self._undoes or self._waiting or self._turn.locked()
+        if self._phase is SupervisorPhase.WAIT_REQUEST and is_busy:
             return SupervisorPhase.HANDLING_REQUEST
         return self._phase
 
@@ -48,7 +52,7 @@ class CommandQueue:
         """Do a command of the user when its turn has come."""
         await Budget.spend(VERB_COST)
         loop = asyncio.get_running_loop()
-        await self._turn(loop)
+        await self._have_turn()
         me = asyncio.current_task()
         assert me is not None
         before = me.cancelling()
@@ -73,54 +77,39 @@ class CommandQueue:
 
     def changed(self) -> None:
         """The work that runs has changed the table: the next command may begin."""
-        if self._work is not None and self._work is asyncio.current_task():
-            self._work = None
-            self._next()
+        self._end_turn_of(asyncio.current_task())
 
-    @property
-    def _stopped(self) -> bool:
-        return self._phase is SupervisorPhase.STOPPED
-
-    async def _turn(self, loop: asyncio.AbstractEventLoop) -> None:
-        if self._stopped:
-            raise StoppingError(self.name, self.phase.value)
-        if self._asleep:
+    async def _have_turn(self) -> None:
+        if self._asleep and self._phase is not SupervisorPhase.STOPPED:
             raise StoppingError(self.name, "not started yet: enter the robot first")
-        if self._phase is SupervisorPhase.WAIT_REQUEST:
-            self._phase = SupervisorPhase.HANDLING_REQUEST
-            return
-        if len(self._waiting) >= LIMIT:
+        self._check()
+        if self._waiting >= LIMIT:
             raise BusyError(self.name, "number of waiting commands", LIMIT)
-        turn: asyncio.Future[None] = loop.create_future()
-        self._waiting.append(turn)
+        self._waiting += 1
         try:
-            await turn
-            if self._stopped:  # in the same tick as the turn
-                raise StoppingError(self.name, self.phase.value)
-        except asyncio.CancelledError:
-            if has_come(turn):
-                self._next()  # the turn came in the same tick: pass it on
-            elif turn in self._waiting:
-                self._waiting.remove(turn)
+            await self._begins.wait()
+            await self._turn.acquire()
+        finally:
+            self._waiting -= 1
+        try:
+            self._check()
+        except StoppingError:
+            self._turn.release()
             raise
+
+    def _check(self) -> None:
+        if self._phase is SupervisorPhase.STOPPED:
+            raise StoppingError(self.name, self.phase.value)
 
     def _done(self, task: asyncio.Task[Any]) -> None:
         del self._undoes[task]
         look_at(task)
-        if self._work is task:
-            self._work = None
-            self._next()
+        self._end_turn_of(task)
 
-    def _next(self) -> None:
-        if self._stopped:
-            return
-        while self._waiting:
-            turn = self._waiting.popleft()
-            if not turn.done():
-                self._phase = SupervisorPhase.HANDLING_REQUEST
-                turn.set_result(None)
-                return
-        self._phase = SupervisorPhase.WAIT_REQUEST
+    def _end_turn_of(self, task: asyncio.Task[Any] | None) -> None:
+        if self._work is not None and self._work is task:
+            self._work = None
+            self._turn.release()
 
     def wake(self) -> None:
         """The robot starts: let commands wait from now on."""
@@ -128,15 +117,15 @@ class CommandQueue:
 
     def initialized(self) -> None:
         """The configuration list is deployed: take commands from now on."""
-        self._next()
+        if self._phase is SupervisorPhase.INITIALIZING:
+            self._phase = SupervisorPhase.WAIT_REQUEST
+            self._begins.set()
 
     async def close(self, until: float = math.inf) -> None:
         """Refuse every further command, and end those that run, until a moment."""
         self._phase = SupervisorPhase.STOPPED
-        waiting, self._waiting = self._waiting, collections.deque()
-        for turn in waiting:
-            if not turn.done():
-                turn.set_exception(StoppingError(self.name, self.phase.value))
+        self._begins.set()
+        self._end_turn_of(self._work)  # whoever waits hears of it at once
         running = set(self._undoes)
         for task in running:
             task.cancel()
