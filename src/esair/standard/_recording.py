@@ -51,40 +51,42 @@ class Keeping:
         loop = asyncio.get_running_loop()
         if isinstance(loop, TurnLoop) and loop.player is not None:
             loop.play()
-        elif self.recording is not None:
-            try:
-                self._begin(self.recording, loop, plan, journal, seed, source)
-            except ImportError as error:
-                told = f"it needs {error.name}: pip install 'esair[record]'"
-                raise ConfigError("recording", "", told) from None
-            except RecordingError as error:
-                _log.error("%s; the robot starts without it", describe(error))
-
-    def _begin(
-        self,
-        recording: Recording,
-        loop: asyncio.AbstractEventLoop,
-        plan: Plan,
-        journal: Journal,
-        seed: int,
-        source: tuple[Path, bool] | None,
-    ) -> None:
-        import json  # it takes long to load: only what records needs it
-
-        from esair.recording import Recorder, facts_about
-
+            return
+        if self.recording is None:
+            return
         file, simulated = (None, False) if source is None else source
         text = "" if file is None else file.read_text(encoding="utf-8")
         components = [*plan.resources, *plan.behaviors]
-        facts = facts_about(plan.name, components, text, str(seed))
-        recorder = Recorder(recording, journal, name=plan.name, facts=facts)
+        try:
+            from esair.recording import Recorder, facts_about
+
+            facts = facts_about(plan.name, components, text, str(seed))
+            recorder = Recorder(self.recording, journal, name=plan.name, facts=facts)
+            recorder.note("replay", self._replay(loop, file, simulated=simulated))
+            journal.count("recording", lambda: [("recording", recorder.counts())])
+            if isinstance(loop, TurnLoop):
+                loop.keep(recorder.keep_turns())
+            recorder.start(loop.time())
+            self.recorder = recorder
+        except ImportError as error:
+            told = f"it needs {error.name}: pip install 'esair[record]'"
+            raise ConfigError("recording", "", told) from None
+        except RecordingError as error:
+            _log.error("%s; the robot starts without it", describe(error))
+
+    def _replay(
+        self, loop: asyncio.AbstractEventLoop, file: Path | None, *, simulated: bool
+    ) -> dict[str, str]:
+        """Return what a replay has to know of the run."""
+        import json  # it takes long to load: only what records needs it
+
         virtual = getattr(loop, "virtual", False)
         why = ""
         if virtual and self.script is None:
             why = "its time was virtual: its own test or program repeats it"
         elif not virtual and not isinstance(loop, TurnLoop):
             why = f"its event loop is {type(loop).__name__}: esair.run brings its own"
-        about = {
+        return {
             "format": FORMAT,
             "exact": "no" if why else "yes",
             "why": why,
@@ -97,12 +99,6 @@ class Keeping:
             "script": "" if self.script is None else self.script[0],
             "options": "{}" if self.script is None else json.dumps(self.script[1]),
         }
-        recorder.note("replay", about)
-        journal.count("recording", lambda: [("recording", recorder.counts())])
-        if isinstance(loop, TurnLoop):
-            loop.keep(recorder.keep_turns())
-        recorder.start(loop.time())
-        self.recorder = recorder
 
     async def end(self) -> None:
         if self.recorder is None:

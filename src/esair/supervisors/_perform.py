@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from esair.actions import GuardRunner, Reaction, ReactionRunner
@@ -48,24 +48,18 @@ class Steps:
             )
         found = examine_step(self._crew.plan(), reaction, performer=self._name)
         refuse(found, f"what {self._name} performs is described wrongly")
-        loop = asyncio.get_running_loop()
-        table = self._crew.resources.actuators.protections
+        resources = self._crew.resources
+        table = resources.actuators.protections
         sight = Sight(table, reaction, reaction.name, step_of=self._name)
-        step = Step(
-            reaction,
-            until,
-            loop,
-            sight,
-            blind_timeout,
-            self._crew.resources.began,
-            owner,
-        )
+        hooks = {"until": until, "began": resources.began, "owner": owner}
+        step = Step(reaction, sight, blind_timeout, hooks)
         self.now = (*self.now, step)
         sight.accept()
         timer = None
         try:
             step.uses = bind(step.runner, reaction, self._grants, step.own)
             if timeout is not None:
+                loop = asyncio.get_running_loop()
                 timer = loop.call_later(timeout, step.end, False)
             return await step.ended
         finally:
@@ -74,7 +68,7 @@ class Steps:
             step.stop()
             self.now = tuple(each for each in self.now if each is not step)
             for registration in step.own:
-                self._crew.resources.control.revoke(registration)
+                resources.control.revoke(registration)
             sight.leave()
 
 
@@ -84,12 +78,9 @@ class Step:
     def __init__(
         self,
         reaction: Reaction,
-        until: Callable[..., bool] | None,
-        loop: asyncio.AbstractEventLoop,
         sight: Sight,
         blind_timeout: float | None,
-        began: float,
-        owner: Owner,
+        hooks: Mapping[str, Any],
     ) -> None:
         self.sight = sight
         self.runner = runner_for(
@@ -98,12 +89,10 @@ class Step:
             on_state=self._state,
             on_crash=self.crash,
             on_sight=self._sees,
-            until=until,
             on_end=lambda: self.end(True),
-            began=began,
-            owner=owner,
+            **hooks,
         )
-        self._loop = loop
+        self._loop = loop = asyncio.get_running_loop()
         self._blind_timeout = blind_timeout
         self._blind_timer: asyncio.TimerHandle | None = None
         self._is_blind()
