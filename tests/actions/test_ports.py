@@ -139,3 +139,25 @@ async def test_giving_back_may_be_awaited(fake_actuator: Any) -> None:
         giving_back = first.release()
         assert await second.write(2.0)
         await giving_back
+
+
+@pytest.mark.promise("BEH-2")
+async def test_a_loop_of_a_thread_may_be_ended_by_the_collector(
+    fake_sensor: Any,
+) -> None:
+    """Which runs in the event loop, where nothing may wait for it."""
+
+    class Plain(esair.ThreadBehavior):
+        sonar = esair.reads(float)
+
+        def run(self) -> None:
+            self.values = iter(self.sonar)
+            next(self.values)
+
+    plain = Plain()
+    sonar = fake_sensor("sonar", 1.0)
+    async with esair.Robot(resources=[sonar], behaviors=[plain]) as robot:
+        await robot.ended()
+        plain.values.close()  # type: ignore[attr-defined]
+        with pytest.raises(StopIteration):
+            next(plain.values)

@@ -127,7 +127,8 @@ class BlockingSensorPort(BlockingPort[T]):
             while True:
                 yield self._portal.call(values.__anext__)
         finally:
-            with contextlib.suppress(BehaviorRemovedError):  # its tasks are gone too
+            # Its tasks are gone too; or the collector ends it, who may be in the loop.
+            with contextlib.suppress(BehaviorRemovedError, RuntimeError):
                 self._portal.call(values.aclose)
 
 
