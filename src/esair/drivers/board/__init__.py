@@ -127,6 +127,10 @@ class _Beats:
             self._heard, self._now_ms, self.version = -1.0, -1, 0
             self._first = asyncio.Event()
             self._task = asyncio.create_task(self._run(bus), name=f"beats of {name}")
+            # Its error is the line's, which tells everybody on it; `check` says the rest.
+            self._task.add_done_callback(
+                lambda done: done.cancelled() or done.exception()
+            )
         try:
             async with asyncio.timeout(1.6 * SILENCE):
                 await self._first.wait()
@@ -304,6 +308,15 @@ class BoardActuator(_OnBoard, Actuator[Any]):
     def __init__(self, *, safe: Any, **settings: Unpack[ActuatorSettings]) -> None:
         super().__init__(**settings)
         self.safe = _tuples(safe)
+
+    async def is_set_up(self) -> bool:
+        """Notice a board that is silent, or has restarted, though nobody writes.
+
+        Raises:
+            DeviceLostError: It is.
+        """
+        _Beats.of(self.bus).check(self.name)
+        return True
 
     async def write(self, command: Any) -> None:
         """Send a command; the board's own reactions may outrank it.

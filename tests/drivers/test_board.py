@@ -1,0 +1,73 @@
+"""The host's end of the link to a board, on a fake line."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import esair
+from esair.boards.link import VERSION
+from esair.buses.serial import FakeSerial
+from esair.drivers.board import BoardActuator, BoardSensor, _signed
+from esair.messages import ResourceState
+
+pytestmark = pytest.mark.promise("MIN-4")
+
+
+def beating(line: FakeSerial, *now_ms: int) -> FakeSerial:
+    """Let a board beat on a line; its own time is this, and then stays the last."""
+    times = list(now_ms)
+
+    def beat() -> bytes:
+        now = times.pop(0) if len(times) > 1 else times[0]
+        return line.framing.encode(_signed(b"B\0[%d, %d]" % (VERSION, now)))
+
+    line.repeat(beat, 0.1)
+    return line
+
+
+@pytest.mark.fault("D16")
+async def test_a_line_that_stalls_while_a_beat_is_sent_leaves_no_error_behind(
+    fake_serial: Callable[..., FakeSerial],
+) -> None:
+    """The devices tell their loss; nobody else hears of the beats' own task."""
+    told: list[dict[str, Any]] = []
+    loop = asyncio.get_running_loop()
+    loop.set_exception_handler(lambda _loop, context: told.append(context))
+    line = beating(fake_serial("base", framing="cobs", write_timeout=0.05), 5)
+    wheels = BoardActuator(name="wheels", bus=line, safe=0.0)
+    light = BoardSensor(name="light", bus=line)
+
+    async with esair.Robot(resources=[wheels, light]) as robot:
+        for lost in (1, 2, 3):
+            await asyncio.sleep(5.0)
+            line.stall()
+            await asyncio.sleep(3.0)
+            line.resume()
+            assert robot.resources.query("light").losses == lost
+    gc.collect()
+
+    assert told == []
+
+
+@pytest.mark.promise("RES-4", "BUS-4")
+@pytest.mark.parametrize("how", ["silent", "restarted"])
+async def test_an_actuator_misses_its_board_though_nobody_writes(
+    fake_serial: Callable[..., FakeSerial], how: str
+) -> None:
+    """It is asked each second whether its beats still come."""
+    times = [*range(0, 2000, 100), 0] if how == "restarted" else [0]
+    line = beating(fake_serial("base", framing="cobs"), *times)
+    wheels = BoardActuator(name="wheels", bus=line, safe=0.0)
+
+    async with esair.Robot(resources=[wheels]) as robot:
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("wheels").state is ResourceState.READY
+        if how == "silent":
+            line.stall()
+        await asyncio.sleep(4.0)
+        assert robot.resources.query("wheels").losses == 1
