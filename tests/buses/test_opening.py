@@ -173,6 +173,42 @@ async def test_a_bus_opens_again_right_after_a_close() -> None:
     await bus.close()
 
 
+class Deaf(Waiting):
+    """Opens however often it is asked to give up, and then holds something."""
+
+    holds = 0
+
+    async def _open(self) -> None:
+        while not self.go.is_set():
+            with contextlib.suppress(asyncio.CancelledError):
+                await self.go.wait()
+        self.holds += 1
+
+    async def _close(self) -> None:
+        self.holds = 0
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("CALL-1")
+@pytest.mark.parametrize("late", [0.1, 1.0], ids=["in time", "too late"])
+async def test_an_opening_that_cannot_be_ended_opens_nothing(late: float) -> None:
+    """The close has returned long ago; nobody would ever close what is open then."""
+    bus = Deaf()
+    opening = asyncio.ensure_future(bus.open())
+    await asyncio.sleep(0.01)
+    asyncio.get_running_loop().call_later(late, bus.go.set)
+    await bus.close()
+
+    with pytest.raises(DeviceLostError):
+        await opening
+    await asyncio.sleep(0.01)
+    assert (bus.is_open, bus.holds, bus.stats.opened) == (False, 0, 0)
+
+    await bus.open()
+    assert (bus.is_open, bus.holds) == (True, 1)
+    await bus.close()
+
+
 @pytest.mark.virtual_clock
 @pytest.mark.fault("X09")
 async def test_whoever_gives_up_waiting_leaves_the_opening_to_the_others() -> None:

@@ -125,6 +125,9 @@ class Bus(abc.ABC):
             self._let_go()
             raise
         else:
+            if task.cancelling():  # a close has not waited for it any longer
+                self._let_go()
+                raise asyncio.CancelledError
             self.is_open = True
             self.error = None
             self._is_missed = False
