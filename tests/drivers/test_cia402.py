@@ -169,7 +169,7 @@ async def test_the_watchdogs_frames_stop_it(wire: FakeCan, far: FakeDrive) -> No
         await drive.write(1000.0)
         await asyncio.sleep(0.5)
         assert far.velocity == 1000
-        drive._sync._sending.cancel()  # this process hangs
+        drive._sync._task.cancel()  # this process hangs
         for frame in drive.safe_frames().frames:
             number, length = int.from_bytes(frame[:4], "little"), frame[4]
             await wire.send(number, frame[8 : 8 + length])

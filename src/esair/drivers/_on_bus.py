@@ -8,13 +8,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import weakref
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from typing import Any, TypeVar
 
 from esair.buses import Bus, Inbox
 from esair.buses.i2c import SILENT
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.framing import FRAMINGS, Framing
+from esair.loop import spawn
 from esair.resources import Resource
 
 T = TypeVar("T")
@@ -30,6 +31,35 @@ def shared(bus: Bus, kind: type[T]) -> dict[Any, T]:
     It is there as long as the bus, so it has to hold that weakly.
     """
     return _shared.setdefault(bus, {}).setdefault(kind, {})
+
+
+class SharedTask:
+    """A task on a bus, which runs while at least one device needs it."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = weakref.ref(bus)
+        self._users: dict[Any, None] = {}
+        self._task: asyncio.Task[None] | None = None
+
+    def begin(self, user: Any, run: Callable[[], Coroutine[Any, Any, None]]) -> bool:
+        """Have a user more, and the task if it does not run; tells whether it began."""
+        self._users[user] = None
+        if self._task is not None and not self._task.done():
+            return False
+        bus = self._bus()
+        assert bus is not None  # who joins holds it
+        name = f"{bus.name} {type(self).__name__.lstrip('_').lower()}"
+        self._task = spawn(asyncio.get_running_loop(), run(), name=name)
+        # Its error is the bus's, which tells everybody on it.
+        self._task.add_done_callback(lambda done: done.cancelled() or done.exception())
+        return True
+
+    async def leave(self, user: Any) -> None:
+        """Have a user less; the last one ends the task."""
+        self._users.pop(user, None)
+        if not self._users:
+            task, self._task = self._task, None
+            await ended(task)
 
 
 async def ended(task: asyncio.Task[Any] | None) -> None:

@@ -37,9 +37,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import json
 import logging
-import weakref
 from binascii import crc32
 from collections.abc import AsyncIterator
 from typing import Any, Unpack
@@ -48,7 +48,7 @@ import attrs
 
 from esair.boards.link import BEAT_MS, VERSION
 from esair.buses import Inbox, SerialBus
-from esair.drivers._on_bus import shared
+from esair.drivers._on_bus import SharedTask, shared
 from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.resources import Actuator, ActuatorSettings, Sensor, SensorSettings
 
@@ -96,7 +96,7 @@ class BoardState:
     actuators: tuple[str, ...]
 
 
-class _Beats:
+class _Beats(SharedTask):
     """What all devices of one board share: the beats, one task of a bus that is open."""
 
     @classmethod
@@ -108,9 +108,7 @@ class _Beats:
         return beats[VERSION]
 
     def __init__(self, bus: SerialBus) -> None:
-        self._bus = weakref.ref(bus)
-        self._users: set[object] = set()
-        self._task: asyncio.Task[None] | None = None
+        super().__init__(bus)
         self._heard = -1.0
         self._now_ms = -1
         """The board's own time at its last beat."""
@@ -122,15 +120,9 @@ class _Beats:
 
     async def join(self, user: object, bus: SerialBus, name: str) -> None:
         """Wait for the first beat of the board."""
-        self._users.add(user)
-        if self._task is None or self._task.done():
+        if self.begin(user, functools.partial(self._run, bus)):
             self._heard, self._now_ms, self.version = -1.0, -1, 0
             self._first = asyncio.Event()
-            self._task = asyncio.create_task(self._run(bus), name=f"beats of {name}")
-            # Its error is the line's, which tells everybody on it; `check` says the rest.
-            self._task.add_done_callback(
-                lambda done: done.cancelled() or done.exception()
-            )
         try:
             async with asyncio.timeout(1.6 * SILENCE):
                 await self._first.wait()
@@ -147,16 +139,6 @@ class _Beats:
                 f"the board speaks version {self.version} of the link, this computer "
                 f"{VERSION}: build and deploy it anew",
             )
-
-    async def leave(self, user: object) -> None:
-        """End the beats with the last who needs them."""
-        self._users.discard(user)
-        task = self._task
-        if not self._users and task is not None:
-            self._task = None
-            task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await asyncio.gather(task, return_exceptions=True)
 
     def check(self, name: str) -> None:
         """Raise if the board has been silent for too long, or has started anew."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import weakref
 
 from esair.buses import CanBus
-from esair.drivers._on_bus import ended, shared
+from esair.drivers._on_bus import SharedTask, shared
 from esair.exceptions import (
     BusyError,
     ConfigError,
@@ -19,38 +18,29 @@ from esair.resources import Resource
 SYNC = 0x80
 
 
-class Sync:
+class Sync(SharedTask):
     """The producer of SYNC on a bus, while at least one device wants it."""
 
     def __init__(self, bus: CanBus, period: float) -> None:
+        super().__init__(bus)
         self.period = period
-        self._bus = weakref.ref(bus)
-        self._users: set[Resource] = set()
-        self._sending: asyncio.Task[None] | None = None
 
     def join(self, device: Resource) -> None:
         """Produce for a device, too."""
-        self._users.add(device)
-        if self._sending is None or self._sending.done():
-            self._sending = asyncio.get_running_loop().create_task(
-                self._send(), name=f"{device.name} sync"
-            )
+        self.begin(device, self._send)
 
     async def leave(self, device: Resource) -> None:
-        """Produce for a device no more; after the last one not at all."""
-        self._users.discard(device)
-        if self._users:
-            return
-        task, self._sending = self._sending, None
+        """Produce for a device no more; after the last one any period will do."""
         bus = self._bus()
-        if bus is not None and shared(bus, Sync).get(SYNC) is self:
-            del shared(bus, Sync)[SYNC]
-        await ended(task)
+        if bus is not None and self._users.keys() <= {device}:
+            shared(bus, Sync).pop(SYNC, None)
+        await super().leave(device)
 
     async def _send(self) -> None:
         loop = asyncio.get_running_loop()
         due = loop.time()
         while (bus := self._bus()) is not None:
+            assert isinstance(bus, CanBus)
             try:
                 await bus.send(SYNC, b"", replaces=True, timeout=self.period)
             except DeviceLostError:

@@ -10,16 +10,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import weakref
 from collections.abc import Callable
 from typing import Final
 
 from esair.buses import CanBus, Frame, Inbox
 from esair.buses.can import Mask
-from esair.drivers._on_bus import shared
+from esair.drivers._on_bus import SharedTask, shared
 from esair.drivers.dbc._j1939 import SOURCE
 from esair.exceptions import ConfigError, DeviceLostError, EsairError
-from esair.loop import spawn
 
 CLAIM: Final = 0x18EE_FF00
 """The id of a claim, beside the address that is claimed."""
@@ -60,7 +58,7 @@ def checked_name(component: str, name: object) -> int:
     return number
 
 
-class Claim:
+class Claim(SharedTask):
     """An address on a bus, for all devices that use one NAME.
 
     It is claimed when the first of them opens and let go when the last one closes. In
@@ -69,27 +67,19 @@ class Claim:
     """
 
     def __init__(self, bus: CanBus, name: int, preferred: int) -> None:
+        super().__init__(bus)
         self.name = name
         self.preferred = preferred
         self.address: int | None = None
-        self._bus = weakref.ref(bus)
         self._next = preferred
         self._owners: dict[int, int] = {}
-        self._users: list[Lost] = []
         self._claimed: asyncio.Future[int] | None = None
-        self._task: asyncio.Task[None] | None = None
         self._is_parting = False
 
     async def join(self, lost: Lost) -> int:
         """Have the address, and be told when it is lost; raises if it is another's."""
-        loop = asyncio.get_running_loop()
-        self._users.append(lost)
-        if self._task is None or self._task.done():
-            self._claimed = loop.create_future()
-            bus = self._bus()
-            assert bus is not None  # who joins holds it
-            inbox = bus.frames(CLAIMS, REQUESTS, extended=True, limit=256)
-            self._task = spawn(loop, self._run(inbox), name=f"{bus.name} claim")
+        if self.begin(lost, self._run):
+            self._claimed = asyncio.get_running_loop().create_future()
         assert self._claimed is not None
         try:
             return await asyncio.shield(self._claimed)
@@ -99,27 +89,26 @@ class Claim:
 
     async def leave(self, lost: Lost) -> None:
         """Use the address no more."""
-        if lost in self._users:
-            self._users.remove(lost)
-        if not self._users and self._task is not None:
-            task, self._task = self._task, None
+        if self._users.keys() <= {lost}:
             self.address = None
-            if not self._is_parting:  # it says a last word, and ends
-                task.cancel()
-            await asyncio.wait({task})
+            if self._is_parting and self._task is not None:  # it says a last word
+                await asyncio.wait({self._task})
+        await super().leave(lost)
 
-    async def _run(self, inbox: Inbox[Frame]) -> None:
-        with contextlib.closing(inbox):
-            try:
+    async def _run(self) -> None:
+        try:
+            with contextlib.closing(
+                self._there().frames(CLAIMS, REQUESTS, extended=True, limit=256)
+            ) as inbox:
                 while True:
                     await self._hold(self._next, inbox)
-            except EsairError as error:
-                self._lose(error)
-                if self._claimed is not None and not self._claimed.done():
-                    self._claimed.set_exception(error)
-                    self._claimed.exception()  # heard, also if nobody waits
-            finally:
-                self._is_parting = False
+        except EsairError as error:
+            self._lose(error)
+            if self._claimed is not None and not self._claimed.done():
+                self._claimed.set_exception(error)
+                self._claimed.exception()  # heard, also if nobody waits
+        finally:
+            self._is_parting = False
 
     async def _hold(self, address: int, inbox: Inbox[Frame]) -> None:
         """Claim an address and defend it, until a lesser NAME has it."""
@@ -188,10 +177,15 @@ class Claim:
                 lost(error)
 
     async def _say(self, address: int) -> None:
+        await self._there().send(
+            CLAIM | address, self.name.to_bytes(8, "little"), extended=True
+        )
+
+    def _there(self) -> CanBus:
         bus = self._bus()
-        if bus is None:
+        if not isinstance(bus, CanBus):
             raise DeviceLostError("J1939", "the bus is no more")
-        await bus.send(CLAIM | address, self.name.to_bytes(8, "little"), extended=True)
+        return bus
 
 
 def asks_for_claims(frame: Frame, address: int) -> bool:
