@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
+from typing import Any
 
 import attrs
 import cantools.database
@@ -90,13 +91,7 @@ def encode_command(side: int, command: WheelCommand) -> bytes:
     Raises:
         cantools.database.EncodeError: The speed is beyond `MAX_SPEED`.
     """
-    return _message("Command", side).encode(
-        {
-            "Speed": command.speed,
-            "Enable": int(command.enable),
-            "Sequence": command.sequence % 256,
-        }
-    )
+    return _encode(_message("Command", side), command)
 
 
 def decode_command(side: int, data: bytes) -> WheelCommand:
@@ -105,23 +100,14 @@ def decode_command(side: int, data: bytes) -> WheelCommand:
     Raises:
         ValueError: The length is wrong.
     """
-    values = _decode(_message("Command", side), data)
-    return WheelCommand(
-        float(values["Speed"]), bool(values["Enable"]), int(values["Sequence"])
-    )
+    command: WheelCommand = _decode(_message("Command", side), data, WheelCommand)
+    return command
 
 
 def encode_feedback(side: int, feedback: WheelFeedback) -> bytes:
-    """Pack the feedback of one side."""
-    return _message("Feedback", side).encode(
-        {
-            "Angle": feedback.angle,
-            "Speed": max(-MAX_SPEED, min(MAX_SPEED, feedback.speed)),
-            "Enabled": int(feedback.enabled),
-            "TimedOut": int(feedback.timed_out),
-            "Sequence": feedback.sequence % 256,
-        }
-    )
+    """Pack the feedback of one side; a speed beyond `MAX_SPEED` is cut off."""
+    speed = max(-MAX_SPEED, min(MAX_SPEED, feedback.speed))
+    return _encode(_message("Feedback", side), attrs.evolve(feedback, speed=speed))
 
 
 def decode_feedback(side: int, data: bytes) -> WheelFeedback:
@@ -130,14 +116,23 @@ def decode_feedback(side: int, data: bytes) -> WheelFeedback:
     Raises:
         ValueError: The length is wrong.
     """
-    values = _decode(_message("Feedback", side), data)
-    told = (float(values["Angle"]), float(values["Speed"]))
-    flags = (bool(values["Enabled"]), bool(values["TimedOut"]))
-    return WheelFeedback(*told, *flags, int(values["Sequence"]))
+    found: WheelFeedback = _decode(_message("Feedback", side), data, WheelFeedback)
+    return found
 
 
-def _decode(message: Message, data: bytes) -> dict[str, float]:
+def _signal(field: str) -> str:
+    return field.title().replace("_", "")
+
+
+def _encode(message: Message, frame: Any) -> bytes:
+    told = attrs.asdict(frame).items()
+    values = {_signal(name): +value for name, value in told}  # a bool as a number
+    return message.encode({**values, "Sequence": frame.sequence % 256})
+
+
+def _decode(message: Message, data: bytes, kind: Any) -> Any:
     if len(data) != message.length:
         raise ValueError(f"{message.name} has {message.length} bytes, not {len(data)}")
-    values = message.decode(data, decode_choices=False)
-    return dict(values)  # type: ignore[arg-type]
+    values: Any = message.decode(data, decode_choices=False)
+    fields = attrs.fields(attrs.resolve_types(kind))
+    return kind(**{each.name: each.type(values[_signal(each.name)]) for each in fields})

@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -134,8 +134,8 @@ def stop_program(path: str) -> None:
 
 
 def _copy(path: str, files: Mapping[str, Path]) -> None:
-    folders = sorted({parent for name in files for parent in _parents(name)})
-    make = "".join(f"try_mkdir({each!r})\n" for each in folders)
+    folders = sorted({str(each) for name in files for each in Path(name).parents})
+    make = "".join(f"try_mkdir({each!r})\n" for each in folders if each != ".")
     _mpremote(
         path,
         "exec",
@@ -159,12 +159,6 @@ def _copy(path: str, files: Mapping[str, Path]) -> None:
         f"import os\nfor name in {others!r}:\n    try:\n        os.remove(name)\n"
         "    except OSError:\n        pass\n",
     )
-
-
-def _parents(name: str) -> Iterator[str]:
-    parts = name.split("/")[:-1]
-    for count in range(len(parts)):
-        yield "/".join(parts[: count + 1])
 
 
 def _compare(path: str, files: Mapping[str, Path]) -> None:

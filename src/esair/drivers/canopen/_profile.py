@@ -16,6 +16,7 @@ from canopen.objectdictionary import (
     ODRecord,
     ODVariable,
 )
+from canopen.profiles.p402 import State402
 
 CONTROLWORD, STATUSWORD, ERROR_CODE = 0x6040, 0x6041, 0x603F
 MODE, POSITION, VELOCITY = 0x6060, 0x6064, 0x606C
@@ -43,14 +44,8 @@ class State(enum.Enum):
 
 
 STATUS: Final = {
-    State.NOT_READY: (0x4F, 0x00),
-    State.DISABLED: (0x4F, 0x40),
-    State.READY: (0x6F, 0x21),
-    State.SWITCHED_ON: (0x6F, 0x23),
-    State.ENABLED: (0x6F, 0x27),
-    State.QUICK_STOP: (0x6F, 0x07),
-    State.FAULT_REACTION: (0x4F, 0x0F),
-    State.FAULT: (0x4F, 0x08),
+    State(name.lower()): mask_and_value
+    for name, mask_and_value in State402.SW_MASK.items()
 }
 """Which bits of the statusword count, and what they are."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -122,8 +122,10 @@ class DbcActuator(Actuator[Any]):
         for name in self._fixed:
             find_signal(self.name, f"fixed.{name}", codec, name)
         self._modulus = modulus_of(self.name, codec, sequence)
+        self._free = codec.signals.keys() - self._fixed.keys() - {sequence}
         if signal is not None:
             find_signal(self.name, "signal", codec, signal)
+            self._free = {signal}
         self.own_timeout = own_timeout
         self._count = 0
         self._last: Signals | None = None
@@ -133,7 +135,15 @@ class DbcActuator(Actuator[Any]):
         self._repeating: asyncio.Task[None] | None = None
         self.safe = safe
         self.limits = self._narrowed(limits)
-        self._limited_only = self._names_with_limits()
+        self._within = {} if self.limits is None else self._by_name(self.limits)
+        self._limited_only: Set[str] = frozenset()
+        """The signals of commands, if numbers within limits are all that they have."""
+        if (
+            signal is None
+            and not codec.message.is_multiplexed()
+            and self._free <= self._within.keys()
+        ):
+            self._limited_only = self._free
         self._value_type: Any = dict
         if signal is not None:
             self._value_type = str if isinstance(safe, str) else float
@@ -302,7 +312,7 @@ class DbcActuator(Actuator[Any]):
         by_file = {
             name: bounds(signal)
             for name, signal in self.codec.signals.items()
-            if self._is_free(name)
+            if name in self._free
             and not signal.choices
             and (not signal.multiplexer_ids or self.signal is not None)
         }
@@ -326,20 +336,6 @@ class DbcActuator(Actuator[Any]):
             return by_file.get(self.signal)
         return by_file or None
 
-    def _names_with_limits(self) -> frozenset[str]:
-        """The signals of all commands, if numbers within the limits are all they are."""
-        free = frozenset(name for name in self.codec.signals if self._is_free(name))
-        limits = self.limits if isinstance(self.limits, Mapping) else {}
-        if self.codec.message.is_multiplexed() or not free <= limits.keys():
-            return frozenset()
-        return free
-
-    def _is_free(self, name: str) -> bool:
-        """Whether a signal is in commands."""
-        if self.signal is not None:
-            return name == self.signal
-        return name not in self._fixed and name != self.sequence
-
     def _check_safe(self) -> None:
         safe: Any = self.safe
         kind: Any = dict if self.signal is None else float | int | str
@@ -349,16 +345,7 @@ class DbcActuator(Actuator[Any]):
                 raise BadValueError(
                     self.name, "safe", f"expected {expected}, not {safe!r:.80}"
                 )
-            told = self._by_name(safe)
-            values = self._checked_signals(told)
-            within: Any = {} if self.limits is None else self._by_name(self.limits)
-            for name, (low, high) in within.items():
-                if not low <= told[name] <= high:
-                    raise BadValueError(
-                        self.name,
-                        name,
-                        f"expected {low:g} to {high:g}, not {told[name]!r:.80}",
-                    )
+            values = self._checked_signals(self._by_name(safe))
             self._encoded(values)
         except BadValueError as error:
             text = str(error).removeprefix(f"{self.name}: ").removeprefix("command: ")
@@ -368,9 +355,8 @@ class DbcActuator(Actuator[Any]):
     def _checked_signals(self, command: Mapping[str, Any]) -> Signals:
         """Return all signals of a frame, if a command has exactly those that it may."""
         for name, value in command.items():
-            if name not in self.codec.signals or not self._is_free(name):
-                free = [each for each in self.codec.signals if self._is_free(each)]
-                hint = hint_for(str(name), sorted(free))
+            if name not in self._free:
+                hint = hint_for(str(name), sorted(self._free))
                 raise BadValueError(
                     self.name, str(name), f"there is no such signal{hint}"
                 )
@@ -404,13 +390,8 @@ class DbcActuator(Actuator[Any]):
             raise BadValueError(
                 self.name, name, f"expected a number, not {value!r:.80}"
             )
-        limits = self.limits if isinstance(self.limits, Mapping) else {}
-        if name in limits or value in choices:
-            return
-        allowed = bounds(signal)
-        if not allowed[0] <= value <= allowed[1]:
+        low, high = self._within.get(name) or bounds(signal)
+        if not low <= value <= high and value not in choices:
             raise BadValueError(
-                self.name,
-                name,
-                f"expected {allowed[0]:g} to {allowed[1]:g}, not {value!r:.80}",
+                self.name, name, f"expected {low:g} to {high:g}, not {value!r:.80}"
             )
