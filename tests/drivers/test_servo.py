@@ -619,7 +619,7 @@ async def test_an_opening_that_a_close_has_ended_keeps_no_port(
         shut_really(port)
         shut.set()
 
-    monkeypatch.setattr(_serial_port, "open_port", open_port)
+    monkeypatch.setattr("esair.drivers.servo._bus.open_port", open_port)
     monkeypatch.setattr(_serial_port.Port, "shut", shut_port)
     bus = ServoBus(name="arm", port=terminal.path)
     opening = asyncio.ensure_future(bus.open())

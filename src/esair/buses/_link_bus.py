@@ -271,6 +271,8 @@ class LinkBus(Bus, Generic[L]):
                 self._link = await open_on(
                     self.executor, make, _shut, timeout=OPEN_TIMEOUT
                 )
+        except DeviceLostError:
+            raise
         except OSError as error:
             detail = f"cannot be opened: {describe(error)}"
             raise DeviceLostError(self.name, detail) from error

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from esair.buses._chips import MemoryWire, Registers
+from esair.buses._chips import MemoryWire
 from esair.buses._failures import Failures, os_error
 from esair.buses._link_bus import L, LinkBus
 from esair.exceptions import DeviceLostError
@@ -72,7 +72,7 @@ class PlayedBus(LinkBus[L]):
         self,
         name: str,
         wire: Callable[[dict[int, Any]], PlayedWire],
-        registers: Callable[[Any], Registers],
+        registers: Callable[[Any], object],
         chips: Mapping[int, Any] | None,
         *,
         timeout: float,

@@ -38,17 +38,19 @@ class UsbIdentity:
         return f"{text}:{self.serial}" if self.serial else text
 
 
-def parse_identity(text: str) -> UsbIdentity:
+def parse_identity(
+    text: str, *, component: str = "discovery", field: str = "identity"
+) -> UsbIdentity:
     """Read ``usb:VID:PID`` or ``usb:VID:PID:SERIAL``.
 
     Raises:
-        ConfigError: It is neither.
+        ConfigError: It is neither; told of a component and its field.
     """
     found = _FORM.match(text)
     if found is None:
         raise ConfigError(
-            "discovery",
-            "identity",
+            component,
+            field,
             "expected usb:VID:PID or usb:VID:PID:SERIAL, both numbers with four "
             f"hexadecimal digits, not {text!r:.80}",
         )

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from esair.buses._chips import Registers
 from esair.loading import late
 
 if TYPE_CHECKING:
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from esair.buses.i2c._bus import I2CBus
     from esair.buses.i2c._errors import SILENT
     from esair.buses.i2c._fake import FakeI2c, Transfer
-    from esair.buses.i2c._far_end import Chip, ChipBus
+    from esair.buses.i2c._far_end import Chip, ChipBus, Registers
     from esair.buses.i2c._link import MessageLink, RegisterLink, probe, transfer
 
 __all__ = [
@@ -38,7 +37,7 @@ __getattr__, __dir__ = late(
     __name__,
     {
         "_errors": "SILENT",
-        "_far_end": "Chip ChipBus",
+        "_far_end": "Chip ChipBus Registers",
         "_fake": "FakeI2c Transfer",
         "_bus": "I2CBus",
         "_link": "MessageLink RegisterLink probe transfer",

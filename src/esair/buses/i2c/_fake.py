@@ -8,11 +8,10 @@ from collections.abc import Mapping
 
 import attrs
 
-from esair.buses._chips import Registers
 from esair.buses._failures import os_error
 from esair.buses._played import PlayedBus, PlayedWire
 from esair.buses.i2c._bus import I2CBus
-from esair.buses.i2c._far_end import Chip, ChipBus
+from esair.buses.i2c._far_end import Chip, ChipBus, Registers
 from esair.buses.i2c._link import RegisterLink
 
 

@@ -15,7 +15,13 @@ if TYPE_CHECKING:
     from esair.buses.serial._far_end import MemoryLine, PtyLine
     from esair.buses.serial._line import SerialLink, SerialWire
     from esair.buses.serial._place import SerialPlace
-    from esair.buses.serial._port import OPEN_TIMEOUT, Port, close_port, reach_port
+    from esair.buses.serial._port import (
+        OPEN_TIMEOUT,
+        Port,
+        close_port,
+        open_port,
+        reach_port,
+    )
     from esair.buses.serial._ports import devices, find_port, serial_identity, toml
 
 __all__ = [
@@ -31,6 +37,7 @@ __all__ = [
     "close_port",
     "devices",
     "find_port",
+    "open_port",
     "reach_port",
     "serial_identity",
     "toml",
@@ -39,7 +46,7 @@ __all__ = [
 __getattr__, __dir__ = late(
     __name__,
     {
-        "_port": "OPEN_TIMEOUT Port close_port reach_port",
+        "_port": "OPEN_TIMEOUT Port close_port open_port reach_port",
         "_fake": "FakeSerial",
         "_far_end": "MemoryLine PtyLine",
         "_bus": "SerialBus",

@@ -94,7 +94,8 @@ class SerialBus(Bus):
         **options: Any,
     ) -> None:
         super().__init__(name=name, wire=wire)
-        for field, level in (("dtr", dtr), ("rts", rts)):
+        self._levels = {"dtr": dtr, "rts": rts}
+        for field, level in self._levels.items():
             if not isinstance(level, bool):
                 raise ConfigError(
                     name, field, f"expected true or false, not {level!r:.80}"
@@ -108,7 +109,6 @@ class SerialBus(Bus):
         self.bad_limit = check_whole(name, "bad_limit", bad_limit, 1)
         self.path = ""
         self._options = options
-        self._levels = {"dtr": dtr, "rts": rts}
         if wire is None:
             place = SerialPlace(name, port)
             self._presence = None if place.is_url else place.look

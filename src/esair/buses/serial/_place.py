@@ -6,12 +6,11 @@ import os
 import re
 from collections.abc import Hashable
 
+from esair.buses.finding import parse_identity
 from esair.buses.serial import _ports
 from esair.exceptions import ConfigError
 
 _NUMBERED = re.compile(r"/dev/tty(USB|ACM)\d+\Z")
-
-_USB = re.compile(r"usb:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{4}(:.+)?\Z")
 
 
 class SerialPlace:
@@ -33,16 +32,11 @@ class SerialPlace:
                 "expected the path of a device file, usb:VID:PID[:SERIAL], or a URL "
                 f"such as loop://, not {port!r:.80}",
             )
-        if port.startswith("usb:") and not _USB.match(port):
-            raise ConfigError(
-                owner,
-                "port",
-                "expected usb:VID:PID or usb:VID:PID:SERIAL, both numbers with four "
-                f"hexadecimal digits, not {port!r:.80}",
-            )
+        self.is_usb = port.startswith("usb:")
+        if self.is_usb:
+            parse_identity(port, component=owner, field="port")
         self.owner = owner
         self.port = port
-        self.is_usb = port.startswith("usb:")
         self.is_url = "://" in port
 
     def find(self) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import errno
 from typing import Protocol
 
-from esair.buses._chips import Registers
 from esair.buses._failures import os_error
 from esair.buses._played import PlayedWire
+from esair.buses.i2c import Registers
 
 
 class SpiChip(Protocol):

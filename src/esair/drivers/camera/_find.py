@@ -42,16 +42,7 @@ def toml(device: Device, name: str) -> list[str]:
 
 
 def find_camera(wanted: str, root: Path = ROOT) -> str:
-    """Return the path of a camera.
-
-    Args:
-        wanted: A path, ``usb:VID:PID[:SERIAL]``, the beginning of its name, or nothing
-            for the only one that is there.
-        root: Where ``/sys`` is.
-
-    Raises:
-        FileNotFoundError: It is not there, or several are.
-    """
+    """Return the path of a camera; what is wanted, and errors, are those of `pick`."""
     return pick(wanted, devices(root), "camera")
 
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
+import functools
 import math
 import os
-from collections.abc import Callable, Mapping
-from typing import Any, Final, TypeVar
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, Final
 
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, PacketHandler  # type: ignore[import-untyped]
 
-from esair.buses import Bus, Exchanges, open_on, shut_on, wanted
-from esair.buses.serial import OPEN_TIMEOUT, Port, SerialPlace, close_port, reach_port
+from esair.buses import Exchanges, LinkBus
+from esair.buses.serial import SerialPlace, open_port
 from esair.drivers.servo._line import ANSWER_TIMEOUT, PortLink, SdkPort, ServoLink
 from esair.drivers.servo._tables import DYNAMIXEL_X, Snapshot
 from esair.drivers.servo._together import Key, Kind, Made, Together
@@ -27,8 +27,6 @@ from esair.exceptions import (
 from esair.loop import now
 from esair.values import check_whole
 from esair.watchdog import Outlet
-
-T = TypeVar("T")
 
 Told = tuple[int, int, int]
 """What an exchange brings: a value, how it went, and what the servo says is wrong."""
@@ -56,7 +54,7 @@ def hardware_errors(bits: int) -> str:
     return ", ".join(named) or f"code {bits:#04x}"
 
 
-class ServoBus(Bus):
+class ServoBus(LinkBus[SdkPort]):
     """The line that servos share.
 
     Requests of several servos for the same entry that are there at the same time are one
@@ -87,27 +85,24 @@ class ServoBus(Bus):
         timeout: float = 0.5,
         opener: Callable[[], ServoLink] | None = None,
     ) -> None:
-        super().__init__(name=name)
+        super().__init__(name=name, timeout=timeout)
         self.port = port
         self.baudrate = check_whole(name, "baudrate", baudrate, 1)
-        self.timeout = timeout
         self._opener = opener
         self._exchanges = Exchanges(self, late_limit=LATE_LIMIT)
-        self._together = Together(self._make)
+        self._together = Together(self._make_requests)
         self._snapshots: dict[int, tuple[float, Snapshot]] = {}
-        self._device: Port | None = None
-        self._link: SdkPort | None = None
         self._handler: Any = self._make_handler()
-        self._place: SerialPlace | None = None
-        self._opened_as = 0, 0
-        if opener is None:
-            self._place = SerialPlace(name, port)
-            self._presence = self._place.look
-            self._still_there = self._same_port
-            if self._place.is_url:
-                raise ConfigError(
-                    name, "port", f"expected a device file or usb:..., not {port!r:.80}"
-                )
+        self._under_way = ""
+        """What the exchange is that has its turn."""
+        if opener is not None:
+            self._presence = self._still_there = None
+            return
+        self._place = SerialPlace(name, port)
+        if self._place.is_url:
+            raise ConfigError(
+                name, "port", f"expected a device file or usb:..., not {port!r:.80}"
+            )
 
     def _make_handler(self) -> Any:
         """Return what makes and reads packets."""
@@ -128,9 +123,10 @@ class ServoBus(Bus):
     @property
     def outlet(self) -> Outlet | None:
         """A duplicate of the descriptor of its port."""
-        if self._device is None or not self._device.has_descriptor:
+        line = None if self._link is None else self._link.line
+        if not isinstance(line, PortLink):
             return None
-        return Outlet("serial", descriptor=self._device.fileno())
+        return Outlet("serial", descriptor=line.fileno())
 
     def packet(self, servo: int, address: int, value: int, size: int = 1) -> bytes:
         """Return the packet that writes one entry and wants no answer."""
@@ -209,7 +205,7 @@ class ServoBus(Bus):
         look = self.table.look
         return self.table.snapshot(await self.read(servo, look.address, look.size))
 
-    async def _make(self, key: Key, asked: Mapping[int, int]) -> Made:
+    async def _make_requests(self, key: Key, asked: Mapping[int, int]) -> Made:
         """Make requests of one or of several servos for one entry."""
         if key[0] is Kind.WRITE:
             for servo in asked:
@@ -296,15 +292,16 @@ class ServoBus(Bus):
         call: Callable[[Any, SdkPort], list[Told]],
     ) -> list[Told]:
         """Make an exchange with servos in its turn, and return what each has told."""
-        link = self._link
-        if not self.is_open or link is None:
-            raise DeviceLostError(self.name, "the line is not open")
+        self._connected()
         # The package tells answers apart by the servo, and throws away what came before.
         exchange = self._exchanges.request(*servos, timeout=self.timeout)
         exchange.name = what
         async with exchange:
             exchange.begin()
-            told = await self._call(link, what, call, exchange.left)
+            self._under_way = what
+            self.stats.sent += 1
+            transfer = functools.partial(self._run, call)
+            told = await self._turn(transfer, None, exchange.left)
             if all(result != self._rx_timeout for _, result, _ in told):
                 exchange.end()
         return told
@@ -338,80 +335,56 @@ class ServoBus(Bus):
             raise DeviceFaultError(self.name, f"servo {servo}, {what}: {faults}")
         return value
 
-    async def _call(
-        self,
-        link: SdkPort,
-        what: str,
-        call: Callable[[Any, SdkPort], T],
-        seconds: float,
-    ) -> T:
-        if self._link is not link:
-            raise DeviceLostError(self.name, "the line is not open")
-        self.stats.sent += 1
-        try:
-            return await self.executor.call(
-                self._run, link, call, timeout=seconds, guard=wanted
-            )
-        except DriverStuckError as stuck:
-            self.failed(stuck)
-            raise
-        except TimeoutError as slow:
-            late = DriverStuckError(self.name, what, ANSWER_TIMEOUT)
-            raise self.failed(late) from slow
-        except OSError as gone:
-            loss = DeviceLostError(self.name, describe(gone))
-            self._exchanges.fail(loss)
-            self.lost(loss)
-            raise loss from gone
-
-    def _run(self, link: SdkPort, call: Callable[[Any, SdkPort], T]) -> T:
+    def _run(
+        self, call: Callable[[Any, SdkPort], list[Told]], link: SdkPort
+    ) -> list[Told]:
         link.is_using = False  # what a call that has failed half-way has left
         return call(self._handler, link)
 
+    def _explained(
+        self, error: OSError, address: int | None, seconds: float
+    ) -> EsairError:
+        if isinstance(error, TimeoutError):  # the line takes no bytes
+            return self._stuck_with(address, ANSWER_TIMEOUT)
+        return DeviceLostError(self.name, describe(error))
+
+    def _stuck_with(self, address: int | None, seconds: float) -> DriverStuckError:
+        return DriverStuckError(self.name, self._under_way, seconds)
+
+    def lost(self, error: BaseException) -> None:
+        """Tell everybody on the bus, once, that it is gone."""
+        self._exchanges.fail(error)
+        super().lost(error)
+
     async def _open(self) -> None:
         self._snapshots.clear()
-        line: ServoLink
-        if self._opener is None:
-            assert self._place is not None
-            self._device = await reach_port(
-                self.executor, self._place, self.baudrate, {}, {}
-            )
-            line = PortLink(self._device.fileno())
-            opened = os.fstat(self._device.fileno())
-            self._opened_as = opened.st_rdev, opened.st_ino
-        else:
-            try:
-                line = await open_on(
-                    self.executor, self._opener, _close_line, timeout=OPEN_TIMEOUT
-                )
-            except DeviceLostError:
-                raise
-            except OSError as error:  # DriverStuckError is one
-                raise DeviceLostError(self.name, describe(error)) from error
-        self._link = SdkPort(line, self.baudrate)
+        await super()._open()
         await self._exchanges.silence()
 
-    def _same_port(self) -> bool:
-        assert self._place is not None
+    async def _close(self) -> None:
+        self._exchanges.fail(DeviceLostError(self.name, "the line was closed"))
+        await super()._close()
+
+    def _open_link(self) -> SdkPort:
+        line: ServoLink
+        if self._opener is not None:
+            line = self._opener()
+        else:
+            port = open_port(self._place, self.baudrate, {}, {})
+            self.path, line = port.path, PortLink(port)
+        return SdkPort(line, self.baudrate)
+
+    def _look(self) -> Hashable | None:
+        return self._place.look()
+
+    def _identity(self) -> Hashable | None:
+        if self._opener is not None:
+            return None
         try:
             found = os.stat(self._place.find())
         except OSError:
-            return False
-        return (found.st_rdev, found.st_ino) == self._opened_as
-
-    async def _close(self) -> None:
-        link, self._link = self._link, None
-        device, self._device = self._device, None
-        self._exchanges.fail(DeviceLostError(self.name, "the line was closed"))
-        if device is not None:
-            await close_port(device, self.executor)
-        elif link is not None:
-            await shut_on(self.executor, lambda: _close_line(link.line), timeout=0.5)
-
-
-def _close_line(line: ServoLink) -> None:
-    with contextlib.suppress(OSError):
-        line.close()
+            return None
+        return found.st_rdev, found.st_ino
 
 
 def _plain(handler: Any, result: int) -> str:

@@ -11,6 +11,7 @@ import struct
 import termios
 from typing import Final, Protocol
 
+from esair.buses.serial import Port
 from esair.loop import now
 
 ANSWER_TIMEOUT: Final = 0.05
@@ -53,6 +54,9 @@ class SdkPort:
         self._baudrate = baudrate
         self._end = 0.0
 
+    def close(self) -> None:
+        self.line.close()
+
     def getBaudRate(self) -> int:  # noqa: N802 - the SDK's names
         return self._baudrate
 
@@ -82,9 +86,13 @@ class SdkPort:
 class PortLink:
     """An open port, for a thread that may wait."""
 
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self._fd = port.fileno()
         self._hasten()
+
+    def fileno(self) -> int:
+        return self._fd
 
     def _hasten(self) -> None:
         """Have an adapter of FTDI pass on at once what came: it keeps it for 16 ms."""
@@ -116,7 +124,7 @@ class PortLink:
             pass
 
     def close(self) -> None:
-        """Leave it to the port."""
+        self._port.shut()
 
     def _wait(self, event: int, seconds: float) -> bool:
         poll = select.poll()
