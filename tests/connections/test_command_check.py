@@ -207,6 +207,40 @@ def test_true_is_no_whole_number() -> None:
         check(0).checked(True)
 
 
+@pytest.mark.promise("AC-1")
+@pytest.mark.fault("V04")
+@pytest.mark.parametrize("safe", [Pair(0.0, 0.0), (0.0, 0.0), ("off", 0.0)])
+@pytest.mark.parametrize("value", ["1", None, [1.0]])
+def test_a_place_of_a_tuple_that_must_be_a_number_is_one(safe: Any, value: Any) -> None:
+    """Commands for boards are tuples: they are checked as other structures are."""
+    command = (*safe[:1], value) if type(safe) is tuple else Pair(0.0, value)
+
+    with pytest.raises(esair.BadValueError, match="1: expected a number"):
+        check(safe).checked(command)
+    assert check(safe).checked(safe) == safe
+
+
+class Wheels(esair.Actuator[Any]):
+    safe = (0.0, 0.0)
+    value_type: Any = None
+
+    def __init__(self, kind: Any) -> None:
+        super().__init__()
+        self.value_type = kind
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize("command", [(1.0,), (1.0, 2.0, 3.0), ()])
+def test_a_tuple_has_as_many_values_as_its_type_says(
+    command: tuple[float, ...],
+) -> None:
+    """One that may have any number of them says so: ``tuple[float, ...]``, ``tuple``."""
+    with pytest.raises(esair.BadValueError, match="expected 2 values"):
+        CommandCheck(Wheels(tuple[float, float])).checked(command)
+    for kind in (tuple[float, ...], tuple):
+        assert CommandCheck(Wheels(kind)).checked(command) == command
+
+
 @pytest.mark.fault("V04")
 @pytest.mark.parametrize("value", ["1", None, [1.0], Plain(1.0)])
 def test_a_field_that_must_be_a_number_is_one(value: object) -> None:

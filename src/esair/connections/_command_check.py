@@ -9,6 +9,7 @@ import math
 import numbers
 import operator
 import types
+import typing
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
@@ -34,6 +35,9 @@ class CommandCheck:
         self._fields = _number_fields(actuator.safe)
         get: Any = operator.attrgetter(*self._fields or [""])
         self._get = (lambda command: (get(command),)) if len(self._fields) == 1 else get
+        if isinstance(actuator.safe, tuple):
+            self._get = iter  # its places are its fields
+        self._length = _length_of(actuator.value_type)
         self.copies = not (_is_frozen(self.wanted) and _is_fixed(actuator.safe))
         """Whether somebody could change a command after its check."""
         self.slews = bool(self._slew)  # whether how fast a command changes is limited
@@ -54,7 +58,7 @@ class CommandCheck:
                 return self._number
             # What is no number may hide one: then each part is looked at.
             plain = _all_numbers(actuator.safe, self._fields)
-            return self._numbers if plain else self._any
+            return self._numbers if plain and not self._length else self._any
         self._low, self._high = self._limits.get("", (math.nan, math.nan))
         bounded = math.isfinite(self._low) and math.isfinite(self._high)
         if bounded and (self.wanted is float or self.wanted is int):
@@ -92,6 +96,10 @@ class CommandCheck:
         try:
             if wanted is not None and type(command) is not wanted:
                 command = self._accept(command, wanted)
+            if self._length and len(command) != self._length:
+                raise self._bad(
+                    "", f"expected {self._length} values, not {command!r:.80}"
+                )
             if not isinstance(command, _ATOMS_AND_NUMBERS):
                 command = copy.deepcopy(command)  # what is checked is what leaves
             self._check_finite("", command)
@@ -202,8 +210,15 @@ def limits_by_field(value: Any) -> dict[str, Any]:
     return dict(value) if isinstance(value, Mapping) else {"": value}
 
 
+def _length_of(kind: Any) -> int:
+    """How many values a kind of tuple has; 0 for any number of them."""
+    places = typing.get_args(kind) if typing.get_origin(kind) is tuple else ()
+    return 0 if ... in places else len(places)
+
+
 def _number_fields(safe: Any) -> list[str]:
-    if isinstance(safe, Collection | int | float) or hasattr(safe, "__array__"):
+    has_names = not isinstance(safe, Collection | int | float)
+    if not (has_names or isinstance(safe, tuple)) or hasattr(safe, "__array__"):
         return []
     return [
         str(name)

@@ -291,6 +291,11 @@ class BoardActuator(_OnBoard, Actuator[Any]):
         super().__init__(**settings)
         self.safe = _tuples(safe)
 
+    @property
+    def value_type(self) -> Any:
+        """The type of its safe command, as on the board."""
+        return type(self.safe)
+
     async def is_set_up(self) -> bool:
         """Notice a board that is silent, or has restarted, though nobody writes.
 
