@@ -198,3 +198,21 @@ async def test_who_had_no_chance_to_run_has_not_timed_out() -> None:
     await asyncio.sleep(1.0)
 
     assert called == pytest.approx([2.01, 2.1], abs=1e-3)
+
+
+async def test_a_new_wait_takes_nobody_the_chance_that_he_was_given() -> None:
+    """They share a deadline, and the new one would be over before."""
+    loop: VirtualLoop = asyncio.get_running_loop()  # type: ignore[assignment]
+    begin, called = loop.time(), []
+    shared = Deadlines.of(loop).idle(lambda: called.append(loop.time() - begin))
+    shared.start_by(begin + 0.1)
+    await asyncio.sleep(0.0)
+    loop.advance(2.0)
+    await asyncio.sleep(0.01)
+    shared.start_by(begin + 2.03)
+    await asyncio.sleep(1.0)
+    shared.start_by(begin + 4.0)
+    shared.start_by(begin + 3.5)
+    await asyncio.sleep(1.0)
+
+    assert called == pytest.approx([2.1, 3.5], abs=1e-3)

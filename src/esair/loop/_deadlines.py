@@ -52,13 +52,17 @@ class Deadline:
             deadlines._look_at(when)  # noqa: SLF001
 
     def start_by(self, when: float) -> None:
-        """Call it at a moment, unless it is called before that anyway."""
-        if when < self.when:
+        """Call it at a moment, unless it is called before that anyway.
+
+        One that is put off stays so: whose time was over before gets its chance.
+        """
+        if when < self.when and not self.put_off:
             self.start(when)
 
     def cancel(self) -> None:
         """Do not call it, until it is started again. Also fine when it has been called."""
         self.when = math.inf
+        self.put_off = False
         self._deadlines._waiting.pop(self, None)  # noqa: SLF001 - two halves of one
 
     def _call(self) -> None:
