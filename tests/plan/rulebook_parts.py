@@ -77,6 +77,10 @@ class UpsideDown(Wheels):
     limits = (1.0, -1.0)
 
 
+class Backwards(Wheels):
+    slew = -1.0
+
+
 class TakesNothing(Wheels):
     async def write(self) -> None: ...  # type: ignore[override]
 

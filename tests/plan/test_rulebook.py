@@ -112,6 +112,8 @@ CASES = [
     Case(parts.OutsideLimits, "0.0 is outside the limits", "outside_limits", "safe"),
     Case(parts.UpsideDown, "expected (least, greatest), not (1.0, -1.0)",
          "upside_down", "limits"),
+    Case(parts.Backwards, "expected a change per second > 0, not -1.0",
+         "backwards", "slew"),
     Case(parts.TakesNothing, "expected a method with one parameter, the command: "
          "too many positional arguments", "takes_nothing", "write"),
     Case(parts.WriteYields, "expected a method that does not yield",

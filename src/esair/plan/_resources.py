@@ -81,7 +81,7 @@ def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
     if not hasattr(actuator, "safe"):
         yield "safe", "an actuator must declare its safe command: safe = ..."
         return
-    for field, told in _in_limits(actuator):
+    for field, told in (*_in_limits(actuator), *_in_slew(actuator)):
         sound = False
         yield field, told
     if not sound or actuator.safe is HOLD:
@@ -94,6 +94,13 @@ def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
         check.slewed(safe, actuator.safe, 1.0)
     except (BadValueError, TypeError) as error:
         yield field, f"does not fit: {error}"
+
+
+def _in_slew(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
+    for field, slew in limits_by_field(actuator.slew).items():
+        if not is_positive(slew):
+            told = f"expected a change per second > 0, not {slew!r:.80}"
+            yield f"slew.{field}".rstrip("."), told
 
 
 def _in_limits(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
