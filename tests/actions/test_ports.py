@@ -161,3 +161,13 @@ async def test_a_loop_of_a_thread_may_be_ended_by_the_collector(
         plain.values.close()  # type: ignore[attr-defined]
         with pytest.raises(StopIteration):
             next(plain.values)
+
+
+def test_a_port_hides_nothing_of_its_action() -> None:
+    """It is told where it is declared, in the class or in the call."""
+    port = esair.reads(float, name="sonar")
+    for attribute in ("name", "run", "setup", "restart"):
+        with pytest.raises(esair.ConfigError, match=f"a '{attribute}' of its own"):
+            type("Odd", (esair.Behavior,), {attribute: port})
+        with pytest.raises(esair.ConfigError, match=f"a '{attribute}' of its own"):
+            esair.Behavior(reads={attribute: port})

@@ -18,7 +18,7 @@ import attrs
 
 from esair import abc
 from esair.connections import ActuatorPort, SensorPort
-from esair.exceptions import NotRegisteredError
+from esair.exceptions import ConfigError, NotRegisteredError
 from esair.messages import Access
 from esair.resources import APPLIED
 
@@ -273,6 +273,16 @@ def guards(
     return Guards(type, name, priority, latch)
 
 
+_TAKEN = frozenset({"name", "run", "setup", "teardown", "react", "restart"})
+"""What every action is asked for itself: a port of this name would hide it."""
+
+
+def _check_free(component: str, ports: Mapping[str, Need]) -> None:
+    for attribute in sorted(_TAKEN & ports.keys()):
+        told = f"an action has a {attribute!r} of its own: say reads(..., name=...)"
+        raise ConfigError(component, attribute, f"{told}, and call the port otherwise")
+
+
 class ProfiledAction(abc.Action):
     """An action with a profile: given by its class, or by the configuration.
 
@@ -296,6 +306,7 @@ class ProfiledAction(abc.Action):
             for name, value in attributes_of(cls).items()
             if isinstance(value, Reads | Writes | Guards)
         }
+        _check_free(cls.__name__, cls._declared)
 
     def __init__(
         self,
@@ -308,6 +319,7 @@ class ProfiledAction(abc.Action):
         super().__init__(name=name)
         given: dict[str, Need] = {**(reads or {}), **(writes or {}), **(guards or {})}
         if given:
+            _check_free(self.name, given)
             self._profile = {
                 attribute: attrs.evolve(need, attribute=attribute)
                 for attribute, need in given.items()
