@@ -26,7 +26,6 @@ from esair.actions._reaction import Reaction
 from esair.actions._reaction_runner import ReactionRunner
 from esair.actions._request import Request, taken
 from esair.actions._takes import (
-    Answers,
     BlockingRequestPort,
     RequestPort,
     Takes,
@@ -40,7 +39,6 @@ from esair.connections import ActuatorPort, SensorPort
 __all__ = [
     "NOTHING",
     "ActuatorPort",
-    "Answers",
     "Behavior",
     "Blind",
     "BlockingActuatorPort",

@@ -13,9 +13,9 @@ from esair.actions._needs import ProfiledAction, Unbound, not_bound
 from esair.actions._reaction import Reaction
 from esair.actions._request import Request
 from esair.actions._supervisor import Behaviors, BlockingBehaviors
-from esair.actions._takes import Answers, Takes, declared_requests
+from esair.actions._takes import Takes, declared_requests
 from esair.connections import ActuatorPort, Halting, SensorPort, Stopped
-from esair.exceptions import BadValueError, ConfigError
+from esair.exceptions import BadValueError
 from esair.loop import PUT_COST, VERB_COST, Budget, Portal, portal
 from esair.messages import Access, Restart
 from esair.values import check_duration, passes_as, type_name
@@ -396,8 +396,8 @@ class Behavior(ProfiledAction):
         return await self._host.stop_robot(reason)
 
     @property
-    def takes(self) -> Mapping[str, Takes[Any] | Answers | ConfigError]:
-        """The requests that it takes, by the name of the port or method."""
+    def takes(self) -> Mapping[str, Takes[Any] | str]:
+        """The requests that it takes, by the name of the port or method; or what is wrong."""
         return declared_requests(type(self))
 
     @property

@@ -11,9 +11,8 @@ import attrs
 
 from esair.actions._needs import attributes_of, not_bound
 from esair.actions._request import Request, answer_type
-from esair.exceptions import ConfigError
 from esair.loop import Portal
-from esair.values import same_type, type_name
+from esair.values import once_for_class, same_type, type_name
 
 if TYPE_CHECKING:
     from esair.actions._supervisor import HasThread
@@ -90,11 +89,13 @@ class Takes(Generic[R]):
         type: The class of the requests.
         queue: How many may wait.
         newest: Whether a new one ends those before it.
+        method: The method that answers them; None if it takes them in a loop.
     """
 
     type: type[R]
     queue: int = QUEUE
     newest: bool = False
+    method: str | None = None
 
     @overload
     def __get__(self, instance: None, owner: Any) -> Takes[R]: ...
@@ -157,62 +158,39 @@ def answers(method: Any) -> Any:
     return method
 
 
-@attrs.frozen
-class Answers:
-    """A method that answers requests of one type."""
-
-    type: Any
-    method: str
-    queue: int = QUEUE
-    newest: bool = False
-
-
-def declared_requests(cls: type) -> Mapping[str, Takes[Any] | Answers | ConfigError]:
+@once_for_class
+def declared_requests(cls: type) -> Mapping[str, Takes[Any] | str]:
     """Return what a class takes and answers, by attribute, or what is wrong with it."""
-    known: Mapping[str, Takes[Any] | Answers | ConfigError] | None
-    known = vars(cls).get("_requests")
-    if known is None:
-        # Not when the class is made: its annotations may name what comes later.
-        known = _declared(cls)
-        cls._requests = known  # type: ignore[attr-defined]
-    return known
-
-
-def _declared(cls: type) -> dict[str, Takes[Any] | Answers | ConfigError]:
-    found: dict[str, Takes[Any] | Answers | ConfigError] = {}
+    # Not when the class is made: its annotations may name what comes later.
+    found: dict[str, Takes[Any] | str] = {}
     for attribute, value in attributes_of(cls).items():
         if isinstance(value, Takes):
             found[attribute] = value
         elif getattr(value, _MARK, False) is True and callable(value):
-            found[attribute] = _answers(cls, attribute, value)
+            found[attribute] = _answers(attribute, value)
     return found
 
 
-def _answers(cls: type, attribute: str, method: Any) -> Answers | ConfigError:
+def _answers(attribute: str, method: Any) -> Takes[Any] | str:
+    """Return what a method answers, or say what is wrong with it."""
     try:
         parameters = list(inspect.signature(method).parameters.values())
         hints = typing.get_type_hints(method)
     except Exception as error:
-        return ConfigError(
-            cls.__name__, attribute, f"its annotations cannot be read: {error}"
-        )
+        return f"its annotations cannot be read: {error}"
     kinds = {p.kind for p in parameters} - {inspect.Parameter.POSITIONAL_OR_KEYWORD}
     wanted = hints.get(parameters[1].name) if len(parameters) == 2 else None
     if kinds or not is_request(wanted):
-        return ConfigError(
-            cls.__name__,
-            attribute,
-            "expected one parameter, annotated with a class derived from esair.Request",
+        return (
+            "expected one parameter, annotated with a class derived from esair.Request"
         )
     given, answer = hints.get("return", Any), answer_type(wanted)
     if not same_type(_or_none(given), _or_none(answer)):
-        return ConfigError(
-            cls.__name__,
-            attribute,
+        return (
             f"it returns {type_name(given)}, but {wanted.__name__} is answered with "
-            f"{type_name(answer)}",
+            f"{type_name(answer)}"
         )
-    return Answers(wanted, attribute)
+    return Takes(wanted, method=attribute)
 
 
 def _or_none(kind: Any) -> Any:

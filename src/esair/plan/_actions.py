@@ -127,10 +127,9 @@ def mistakes_in_requests(action: abc.Action) -> list[ConfigError]:
     found: list[ConfigError] = []
     by_type: dict[Any, str] = {}
     for attribute, each in declared_requests(type(action)).items():
-        if isinstance(each, ConfigError):
-            found.append(ConfigError(action.name, each.field, _text(each)))
-            continue
-        if not is_request(each.type):
+        if isinstance(each, str):
+            message = each
+        elif not is_request(each.type):
             message = (
                 f"expected a class derived from esair.Request, not {each.type!r:.80}"
             )
@@ -145,7 +144,3 @@ def mistakes_in_requests(action: abc.Action) -> list[ConfigError]:
             continue
         found.append(ConfigError(action.name, attribute, message))
     return found
-
-
-def _text(error: ConfigError) -> str:
-    return str(error).split(": ", 2)[-1]

@@ -192,7 +192,7 @@ def fill(
         port: Any = grants.declare(attribute, need)
         behavior.__dict__[attribute] = blocking(port, portal) if portal else port
     for attribute, each in behavior.takes.items():
-        if isinstance(each, Takes):
+        if isinstance(each, Takes) and each.method is None:
             queue = queues[each.type]
             behavior.__dict__[attribute] = (
                 BlockingRequestPort(queue, portal) if portal else RequestPort(queue)

@@ -6,14 +6,13 @@ import asyncio
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, Protocol
 
-from esair.actions import NOTHING, Behavior, Reaction
+from esair.actions import NOTHING, Behavior, Reaction, Takes
 from esair.connections import run_ended
 from esair.exceptions import (
     BehaviorFailedError,
     BehaviorRemovedError,
     BehaviorUnavailableError,
     BusyError,
-    ConfigError,
     EsairError,
     describe,
 )
@@ -112,7 +111,7 @@ class Mailbox:
             self.queues = {
                 each.type: OrderQueue(self, each)
                 for each in action.takes.values()
-                if not isinstance(each, ConfigError)
+                if isinstance(each, Takes)
             }
         self.takers: list[asyncio.Future[None]] | None = None
         self.owner = Owner()

@@ -9,8 +9,8 @@ import weakref
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
-from esair.actions import Answers, Takes, taken
 from esair.actions import Request as Asked
+from esair.actions import Takes, taken
 from esair.exceptions import EsairError, RefusedError, describe
 from esair.journal import Kind
 from esair.loop import wake, wake_one
@@ -159,9 +159,8 @@ class OrderQueue(ServedQueue):
 
     outlives = True
 
-    def __init__(self, member: Peer, terms: Takes[Any] | Answers) -> None:
-        method = terms.method if isinstance(terms, Answers) else None
-        super().__init__(member, method)
+    def __init__(self, member: Peer, terms: Takes[Any]) -> None:
+        super().__init__(member, terms.method)
         self.limit = terms.queue
         self.bound = f"queue of {terms.type.__name__}"
         self._newest = terms.newest
