@@ -70,6 +70,7 @@ def test_a_mistake_of_a_script_is_found(script, esair_command, capsys) -> None:
     [
         ("{name}:robt", "there is none; did you mean 'robot'?"),
         ("{name}:number", "it has a int"),
+        ("{name}:Wrong", "expected it to return an esair.Robot, not "),
         ("not_there_at_all:robot", "No module named 'not_there_at_all'"),
         ("not_there.py:robot", "there is no file not_there.py"),
     ],

@@ -88,7 +88,7 @@ def test_the_table_names_writers_and_guards() -> None:
         Guard("creep", 0, "its blind() decides", latch=False),
         Guard("watch", 0, "nothing passes", latch=False),
     )
-    assert "when this computer dies: it keeps its last command" in str(row)
+    assert row.when_the_host_dies == "it keeps its last command"
 
 
 def test_what_moves_without_protection_is_found() -> None:

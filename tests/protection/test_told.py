@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
+import attrs
 import pytest
 from tests.protection.road import Drive, ObstacleGuard, ObstacleStop
 
@@ -33,15 +34,17 @@ def test_check_tells_who_writes_who_guards_and_what_happens_when() -> None:
     plan = Plan(resources=[sonar, wheels, framed], behaviors=behaviors, watchdog=True)
     bare, watched = protection(plan)
 
-    assert str(bare).splitlines()[1:] == [
-        "  guarded by obstacle_guard (0); blind: nothing passes",
-        "  written by obstacle_stop (reaction, 100); blind: the actuator is kept safe",
-        "  written by drive (behavior, 0); blind: it has no say",
-        "  safe is sent by esair: 0.2 s after the last command, and at every exit",
-        "  when this process dies: UNWATCHED: its driver cannot say its safe command as "
-        "bytes",
-        "  when this computer dies: it keeps its last command",
+    assert [attrs.astuple(each) for each in bare.guards] == [
+        ("obstacle_guard", 0, "nothing passes", False)
     ]
+    assert [attrs.astuple(each) for each in bare.writers] == [
+        ("obstacle_stop", "reaction", 100, "the actuator is kept safe"),
+        ("drive", "behavior", 0, "it has no say"),
+    ]
+    assert bare.sent_by == "esair: 0.2 s after the last command, and at every exit"
+    unwatched = "UNWATCHED: its driver cannot say its safe command as bytes"
+    assert bare.when_the_process_dies == unwatched
+    assert bare.when_the_host_dies == "it keeps its last command"
     assert watched.when_the_process_dies == "the watchdog sends its safe command"
     assert watched.when_the_host_dies == "it stops itself after 0.5 s"
     (bare, watched) = protection(Plan(resources=[wheels, framed]))

@@ -7,7 +7,7 @@ import os
 import attrs
 
 from esair.config._draft import Draft
-from esair.config._module import find_robot, is_of_module
+from esair.config._module import is_of_module, robot_of
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
 from esair.plan import Protection, examine, protection
@@ -108,7 +108,7 @@ def check(path: str | os.PathLike[str], *, robot_class: type = Robot) -> Report:
 
 
 def _of_module(target: str) -> Report:
-    plan = find_robot(target).plan
+    plan = robot_of(target).plan
     found = []
     for each in sorted(examine(plan), key=lambda each: each.severity.value):
         key = ".".join(part for part in (each.component, each.field) if part)

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal, overload
 
 from esair.config._classes import searched_first
 from esair.exceptions import ConfigError, describe, hint_for
@@ -20,19 +19,12 @@ def is_of_module(target: str) -> bool:
     return ":" in target and not Path(target).exists()
 
 
-@overload
-def find_robot(target: str) -> Robot: ...
-@overload
-def find_robot(
-    target: str, *, or_maker: Literal[True]
-) -> Robot | Callable[[], object]: ...
-def find_robot(target: str, *, or_maker: bool = False) -> Any:
-    """Import a module and return the robot of it, which is not started.
+def find_robot(target: str) -> Robot | Callable[[], Robot]:
+    """Import a module and return the robot of it, or the function that makes it.
 
     Args:
         target: ``module:robot``, a module of this folder or an installed one, or
             ``file.py:robot``.
-        or_maker: A function that returns a robot will do, too.
 
     Raises:
         ConfigError: There is no such module, or no such robot in it.
@@ -54,8 +46,10 @@ def find_robot(target: str, *, or_maker: bool = False) -> Any:
         raise ConfigError(target, "", told) from error
     robots = [each for each, found in vars(module).items() if isinstance(found, Robot)]
     found = getattr(module, name, None)
-    if isinstance(found, Robot) or (or_maker and callable(found)):
+    if isinstance(found, Robot):
         return found
+    if callable(found):
+        return lambda: _made(target, found)
     has = f"it has a {type(found).__name__}" if found is not None else "there is none"
     hint = hint_for(name, robots) if robots else ""
     told = f"expected an esair.Robot named {name!r} in {where!r}, {has}{hint}"
@@ -75,11 +69,17 @@ def robot_of(target: str) -> Robot:
     """
     if not is_of_module(target):
         return _robot_of_program(target)
-    found = find_robot(target, or_maker=True)
+    found = find_robot(target)
     try:
-        made = found if isinstance(found, Robot) else found()
+        return found if isinstance(found, Robot) else found()
+    except ConfigError:
+        raise
     except Exception as error:  # the user's code may do anything
         raise ConfigError(target, "", f"it raised {describe(error)}") from error
+
+
+def _made(target: str, maker: Callable[[], object]) -> Robot:
+    made = maker()
     if isinstance(made, Robot):
         return made
     told = f"expected it to return an esair.Robot, not {made!r:.80}"

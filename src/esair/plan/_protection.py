@@ -87,25 +87,6 @@ class Protection:
     when_the_process_dies: str
     when_the_host_dies: str
 
-    def __str__(self) -> str:
-        lines = [f"{self.name}: safe is {self.safe or 'not declared'}"]
-        lines.extend(
-            f"  guarded by {guard.reaction} ({guard.priority}); blind: "
-            f"{guard.when_blind}" + ("; latches" if guard.latch else "")
-            for guard in self.guards
-        )
-        lines.extend(
-            f"  written by {writer.behavior} ({writer.kind}, {writer.priority}); "
-            f"blind: {writer.when_blind}"
-            for writer in self.writers
-        )
-        lines += [
-            f"  safe is sent by {self.sent_by}",
-            f"  when this process dies: {self.when_the_process_dies}",
-            f"  when this computer dies: {self.when_the_host_dies}",
-        ]
-        return "\n".join(lines)
-
 
 def protection(plan: Plan) -> list[Protection]:
     """Return how each actuator of a robot is made safe, in the robot's order."""

@@ -79,16 +79,13 @@ class Target:
 
     @classmethod
     def _of_module(cls, robot: str, *, own: bool) -> Target:
-        found = config.find_robot(robot, or_maker=True)
+        found = config.find_robot(robot)
         alone = frozenset[str]() if own else None
         if not isinstance(found, esair.Robot):
             maker = found
 
             def make() -> esair.Robot:
                 made = maker()
-                if not isinstance(made, esair.Robot):
-                    told = f"expected it to return an esair.Robot, not {made!r:.80}"
-                    raise ConfigError(robot, "", told)
                 return made.alike(*_parts(made))
 
             return cls(robot, make, alone=alone)
