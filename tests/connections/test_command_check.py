@@ -42,6 +42,11 @@ class Twist:
 
 
 @attrs.frozen
+class Aliased:
+    linear: float = attrs.field(alias="forward")
+
+
+@attrs.frozen
 class Speed:
     speed: float
 
@@ -316,6 +321,13 @@ def test_fields_are_clamped_by_name(safe: Any, fast: Any, slow: Any) -> None:
 
 
 @pytest.mark.fault("V02")
+def test_a_field_that_attrs_calls_otherwise_is_clamped() -> None:
+    """By the name that it has in a command, whatever its constructor calls it."""
+    wanted = check(Aliased(0.0), limits={"linear": (-1.0, 1.0)}, clamp=True)
+
+    assert wanted.checked(Aliased(3.0)) == Aliased(1.0)
+
+
 def test_named_tuples_and_plain_objects_are_clamped_too() -> None:
     """The original is left as it is; a changed copy is sent."""
     pair = check(Pair(0.0, 0.0), limits={"left": (-1.0, 1.0)}, clamp=True)

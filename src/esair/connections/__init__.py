@@ -4,7 +4,12 @@ from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
 from esair.connections._applied_channel import Applied, AppliedChannel
 from esair.connections._call import Call, End
-from esair.connections._command_check import CommandCheck, limits_by_field, part_of
+from esair.connections._command_check import (
+    CommandCheck,
+    changed,
+    limits_by_field,
+    part_of,
+)
 from esair.connections._decision import Decision, Sight
 from esair.connections._derived_channel import DerivedChannel, Source
 from esair.connections._device import OfRobot
@@ -56,6 +61,7 @@ __all__ = [
     "Source",
     "Stopped",
     "Terms",
+    "changed",
     "is_loss",
     "limits_by_field",
     "part_of",

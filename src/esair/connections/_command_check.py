@@ -278,7 +278,8 @@ def changed(command: Any, changes: Mapping[str, Any]) -> Any:
     if isinstance(command, Mapping):
         return {**command, **changes}
     if attrs.has(type(command)):
-        return attrs.evolve(command, **changes)
+        aliases = {each.name: each.alias for each in attrs.fields(type(command))}
+        return attrs.evolve(command, **{aliases[n]: v for n, v in changes.items()})
     if hasattr(command, "__dataclass_fields__"):
         import dataclasses  # only for the robots that use them
 

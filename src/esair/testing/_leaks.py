@@ -9,10 +9,14 @@ import time
 
 
 class Leaks:
-    """Compares tasks, threads and descriptors with those from before."""
+    """Compares tasks, threads and descriptors with those from before.
 
-    def __init__(self) -> None:
-        self._tasks = asyncio.all_tasks()
+    Args:
+        loop: Whose tasks; the running one's unless given.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
+        self._tasks = asyncio.all_tasks(loop)
         self._threads = set(threading.enumerate())
         self._descriptors = _descriptors()
 
@@ -25,12 +29,20 @@ class Leaks:
         """
         if self._new_threads():
             await self._let_tasks_end()  # a thread may wait for one
-            for thread in self._new_threads():
-                _join(thread, patience)
+            self._join(patience)
         await asyncio.sleep(0)  # what a thread has told the loop at its end
         found = [f"task {task!r}" for task in await self._let_tasks_end()]
-        found += [f"thread {thread.name!r}" for thread in self._new_threads()]
+        return found + self.check_process(patience)
+
+    def check_process(self, patience: float = 1.0) -> list[str]:
+        """Return what is left beside tasks; no loop has to run. See `check`."""
+        self._join(patience)
+        found = [f"thread {thread.name!r}" for thread in self._new_threads()]
         return found + self._new_descriptors(patience)
+
+    def _join(self, patience: float) -> None:
+        for thread in self._new_threads():
+            _join(thread, patience)
 
     async def _let_tasks_end(self) -> list[asyncio.Task[object]]:
         """Give tasks some turns to end; return those that have not."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import enum
 import inspect
 import math
@@ -12,9 +11,8 @@ import typing
 from collections.abc import Mapping
 from typing import Any, Literal
 
-import attrs
-
 from esair.config import fields_of
+from esair.connections import changed
 from esair.recording import fields_of as parts_of
 
 LEAST, MOST = 0.0, 2.0  # Between which numbers lie that nobody has given limits
@@ -113,21 +111,11 @@ def _with(value: Any, bad: float) -> Any:
     """Put a number in the place of the first one that is found in a value."""
     for name, inner in _inside(value).items():
         if has_number(inner):
-            return _changed(value, name, _with(inner, bad))
+            part = _with(inner, bad)
+            if isinstance(name, int) and isinstance(value, list | tuple):
+                return type(value)([*value[:name], part, *value[name + 1 :]])
+            return changed(value, {name: part})
     return bad
-
-
-def _changed(value: Any, name: Any, part: Any) -> Any:
-    if attrs.has(type(value)):
-        alias = attrs.fields_dict(type(value))[name].alias or name
-        return attrs.evolve(value, **{alias: part})
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return dataclasses.replace(value, **{name: part})
-    if hasattr(value, "_replace"):
-        return value._replace(**{name: part})
-    if isinstance(value, dict):
-        return {**value, name: part}
-    return type(value)([*value[:name], part, *value[name + 1 :]])
 
 
 def has_number(value: Any) -> bool:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
-import threading
 from collections import Counter
 from collections.abc import Callable, Coroutine
 from typing import Any
@@ -16,7 +14,7 @@ import esair
 from esair.actions import Behavior, Reaction
 from esair.exceptions import describe
 from esair.resources import Resource
-from esair.testing import DeadlockError, LivelockError, VirtualLoop
+from esair.testing import DeadlockError, Leaks, LivelockError, VirtualLoop
 from esair.torture._boxes import Boxes
 from esair.torture._gate import Gate
 from esair.torture._judge import SLACK, Judge, Violation, protected_in
@@ -183,14 +181,13 @@ class World:
         loop = self.loop
         problems: list[str] = []
         loop.set_exception_handler(lambda _, told: problems.append(_words(told)))
-        threads, files = set(threading.enumerate()), _descriptors()
+        leaks = Leaks(loop)
         patience = Patience(loop)
         try:
             with patience, virtual_sleep(loop):
                 if self._tell():
                     self._left_behind(problems)
                 loop.run_until_complete(loop.shutdown_asyncgens())
-            self._threads_left(threads)
         except (HeldError, RuntimeError) as error:
             if patience.lost is not None:
                 self.judge.say("holds", patience.lost.component, str(patience.lost))
@@ -201,8 +198,8 @@ class World:
         finally:
             abandon(loop)
             loop.close()
-        if patience.lost is None and (new := _descriptors() - files):
-            self.judge.say("left", self.robot.name, f"{len(new)} descriptors are open")
+        for left in () if patience.lost is not None else leaks.check_process():
+            self.judge.say("left", self.robot.name, f"the {left} is left behind")
         for check in self._checks:
             check(self)
         silent = {gate.name: gate.speechless for gate in self.gates if gate.speechless}
@@ -345,13 +342,6 @@ class World:
         for problem in problems[:1]:
             self.judge.say("loop", name, problem)
 
-    def _threads_left(self, before: set[threading.Thread]) -> None:
-        for thread in set(threading.enumerate()) - before:
-            thread.join(1.0)
-            if thread.is_alive() and not thread.name.startswith("asyncio"):
-                text = f"the thread {thread.name} is left behind"
-                self.judge.say("left", self.robot.name, text)
-
 
 class _StoryError(Exception):
     """The program that has the robot fails."""
@@ -367,10 +357,3 @@ def _words(told: dict[str, Any]) -> str:
     error = told.get("exception")
     text = str(told.get("message", ""))
     return text if error is None else f"{text}: {describe(error)}"
-
-
-def _descriptors() -> set[str]:
-    try:
-        return set(os.listdir("/proc/self/fd"))
-    except OSError:
-        return set()
