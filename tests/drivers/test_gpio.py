@@ -11,7 +11,9 @@ import pytest
 from tests.drivers.parts import Plugged
 
 import esair
-from esair.drivers.gpio import DigitalInput, DigitalOutput
+from esair.buses.finding import Device
+from esair.drivers import gpio
+from esair.drivers.gpio import DigitalInput, DigitalOutput, LineRequest
 from esair.drivers.gpio.fake import FakeGpioChip
 from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.testing import ActuatorContract, SensorContract
@@ -209,3 +211,27 @@ def test_a_chip_that_does_not_exist_is_lost() -> None:
     for chip in ("/dev/gpiochip-nowhere", "no chip has this label"):
         with pytest.raises(DeviceLostError, match="there is no chip"):
             DigitalInput(chip=chip, line=0).open()
+
+
+def test_a_chip_is_found_by_its_name_and_by_its_label(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As `esair devices` shows them; a label that two chips have is no answer."""
+    there = [
+        Device("gpio", "/dev/gpiochip0", "main", description="main"),
+        Device("gpio", "/dev/gpiochip1", "/dev/gpiochip1", description="hub"),
+        Device("gpio", "/dev/gpiochip2", "/dev/gpiochip2", description="hub"),
+    ]
+    monkeypatch.setattr(gpio, "devices", lambda: there)
+
+    def path_of(chip: str) -> str:
+        return gpio._path_of(LineRequest("lamp", chip, 0))
+
+    assert path_of("main") == path_of("gpiochip0") == "/dev/gpiochip0"
+    assert path_of("/dev/gpiochip7") == "/dev/gpiochip7"
+    with pytest.raises(
+        DeviceFaultError, match="several chips are named 'hub': /dev/gp"
+    ):
+        path_of("hub")
+    with pytest.raises(DeviceLostError, match="no chip 'mian'; did you mean 'main'"):
+        path_of("mian")

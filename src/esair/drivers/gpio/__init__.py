@@ -21,11 +21,10 @@ Source: the kernel's GPIO character device, version 2 (linux/gpio.h), by libgpio
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import select
 import struct
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import (
     Any,
@@ -404,7 +403,9 @@ def _path_of(request: LineRequest) -> str:
     """Return the path of a chip that is named by its path, its name or its label."""
     if "/" in request.chip:
         return request.chip
-    chips = list(_chips())
+    chips = [
+        (each.path, {Path(each.path).name, each.description}) for each in devices()
+    ]
     fitting = [path for path, names in chips if request.chip in names]
     if len(fitting) == 1:
         return fitting[0]
@@ -413,20 +414,9 @@ def _path_of(request: LineRequest) -> str:
             request.device,
             f"several chips are named {request.chip!r}: {', '.join(fitting)}",
         )
-    known = [name for _, names in chips for name in names]
+    known = sorted(name for _, names in chips for name in names if name)
     hint = hint_for(request.chip, known)
     raise DeviceLostError(request.device, f"there is no chip {request.chip!r}{hint}")
-
-
-def _chips() -> Iterator[tuple[str, tuple[str, str]]]:
-    """All chips: the path, and the name and the label of each."""
-    import gpiod
-
-    for path in sorted(Path("/dev").glob("gpiochip*")):
-        with contextlib.suppress(OSError):  # another one may be ours to open
-            with gpiod.Chip(str(path)) as chip:
-                info = chip.get_info()
-            yield str(path), (info.name, info.label)
 
 
 def _offset_of(chip: Any, request: LineRequest) -> int:
