@@ -101,7 +101,7 @@ class Bus(abc.ABC):
         if self.is_open:
             return
         opening = self._opening
-        if opening is None:
+        if opening is None or opening.done():  # one was ended before it began
             loop = asyncio.get_running_loop()
             opening = spawn(loop, self._open_once(), name=f"open bus {self.name}")
             self._opening = opening
