@@ -324,6 +324,22 @@ async def test_a_behavior_stops_the_robot_in_its_first_step(fake_actuator: Any) 
         await esair.Robot(behaviors=[Never()]).__aenter__()
 
 
+@pytest.mark.real_clock
+@pytest.mark.promise("ROB-4")
+async def test_a_stop_from_another_loop_is_refused_while_it_runs(
+    fake_actuator: Any,
+) -> None:
+    """With the word for it: `halt`. The robot goes on, and stops in its own loop."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels], behaviors=[Drive()]) as robot:
+        with pytest.raises(esair.ConfigError, match="for threads is halt"):
+            await asyncio.to_thread(asyncio.run, robot.stop("from afar"))
+        assert await robot.behaviors.command("list") == "drive: running"
+        assert (await robot.stop("from here")).reason == "from here"
+    assert wheels.commands[-1] == 0.0
+    assert await asyncio.to_thread(asyncio.run, robot.stop("again")) is robot.stopped
+
+
 @pytest.mark.promise("ROB-4")
 async def test_the_block_of_a_stopped_robot_goes_on(fake_actuator: Any) -> None:
     """The user stops it in its own block, looks at it, and leaves."""

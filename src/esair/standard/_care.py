@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
+from esair.exceptions import ConfigError
 from esair.loop import GLANCE, Gaps, Job, OwnedTasks, Scheduler, StallWatch
 
 STALL_WARNING = 0.1
@@ -21,9 +22,11 @@ class LoopCare:
         self._resumed = resumed
         self._undo: list[Callable[[], None]] = []
         self._gaps: Gaps | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
 
     def start(self, loop: asyncio.AbstractEventLoop, *crowds: int) -> None:
         """Begin, for so many components of each kind; nothing is deployed yet."""
+        self._loop = loop
         owned = OwnedTasks.of(loop)
         owned.install()
         self._undo.append(owned.uninstall)
@@ -42,6 +45,12 @@ class LoopCare:
         glances: Job = scheduler.every(GLANCE, lambda _now: None)
         self._undo.append(glances.stop)
 
+    def refuse_elsewhere(self, title: str, verb: str) -> None:
+        """Refuse what is asked in another event loop while the robot has its own."""
+        if self._loop not in {None, asyncio.get_running_loop()}:
+            told = "it runs in another event loop: what is for threads is halt"
+            raise ConfigError(title, verb, told)
+
     def is_up(self, loop: asyncio.AbstractEventLoop) -> None:
         """Everything runs: garbage is collected in the gaps from now on."""
         self._gaps = Gaps.of(loop)
@@ -55,5 +64,6 @@ class LoopCare:
 
     def stop(self) -> None:
         """Leave everything as it was found."""
+        self._loop = None
         while self._undo:
             self._undo.pop()()

@@ -358,6 +358,7 @@ class Robot:
         Returns:
             What each actuator was told last, and whether it answered.
         """
+        self._care.refuse_elsewhere(self._title, "stop")
         self._reason = self._reason or reason
         if not self._entered:
             self.stopped = Stopped((), self._reason)
