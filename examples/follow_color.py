@@ -49,9 +49,8 @@ def make_robot(camera: Camera, bus: ServoBus) -> esair.Robot:
     )
 
 
-device, port = (
-    sys.argv[1:3] if __name__ == "__main__" else ("/dev/video0", "/dev/ttyS0")
-)
+are_named = __name__ == "__main__" and len(sys.argv) == 3
+device, port = sys.argv[1:] if are_named else ("usb:046d:0825", "usb:0403:6014")
 camera = Camera(name="eye", device=device, width=320, height=240)
 robot = make_robot(camera, ServoBus(name="line", port=port))
 

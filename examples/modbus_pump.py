@@ -52,7 +52,8 @@ def line(port: str) -> SerialBus:
     return SerialBus(name="line", port=port, baudrate=19200, framing=framing)
 
 
-robot = make_robot(line(sys.argv[1] if __name__ == "__main__" else "usb:0403:6001"))
+is_named = __name__ == "__main__" and len(sys.argv) == 2
+robot = make_robot(line(sys.argv[1] if is_named else "usb:0403:6001"))
 
 if __name__ == "__main__":
     esair.run(robot)

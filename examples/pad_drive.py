@@ -42,7 +42,8 @@ def make_robot(bus: CanBus, pad: Gamepad) -> esair.Robot:
     return esair.Robot(resources=[pad, *wheels], behaviors=[Steer()])
 
 
-channel, device = sys.argv[1:3] if __name__ == "__main__" else ("can0", "usb:045e:028e")
+are_named = __name__ == "__main__" and len(sys.argv) == 3
+channel, device = sys.argv[1:] if are_named else ("can0", "usb:045e:028e")
 robot = make_robot(
     CanBus(name="drive", channel=channel),
     Gamepad(name="pad", device=device, dead_man="tl"),

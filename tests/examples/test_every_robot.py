@@ -1,11 +1,14 @@
 """What holds for each example: it is short, is typed, and says how it is protected."""
 
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+import esair
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
@@ -37,6 +40,20 @@ def test_esair_check_prints_its_table_of_protection(path, monkeypatch, capsys) -
     assert ended.value.code == 0, told
     for head in ("How each actuator is made safe", "guarded by", "safe command"):
         assert head in told.out
+
+
+@pytest.mark.real_clock
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_it_starts_without_arguments(path, monkeypatch) -> None:
+    """Who tries it without its devices sees that they are waited for."""
+    started: list[object] = []
+    monkeypatch.setattr(esair, "run", lambda robot, **_: started.append(robot))
+    monkeypatch.setattr(sys, "argv", [str(path)])
+    monkeypatch.syspath_prepend(EXAMPLES)
+
+    runpy.run_path(str(path), run_name="__main__")
+
+    assert len(started) == 1
 
 
 @pytest.mark.long
