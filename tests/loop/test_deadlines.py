@@ -117,6 +117,22 @@ async def test_what_is_cancelled_is_let_go() -> None:
     assert gone() is None
 
 
+async def test_a_timer_that_nobody_waits_for_makes_no_task() -> None:
+    """Nothing of a robot that has stopped is heard of again; a later one comes."""
+    loop = asyncio.get_running_loop()
+    deadlines = Deadlines.of(loop)
+    called: list[str] = []
+    deadlines.after(0.5, called.append, "never").cancel()
+    seen: set[asyncio.Task[None] | None] = set()
+    loop.call_at(loop.time() + 0.5, lambda: seen.update(asyncio.all_tasks()))
+    await asyncio.sleep(1.0)
+
+    assert seen == {asyncio.current_task()}
+    deadlines.after(0.5, called.append, "later")
+    await asyncio.sleep(1.0)
+    assert called == ["later"]
+
+
 @pytest.mark.real_clock
 @pytest.mark.parametrize("loop_factory", [asyncio.new_event_loop, VirtualLoop])
 def test_no_loop_is_kept_by_its_deadlines(loop_factory) -> None:

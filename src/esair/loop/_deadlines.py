@@ -129,7 +129,10 @@ class Deadlines(OfLoop):
 
     def _ring(self, when: float) -> None:
         self._timer = None
-        self._scheduler.at(when, self._look, order=Order.EXPIRY)
+        if self._waiting:
+            self._scheduler.at(when, self._look, order=Order.EXPIRY)
+        else:
+            self._looks_at = math.inf
 
     def _look(self, _now: float) -> None:
         now = self._time() + REACHED
