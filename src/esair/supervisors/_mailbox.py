@@ -19,8 +19,7 @@ from esair.exceptions import (
 from esair.loop import Budget, Owner, speaks_for_nobody, wake, wake_one
 from esair.messages import BehaviorState
 from esair.supervisors._orders import OrderQueue
-from esair.supervisors._request_queue import RequestQueue, ServedQueue
-from esair.supervisors._requests import Request
+from esair.supervisors._requests import Request, RequestQueue, ServedQueue
 
 _NO_QUEUES: Mapping[Any, OrderQueue] = {}
 

@@ -27,8 +27,7 @@ from esair.supervisors._circles import circle_of_ask, circle_of_get
 from esair.supervisors._ledger import Ledger, Outcome
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._orders import Order, OrderQueue
-from esair.supervisors._request_queue import RequestQueue
-from esair.supervisors._requests import Request
+from esair.supervisors._requests import Request, RequestQueue
 from esair.values import is_positive
 
 _DELIVERED = Outcome.DELIVERED

@@ -16,8 +16,7 @@ from esair.journal import Kind
 from esair.loop import wake, wake_one
 from esair.messages import BehaviorState
 from esair.supervisors._ledger import Ledger, Outcome
-from esair.supervisors._request_queue import ServedQueue
-from esair.supervisors._requests import Peer, Request, served, serving
+from esair.supervisors._requests import Peer, Request, ServedQueue, served, serving
 
 _log = logging.getLogger("esair")
 
