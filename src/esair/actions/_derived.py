@@ -14,7 +14,7 @@ from esair.actions._reaction_runner import ReactionRunner
 from esair.actions._step_clock import StepClock
 from esair.connections import DerivedChannel, Source
 from esair.exceptions import DeviceLostError, EsairError
-from esair.loop import Owner, Scheduler
+from esair.loop import Owner, Scheduler, ignore
 from esair.messages import ResourceState, Stamped
 from esair.resources import Sensor
 
@@ -168,8 +168,8 @@ class Derivation(ReactionRunner):
     ) -> None:
         super().__init__(
             _Computing(derived),
-            on_state=_ignore,
-            on_crash=_ignore,
+            on_state=ignore,
+            on_crash=ignore,
             began=began,
             owner=owner,
         )
@@ -187,10 +187,7 @@ class Derivation(ReactionRunner):
             self._turn, name=self._derived.name, depth=self._channel.depth
         )
         self.start(
-            {
-                name: (each.channel, each.registration, each.max_age)
-                for name, each in sources.items()
-            },
+            {name: each[:3] for name, each in sources.items()},
             {},
         )
 
@@ -239,7 +236,3 @@ class Derivation(ReactionRunner):
         oldest = min((each.time for each in known if each is not None), default=now)
         stale_at = min((each.stale_at for each in needed), default=FOR_EVER)
         channel.publish_until(value, oldest, stale_at)
-
-
-def _ignore(*_: object) -> None:
-    """Tell nobody."""

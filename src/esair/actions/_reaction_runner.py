@@ -16,16 +16,22 @@ from esair.actions._step_clock import StepClock
 from esair.actions._step_time import step_time
 from esair.connections import ActuatorChannel, Decision, Registration, SensorChannel
 from esair.exceptions import BadValueError, EsairError, StaleReadingError
-from esair.loop import Job, OneShot, Order, Owner, Scheduler, Step, Stepping, clock_of
+from esair.loop import (
+    Job,
+    OneShot,
+    Order,
+    Owner,
+    Scheduler,
+    Step,
+    Stepping,
+    clock_of,
+    ignore,
+)
 
 _EARLY = 1e-6  # timers may fire a hair early
 
 _QUICK = 100.0
 """From this rate on, in Hz, the next step finds soon enough that a reading is too old."""
-
-
-def _ignore() -> None:
-    """Tell nobody."""
 
 
 class ReactionRunner:
@@ -103,7 +109,7 @@ class ReactionRunner:
         on_crash: Callable[[BaseException], None],
         until: Callable[..., bool] | None = None,
         on_end: Callable[[], None] | None = None,
-        on_sight: Callable[[], None] = _ignore,
+        on_sight: Callable[[], None] = ignore,
         began: float = 0.0,
         owner: Owner | None = None,
     ) -> None:

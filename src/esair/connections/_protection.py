@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from esair.connections._weaker import is_opaque, is_same, is_weaker
 from esair.exceptions import BadValueError, describe
-from esair.loop import OneShot, Order, Scheduler, clock_of
+from esair.loop import OneShot, Order, Scheduler, clock_of, ignore
 from esair.messages import Refused
 from esair.resources import HOLD
 
@@ -90,7 +90,7 @@ class Protection:
         self.judge: Judge | None = None
         """Of a guard: what decides; None while the guard does not run."""
         self.fallback = fallback  # of a guard: what decides while it is blind
-        self.on_crash: Callable[[BaseException], None] = _ignore
+        self.on_crash: Callable[[BaseException], None] = ignore
         """Told, outside of the commit point, what the guard has raised."""
         self.stopping = ""
         """Why the guard has refused the last command; empty if that has passed."""
@@ -335,7 +335,3 @@ class Protections:
 
 def _now() -> float:
     return clock_of(asyncio.get_running_loop())()
-
-
-def _ignore(_error: BaseException) -> None:
-    """Tell nobody."""

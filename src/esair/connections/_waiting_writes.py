@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Iterator
+from operator import attrgetter
 from typing import Any
 
 import attrs
@@ -75,14 +76,10 @@ class WaitingWrites:
 
     def first(self) -> WaitingWrite:
         """Take out the one whose turn it is."""
-        first = max(self._writes, key=_priority)
+        first = max(self._writes, key=attrgetter("registration.priority"))
         self._writes.remove(first)
         return first
 
     def remove(self, write: WaitingWrite) -> None:
         if write in self._writes:
             self._writes.remove(write)
-
-
-def _priority(write: WaitingWrite) -> int:
-    return write.registration.priority

@@ -13,7 +13,15 @@ from esair.loop._end_of_loop import (
 from esair.loop._ending import Ending
 from esair.loop._every import every
 from esair.loop._executor import CallRefused, Executor
-from esair.loop._futures import fail, has_come, look_at, raisable, wake, wake_one
+from esair.loop._futures import (
+    fail,
+    has_come,
+    ignore,
+    look_at,
+    raisable,
+    wake,
+    wake_one,
+)
 from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import (
     ENDED,
@@ -98,6 +106,7 @@ __all__ = [
     "every",
     "fail",
     "has_come",
+    "ignore",
     "leave_behind",
     "look_at",
     "now",

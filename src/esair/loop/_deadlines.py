@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 from esair.loop._futures import wake
@@ -141,7 +142,7 @@ class Deadlines(OfLoop):
             self._timer = None
         self._looks_at = math.inf
         due = sorted(
-            (each for each in self._waiting if each.when <= now), key=_by_moment
+            (each for each in self._waiting if each.when <= now), key=attrgetter("when")
         )
         for deadline in due:
             if deadline not in self._waiting or deadline.when > now:
@@ -160,7 +161,3 @@ class _DeadlinesBeside(Deadlines):
     """The deadlines of what is outside of the robot."""
 
     _scheduler_of = Scheduler.beside
-
-
-def _by_moment(deadline: Deadline) -> float:
-    return deadline.when

@@ -52,6 +52,10 @@ def raisable(error: BaseException, who: str = "it") -> Exception:
     return wrapped
 
 
+def ignore(*_: object) -> None:
+    """Take no notice: what a hook is that nobody has set."""
+
+
 def look_at(ended: asyncio.Future[Any]) -> None:
     """Look at an error whose cause has nobody any more who would."""
     if not ended.cancelled():

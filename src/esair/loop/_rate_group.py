@@ -11,6 +11,7 @@ import asyncio
 import bisect
 import enum
 from collections.abc import Awaitable, Callable
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ class RateGroup:
 
     def add(self, job: Job) -> None:
         jobs = list(self.jobs)
-        bisect.insort(jobs, job, key=_rank)
+        bisect.insort(jobs, job, key=attrgetter("rank"))
         self.jobs = tuple(jobs)
 
     def turn(self, now: int) -> tuple[Job, ...]:
@@ -225,10 +226,6 @@ class RateGroup:
         self._count += 1
         self.due = self._at_count()
         return self.jobs
-
-
-def _rank(job: Job) -> Any:
-    return job.rank
 
 
 def whole_period(seconds: float) -> Fraction:

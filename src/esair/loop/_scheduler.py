@@ -23,8 +23,10 @@ import itertools
 import logging
 import math
 from collections.abc import Iterable, Iterator
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
+from esair.loop._futures import ignore
 from esair.loop._of_loop import OfLoop
 from esair.loop._ownership import spawn
 from esair.loop._rate_group import (
@@ -354,7 +356,7 @@ class Scheduler(OfLoop):
     def _queued(self, order: Order) -> Iterator[Iterable[Callee]]:
         queue = [job for job in self._queue if job.order <= order]
         self._queue = [job for job in self._queue if job.order > order]
-        queue.sort(key=_rank)
+        queue.sort(key=attrgetter("rank"))
         for job in queue:
             job.queued = False
         yield queue
@@ -364,7 +366,7 @@ class Scheduler(OfLoop):
         depth = min(job.depth for job in self._derived)
         first = [job for job in self._derived if job.depth == depth]
         self._derived = [job for job in self._derived if job.depth > depth]
-        first.sort(key=_name)
+        first.sort(key=attrgetter("name"))
         return [job for job in first if job.taken()]
 
     def _fired(self, one_shot: OneShot) -> Iterable[Callee]:
@@ -405,7 +407,7 @@ class Scheduler(OfLoop):
         if self._timer is None:
             # A loop with a border looks by itself; its timer only wakes the selector.
             self._timer = timer_for(
-                self._loop, _nothing if self._has_border else self._wake
+                self._loop, ignore if self._has_border else self._wake
             )
         if due != self._timer_due:
             self._timer_due = due
@@ -414,18 +416,6 @@ class Scheduler(OfLoop):
 
 class _SchedulerBeside(Scheduler):
     """The scheduler of what is outside of the robot."""
-
-
-def _rank(job: Job) -> Any:
-    return job.rank
-
-
-def _name(job: DerivedJob) -> str:
-    return job.name
-
-
-def _nothing() -> None:
-    return None
 
 
 def _is_cancelled(entry: RateGroup | OneShot) -> bool:

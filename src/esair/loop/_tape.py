@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, Protocol
 
 from esair.exceptions import DeviceLostError
+from esair.loop._futures import ignore
 
 Tag = tuple[str, ...]
 """Which call it is the end of, or who tells something: such as ``("sonar", "read")``."""
@@ -79,7 +80,7 @@ class TapeWriter:
         self._calls: collections.Counter[Tag] = collections.Counter()
 
     def close(self) -> None:
-        self._put = self.turn = _keep_nothing
+        self._put = self.turn = ignore
 
     def spoil(self, why: str) -> None:
         """Something happens that cannot be repeated."""
@@ -221,10 +222,6 @@ class Player:
                     self._patience = IMPATIENT
                     return None
             return self._came[tag].popleft()
-
-
-def _keep_nothing(_item: Any) -> None:
-    """The tape is closed."""
 
 
 def _lost(tag: Tag) -> DeviceLostError:
