@@ -83,6 +83,32 @@ async def test_a_belt_stops_when_its_door_opens() -> None:
         assert belt.commands == [0.0, 1.0, 0.0]  # never more than what is on the wire
 
 
+@pytest.mark.promise("PRO-8", "REA-3")
+async def test_a_press_that_is_over_in_the_same_turn_is_seen_too() -> None:
+    """By a guard that asks for every single reading; and it counts none as lost."""
+
+    class Bumper(Button):
+        button = esair.reads(bool, every=True)
+
+    button = FakeSensor("button", False, type=bool)
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=60.0)
+    drive = user()
+    async with esair.Robot(
+        resources=[button, wheels], behaviors=[Bumper(name="bumper"), drive]
+    ) as robot:
+        await asyncio.sleep(0.2)
+        assert await drive.wheels.write(1.0)
+        button.feed(True)
+        button.feed(False)
+        await wheels.until(0.0, timeout=0.01)
+        refused = await drive.wheels.write(1.0)
+        assert (bool(refused), refused.holder) == (False, "bumper")
+        for _ in range(2000):
+            button.feed(False)
+            await asyncio.sleep(0.001)
+        assert robot.journal.counts()["bumper"]["overflow"] == 0
+
+
 @pytest.mark.promise("PRO-7")
 async def test_what_a_guard_refuses_is_safe_and_the_writer_keeps_the_hold() -> None:
     """Safe is sent once; a lower priority does not turn the wheels meanwhile."""

@@ -75,7 +75,7 @@ class GuardRunner(ReactionRunner):
 
     @property
     def _turn(self) -> Step:
-        return self._step
+        return self._step if self.every is None else self._step_on_each
 
     def _unpark(self) -> None:
         super()._unpark()
