@@ -146,59 +146,53 @@ class Judge:
                         and action.name != mover
                         and priority < need.priority
                     ):
-                        self._check_sight(gate, action, what, f" by {mover}")
+                        self._check_sight(gate, action, f"{what} by {mover}")
 
-    def _check_sight(self, gate: Gate, action: Any, what: str, more: str = "") -> None:
+    def _check_sight(self, gate: Gate, action: Any, what: str) -> None:
         world = self._world
         muted = world.muted.get(action.name, -1.0)
         if world.now - world.jumped(muted) < muted:
             return
+        # The user may be just taking away who was to see.
+        state = world.robot.behaviors.query(action.name).state
+        leaves = state in {BehaviorState.STOPPING, BehaviorState.REMOVED}
+        if not leaves and (why := self._why_blind(action)):
+            self.say("blind", gate.name, f"{what} while {action.name} {why}")
+
+    def _why_blind(self, action: Any) -> str:
+        """Say why somebody cannot decide; empty if it can."""
+        world = self._world
         lever = world.levers.get(id(action))
         if lever is not None and lever.undecided:
-            text = f"{what}{more} while {action.name} had not decided anew"
-            self._blind(gate, action, text)
-            return
+            return "had not decided anew"
         for need in action.needs.values():
             if not isinstance(need, Reads) or need.optional:
                 continue
             channel = world.robot.sensors.channels.get(need.resource)
             sensor = None if channel is None else world.gate_of(channel.sensor)
             if channel is None or sensor is None:
-                self._blind(gate, action, f"{what}{more} while {action.name} had no "
-                            f"{need.resource}: it was removed")  # fmt: skip
-                return
+                return f"had no {need.resource}: it was removed"
             if channel.sensor.is_computed:
                 continue  # its age is that of what it is computed of
             limit = channel.max_age if need.max_age is None else need.max_age
             slack = SLACK + (1.0 / action.rate if action.rate else 0.0)
             age = world.now - sensor.heard - world.jumped(sensor.heard)
             if math.isfinite(limit) and age > limit + slack:
-                text = (
-                    f"{what}{more} while {action.name} could not see: {need.resource} "
-                    f"was silent for {age:.3f} s, its limit is {limit:g} s"
+                return (
+                    f"could not see: {need.resource} was silent for {age:.3f} s, its "
+                    f"limit is {limit:g} s"
                 )
-                self._blind(gate, action, text)
-                return
-
-    def _blind(self, gate: Gate, action: Any, text: str) -> None:
-        """Say so, unless the user is just taking away who was to see."""
-        member = self._world.robot.behaviors.query(action.name)
-        if member.state not in {BehaviorState.STOPPING, BehaviorState.REMOVED}:
-            self.say("blind", gate.name, text)
+        return ""
 
     # The dead man.
 
     def _alive(self, gate: Gate, told: Told) -> None:
-        """Look, at each command, whether the one before was followed in time."""
-        before = gate.told[-2] if len(gate.told) > 1 else None
-        self.followed(gate, before, told.begun)
-
-    def followed(self, gate: Gate, last: Told | None, now: float) -> None:
-        """Say so if a motion stood for longer than its time-out."""
+        """Look, at each command, whether a motion before it stood for too long."""
+        last = gate.told[-2] if len(gate.told) > 1 else None
         if last is None or last.safe or last.landed is None:
             return
         timeout = gate.resource.command_timeout  # type: ignore[attr-defined]
-        stood = now - last.landed - self._world.jumped(last.landed)
+        stood = told.begun - last.landed - self._world.jumped(last.landed)
         if stood <= timeout + 2 * SLACK or gate.faulty >= last.begun:
             return
         world = self._world
