@@ -227,7 +227,7 @@ class StandInMapper(esair.Behavior):
         made = floor()
         _, column = made.cell_of(2.5, 1.5)
         made.odds[:, column:] = 0.0
-        self.belief = Belief(position, made, None, settled=True)
+        self.belief = Belief(position, made, settled=True)
 
     async def provide(self) -> Belief:
         return self.belief

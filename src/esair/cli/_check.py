@@ -27,7 +27,8 @@ def check(robot: str, /, *, as_json: AsJson = False, strict: bool = False) -> in
     Exit code: 0 no errors, 1 errors found, 2 the file or module cannot be read.
 
     Args:
-        robot: A robot.toml; or the robot of a module: module:robot, file.py:robot.
+        robot: A robot.toml; or the robot of a module: module:robot, file.py:robot. The
+            name may be that of a function that returns the robot.
         strict: Count warnings as errors.
     """
     report = check_robot(robot)

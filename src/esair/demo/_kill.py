@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import os
-import select
 import signal
 import subprocess
 import sys
 import time
-import tty
-from collections.abc import Callable
 
 import attrs
 from rich.console import Console
 from rich.text import Text
+
+from esair.buses.serial import PtyLine
 
 WAYS = {
     signal.SIGKILL: "killed: kill -9, as by a crash or by want of memory",
@@ -25,7 +24,7 @@ WAYS = {
 MOVES, SAFE = b"speed=0.3", b"speed=0"  # What the wheels are told
 DRIVES = 20  # How many commands come before the end
 PATIENCE = 15.0  # How long the robot may take to start and to drive, in seconds
-QUIET = 0.6  # How long it is listened after the last line, in seconds
+QUIET = 0.6  # How long it is listened after its end, in seconds
 
 
 @attrs.frozen
@@ -75,48 +74,40 @@ def kill(console: Console) -> int:
 
 def die(way: signal.Signals) -> Death:
     """Let a robot drive, then end its process, and listen to its wheels' line."""
-    far, near = os.openpty()
-    tty.setraw(near)
+    return asyncio.run(_die(way))
+
+
+async def _die(way: signal.Signals) -> Death:
     lines: list[tuple[float, bytes]] = []
-    robot = subprocess.Popen(
-        [sys.executable, "-m", "esair.demo._victim", os.ttyname(near)],
+    rest = b""
+    drives = asyncio.Event()
+
+    def hear(data: bytes) -> None:
+        nonlocal rest
+        *whole, rest = (rest + data).split(b"\n")
+        lines.extend((time.monotonic(), line) for line in whole)
+        if sum(line == MOVES for _, line in lines) >= DRIVES:
+            drives.set()
+
+    line = PtyLine()
+    line.heard = hear
+    line.plug()
+    robot = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "esair.demo._victim", line.port),
         stdin=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         start_new_session=True,
     )
     try:
-        rest = _listen(far, b"", lines, lambda: _moves(lines) >= DRIVES, PATIENCE)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(drives.wait(), PATIENCE)
         begin = time.monotonic()
-        os.kill(robot.pid, way)
-        _listen(far, rest, lines, lambda: time.monotonic() > begin + QUIET, PATIENCE)
+        robot.send_signal(way)
+        await asyncio.sleep(QUIET)
     finally:
         with contextlib.suppress(ProcessLookupError):
-            os.kill(robot.pid, signal.SIGKILL)
-        _, said = robot.communicate()
-        os.close(far)
-        os.close(near)
+            robot.kill()
+        _, said = await robot.communicate()
+        line.unplug()
     timed = tuple((when - begin, line) for when, line in lines)
     return Death(timed, said.decode(errors="replace"))
-
-
-def _moves(lines: list[tuple[float, bytes]]) -> int:
-    return sum(line == MOVES for _, line in lines)
-
-
-def _listen(
-    far: int,
-    data: bytes,
-    lines: list[tuple[float, bytes]],
-    is_enough: Callable[[], bool],
-    patience: float,
-) -> bytes:
-    """Note each line and when it came; return what is no whole line yet."""
-    end = time.monotonic() + patience
-    while not is_enough() and time.monotonic() < end:
-        if not select.select([far], [], [], 0.05)[0]:
-            continue
-        data += os.read(far, 4096)
-        now = time.monotonic()
-        *whole, data = data.split(b"\n")
-        lines += ((now, line) for line in whole)
-    return data

@@ -29,13 +29,11 @@ class Belief:
     Attributes:
         position: Where the rover is.
         floor: What stands where.
-        travel: The odometry that the position comes from.
         settled: Whether the zero of the gyroscope is known.
     """
 
     position: Position
     floor: FloorMap
-    travel: Travel | None
     settled: bool
 
 
@@ -93,12 +91,7 @@ class Mapper(Behavior):
 
     def belief(self) -> Belief:
         """Return what it believes now."""
-        return Belief(
-            self._position,
-            self._floor.copy(),
-            self._travel,
-            self._learned >= LEARNED,
-        )
+        return Belief(self._position, self._floor.copy(), self._learned >= LEARNED)
 
     async def _follow_wheels(self) -> None:
         async for travel in self.odometry:
