@@ -257,9 +257,11 @@ class Bus(abc.ABC):
             self.stats.last_error = describe(error)
 
     async def _has_let_go(self) -> None:
-        if self._letting_go is not None:
-            await asyncio.wait({self._letting_go})
-            self._letting_go = None
+        letting_go = self._letting_go
+        if letting_go is not None:
+            await asyncio.wait({letting_go})
+            if self._letting_go is letting_go:
+                self._letting_go = None
 
     def arrived(self) -> None:
         """Tell everybody that the wire is there again; nothing is opened by that."""
