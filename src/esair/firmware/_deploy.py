@@ -133,32 +133,30 @@ def stop_program(path: str) -> None:
         time.sleep(0.1)
 
 
+_PREPARE: Final = """
+import os
+def attempt(act, name):
+    try:
+        act(name)
+    except OSError:
+        pass
+for name in {folders!r}:
+    attempt(os.mkdir, name)
+for name in {others!r}:
+    attempt(os.remove, name)
+"""
+
+
 def _copy(path: str, files: Mapping[str, Path]) -> None:
     folders = sorted({str(each) for name in files for each in Path(name).parents})
-    make = "".join(f"try_mkdir({each!r})\n" for each in folders if each != ".")
-    _mpremote(
-        path,
-        "exec",
-        "import os\ndef try_mkdir(name):\n    try:\n        os.mkdir(name)\n"
-        f"    except OSError:\n        pass\n{make}",
-    )
+    # An older text or compiled module of the same name would win, or be in the way.
+    swapped = {".mpy": ".py", ".py": ".mpy"}
+    others = [str(each.with_suffix(swapped[each.suffix])) for each in map(Path, files)]
+    _mpremote(path, "exec", _PREPARE.format(folders=folders, others=others))
     acts: list[str] = []
     for name, file in files.items():
-        # An older text or compiled module of the same name would win, or be in the way.
         acts += [*(["+"] if acts else []), "fs", "cp", str(file), f":{name}"]
     _mpremote(path, *acts)
-    others = [
-        name.removesuffix(end) + other
-        for name in files
-        for end, other in ((".mpy", ".py"), (".py", ".mpy"))
-        if name.endswith(end)
-    ]
-    _mpremote(
-        path,
-        "exec",
-        f"import os\nfor name in {others!r}:\n    try:\n        os.remove(name)\n"
-        "    except OSError:\n        pass\n",
-    )
 
 
 def _compare(path: str, files: Mapping[str, Path]) -> None:
