@@ -249,6 +249,24 @@ def test_a_behavior_that_fails_for_good_is_exit_code_1(folder, start) -> None:
     assert "Traceback" in process.communicate(timeout=20)[1]
 
 
+@pytest.mark.parametrize(
+    ("option", "package", "extra"),
+    [("--record", "foxglove", "record"), ("--page", "starlette", "page")],
+)
+def test_an_extra_that_is_not_installed_is_exit_code_2(
+    folder, start, option, package, extra
+) -> None:
+    """The installation cannot be used as asked: nothing is moved."""
+    where = folder("Once")
+    without = f"import sys; sys.modules[{package!r}] = None; import esair.cli as cli"
+    process = start("run", "robot.toml", option, cwd=where, code=f"{without}; cli.main()")
+    _, log = process.communicate(timeout=20)
+
+    assert process.returncode == 2, log
+    assert f"pip install 'esair[{extra}]'" in log.splitlines()[-1]
+    assert not (where / "log.jsonl").exists()
+
+
 def test_a_required_device_that_is_not_there_is_exit_code_1(folder, start) -> None:
     """The robot does not start, and says why in a line."""
     process = start("run", "robot.toml", cwd=folder("Once", "Gone"))

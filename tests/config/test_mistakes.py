@@ -193,6 +193,28 @@ def test_all_mistakes_are_told_at_once(project) -> None:
     ]
 
 
+def test_each_wrong_value_of_a_table_of_the_robot_is_told(project) -> None:
+    """Also beside mistakes elsewhere: nobody mends a file one value at a time."""
+    project.write(
+        '[robot]\ngrace = -1\nstart_patience = -1\n[behavior.x]\ndriver = "{m}:X"\n'
+        '[record]\npath = "runs"\nmax_bytes = -1\nmin_free = -1\n'
+        '[operator]\nallow = ["fly"]\n'
+        '[page]\nport = 70000\ntoken = "short"\ninsecure = "no"\n'
+    )
+
+    assert list(project.mistakes()) == [
+        "robot.grace",
+        "robot.start_patience",
+        "behavior.x.driver",
+        "record.max_bytes",
+        "record.min_free",
+        "operator.allow",
+        "page.port",
+        "page.token",
+        "page.insecure",
+    ]
+
+
 def test_one_mistake_is_a_group_too(project) -> None:
     """Whoever catches the group catches every mistake."""
     project.changed("rate = 20", "rate = true")

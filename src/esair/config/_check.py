@@ -124,8 +124,8 @@ def _tables(holder: object) -> list[object]:
 def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
     mistakes = draft.source.mistakes
     findings = examine(draft.plan())
-    if not mistakes.errors and not any(each.is_error for each in findings):
-        refused_by_robot(draft, robot_class)
+    sound = not mistakes.errors and not any(each.is_error for each in findings)
+    refused_by_robot(draft, robot_class, sound=sound)
     found = [
         FoundInFile("error", "configuration", error.key, error.line, error.reason)
         for error in mistakes.errors

@@ -19,7 +19,7 @@ from esair import abc
 from esair.config._classes import searched_first
 from esair.config._draft import Variant
 from esair.config._mistakes import Mistakes, below, unknown
-from esair.config._records import Field, fields_of
+from esair.config._records import Field, fields_of, make_of
 from esair.config._source import Source
 from esair.config._values import INVALID, wanted
 from esair.exceptions import BadValueError
@@ -231,9 +231,9 @@ def construct(
                 mistakes.add(where, f"its place is {below(key, field)}")
     if len(mistakes.errors) > before or not make:
         return None
-    values.update(options)
+    values |= {**options, **given}
     with searched_first(source.folder):  # a key may name a class, as ``library`` does
-        return _make(cls, name, values, accepted, given, key, mistakes)
+        return _make(cls, name, values, accepted, key, mistakes)
 
 
 def accepted_as(accepted: Mapping[str, Accepted], field: str, place: Place) -> bool:
@@ -256,29 +256,26 @@ def _make(
     name: str,
     values: Mapping[str, Any],
     accepted: Mapping[str, Accepted],
-    given: Mapping[str, Any],
     key: str,
     mistakes: Mistakes,
 ) -> Any:
-    everything = {**values, **given}
-    keywords = {
-        field: value
-        for field, value in everything.items()
-        if accepted_as(accepted, field, Place.KEYWORD) or field not in accepted
-    }
     takes_name = accepted_as(accepted, "name", Place.KEYWORD)
-    if takes_name:
-        keywords["name"] = name
-    try:
-        made = cls(**keywords)
+
+    def made_of(**everything: Any) -> Any:
+        keywords = {
+            field: value
+            for field, value in everything.items()
+            if accepted_as(accepted, field, Place.KEYWORD) or field not in accepted
+        }
+        made = cls(**({"name": name} if takes_name else {}), **keywords)
         if not takes_name and isinstance(made, abc.Component) and made.name != name:
             abc.Component.__init__(made, name=name)  # a constructor that takes no name
         for field, value in everything.items():
             if field not in keywords:
                 setattr(made, field, value)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # the user's code may do anything
+        return made
+
+    def refused(error: BaseException) -> None:
         mistakes.caught(key, error, f"{cls.__name__}(...)")
-        return None
-    return made
+
+    return make_of(made_of, values, refused)

@@ -88,8 +88,7 @@ def load(
     for finding in examine(draft.plan()):
         if finding.is_error:
             source.mistakes.add(draft.key_of(finding), finding.text)
-    source.mistakes.raise_all()
-    refused_by_robot(draft, robot_class)
+    refused_by_robot(draft, robot_class, sound=not source.mistakes.errors)
     source.mistakes.raise_all()
     return Description(
         path=source.path,

@@ -159,7 +159,7 @@ def _is_key(field: str) -> bool:
     return bool(field) and all(_BARE.match(part) for part in field.split("."))
 
 
-def reason_of(error: Exception) -> str:
+def reason_of(error: BaseException) -> str:
     """Return what an error of esair expected; name any other error."""
     if not isinstance(error, ConfigError | BadValueError):
         return describe(error)

@@ -10,6 +10,7 @@ from esair.config._construct import keywords_of
 from esair.config._draft import Draft, Part
 from esair.config._mistakes import below, dotted, unknown
 from esair.config._policies import read_policies
+from esair.config._records import make_of
 from esair.config._source import Source
 from esair.config._tables import named_tables
 from esair.config._values import INVALID
@@ -70,17 +71,26 @@ def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:
     return settings
 
 
-def refused_by_robot(draft: Draft, robot_class: type) -> None:
-    """Note what the constructor of the robot refuses, in a draft without mistakes."""
+def refused_by_robot(draft: Draft, robot_class: type, *, sound: bool) -> None:
+    """Note what the constructor of the robot refuses.
+
+    Args:
+        draft: What could be made of the file.
+        robot_class: The class of the robot.
+        sound: Whether it has no mistake yet; else only what its tables say is looked at.
+    """
     plan = draft.plan()
-    try:
-        robot_class(
-            resources=plan.resources,
-            behaviors=plan.behaviors,
-            policies=plan.policies,
-            **draft.robot,
-        )
-    except (EsairError, ExceptionGroup) as error:
+    parts = {
+        "resources": plan.resources,
+        "behaviors": plan.behaviors,
+        "policies": plan.policies,
+    }
+
+    def refused(error: BaseException) -> None:
+        if not isinstance(error, EsairError | ExceptionGroup):
+            raise error
         about = getattr(error, "component", "")
         key = about if about in OF_ROBOT else "robot"
         draft.source.mistakes.caught(key, error, "the robot")
+
+    make_of(robot_class, {**parts, **draft.robot}, refused, sound=sound)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import attrs
@@ -49,3 +49,44 @@ def fields_of(kind: type) -> Mapping[str, Field] | None:
         for each in inspect.signature(kind).parameters.values()
         if each.kind in {each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY}
     }
+
+
+def make_of(
+    cls: Callable[..., Any],
+    values: Mapping[str, Any],
+    refused: Callable[[BaseException], None],
+    *,
+    sound: bool = True,
+) -> Any:
+    """Make an object of its keywords, or tell of each why it is refused.
+
+    What a class refuses by name is left out, and it is asked again: its check of one
+    keyword ends before that of the next.
+
+    Args:
+        cls: The class.
+        values: Its keywords; those that something is wrong with are not among them.
+        refused: Is told each refusal.
+        sound: Whether nothing is wrong yet. Else nothing is made, and what is refused
+            for lack of something is not told.
+
+    Returns:
+        The object, or None.
+    """
+    left = dict(values)
+    while True:
+        try:
+            made = cls(**left)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # the user's code may do anything
+            about = (str(getattr(error, each, "")) for each in ("field", "component"))
+            named = [each for word in about if (each := word.partition(".")[0]) in left]
+            if sound or named:
+                refused(error)
+            sound = False
+            if not named:
+                return None
+            del left[named[0]]
+        else:
+            return made if sound else None

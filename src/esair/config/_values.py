@@ -20,7 +20,7 @@ from typing import Any, Final
 import attrs
 
 from esair.config._mistakes import below, reason_of, show, unknown
-from esair.config._records import Field, fields_of
+from esair.config._records import Field, fields_of, make_of
 
 Report = Callable[[str, str], None]
 """Called with a key and with what is wrong there."""
@@ -279,13 +279,13 @@ def _record(base: type, fields: Mapping[str, Field]) -> Take:
                 words = field.words or wanted(field.kind)
                 to.report(key, f"{name!r} is missing: expected {words}")
                 sound = False
-        if not sound:
-            return INVALID
-        try:
-            return base(**found)
-        except Exception as error:  # a validator of the user's class may raise anything
+
+        def refused(error: BaseException) -> None:
             where = getattr(error, "field", "")
             to.report(f"{key}.{where}" if where in fields else key, reason_of(error))
-            return INVALID
+
+        good = {name: item for name, item in found.items() if item is not INVALID}
+        made = make_of(base, good, refused, sound=sound)
+        return INVALID if made is None else made
 
     return take
