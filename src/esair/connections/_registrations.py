@@ -38,6 +38,7 @@ class Registration:
         priority: With which priority it writes; higher wins.
         hold: For how long a write holds the actuator, in seconds; None for the
             actuator's command timeout.
+        terms: By which terms it was issued.
     """
 
     access: Access
@@ -47,14 +48,16 @@ class Registration:
     priority: int
     reason: Callable[[], EsairError] | None
     resource: str
+    terms: Terms
     usable: bool
 
-    __slots__ = (*Terms._fields, "number", "reason", "usable")
+    __slots__ = (*Terms._fields, "number", "reason", "terms", "usable")
 
     def __init__(self, number: int, terms: Terms) -> None:
         write = super().__setattr__
         for name, value in zip(Terms._fields, terms, strict=True):
             write(name, value)
+        write("terms", terms)
         write("number", number)
         write("usable", bool(terms.access & (Access.READ | Access.WRITE)))
         write("reason", None)
@@ -64,13 +67,6 @@ class Registration:
 
     def __delattr__(self, name: str) -> None:
         raise AttributeError(f"{self!r} cannot be changed: register again")
-
-    @property
-    def terms(self) -> Terms:
-        """By which terms it was issued."""
-        return Terms(
-            self.behavior, self.resource, self.access, self.priority, self.hold
-        )
 
     def end(self, reason: Callable[[], EsairError] | None) -> None:
         """Make it void; nothing makes it valid again."""
