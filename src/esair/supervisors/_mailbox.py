@@ -18,6 +18,7 @@ from esair.exceptions import (
 )
 from esair.loop import Budget, Owner, speaks_for_nobody, wake, wake_one
 from esair.messages import BehaviorState
+from esair.supervisors._ledger import Outcome
 from esair.supervisors._orders import OrderQueue
 from esair.supervisors._requests import Request, RequestQueue, ServedQueue
 
@@ -54,8 +55,6 @@ class Between(Protocol):
         progress: Callable[[Any], object] | None,
         by: Mailbox,
     ) -> Any: ...
-    def admit(self, member: Mailbox) -> None: ...
-    def offered(self, member: Mailbox, data: Any) -> bool: ...
 
 
 class Mailbox:
@@ -206,6 +205,28 @@ class Mailbox:
         if self.takers:
             self.wake()
 
+    def admit(self) -> None:
+        """Take in what waits until it can receive again."""
+        while self.senders.count and self.has_room():
+            request = self.senders.pop()
+            self.deliver(request.data, request.asker)
+            request.end(Outcome.DELIVERED, request.data)
+
+    def give(self, data: Any) -> bool:
+        """Give data to whoever waits for some; tells whether somebody did."""
+        if not self.askers.count:
+            return False
+        request = self.askers.pop()
+        request.offered = self.latest is NOTHING
+        # What was made for it is not needed.
+        request.withdraw(Outcome.DELIVERED, data)
+        return True
+
+    def put_back(self, data: Any) -> None:
+        """Give what an asker did not take, cancelled in that instant, to the next."""
+        if not self.give(data):
+            self.outbox.insert(0, data)
+
     def wake(self) -> None:
         """Wake one of those that wait in `receive`."""
         wake_one(self.takers or ())
@@ -288,7 +309,7 @@ class Mailbox:
                     self.takers = None
         taken = self.inbox.pop(0)
         if self.senders.count:
-            self._mediator.admit(self)
+            self.admit()
         return taken
 
     def offer(self, data: Any, latest: bool) -> None:
@@ -297,10 +318,10 @@ class Mailbox:
         self.latest = data if latest else NOTHING
         if latest:
             self.outbox.clear()
-            while self._mediator.offered(self, data):
+            while self.give(data):
                 continue  # everybody who waits gets it
             return
-        if self._mediator.offered(self, data):
+        if self.give(data):
             return
         action = self.action
         assert isinstance(action, Behavior)

@@ -88,14 +88,6 @@ class Mediator(Ledger):
         self._begin(request, interval)
         await request.outcome()
 
-    def admit(self, member: Mailbox) -> None:
-        """Deliver what waits for a behavior that can receive again."""
-        senders = member.senders
-        while senders.count and member.has_room():
-            request = senders.pop()
-            member.deliver(request.data, request.asker)
-            request.end(_DELIVERED, request.data)
-
     # Get.
 
     def take(self, sender: str, receiver: str, interval: float) -> Any:
@@ -135,24 +127,10 @@ class Mediator(Ledger):
             if request.how is _DELIVERED:  # it came in this very instant
                 self.record("get", sender, receiver, Outcome.WITHDRAWN)
                 if request.offered:
-                    self._put_back(self._members.get(sender, member), request.value)
+                    self._members.get(sender, member).put_back(request.value)
             raise
         self.record("get", sender, receiver, _DELIVERED, data)
         return data
-
-    def offered(self, member: Mailbox, data: Any) -> bool:
-        """Hand offered data to whoever waits for it; tells whether somebody did."""
-        if not member.askers.count:
-            return False
-        request = member.askers.pop()
-        request.offered = member.latest is NOTHING
-        request.withdraw(_DELIVERED, data)  # what was made for it is not needed
-        return True
-
-    def _put_back(self, member: Mailbox, data: Any) -> None:
-        """Give what an asker did not take, cancelled in that instant, to the next."""
-        if not self.offered(member, data):
-            member.outbox.insert(0, data)
 
     # Ask.
 
@@ -239,8 +217,8 @@ class Mediator(Ledger):
             for request in queue:
                 request.withdraw(Outcome.REFUSED, error=RefusedError(told, new.name))
             queue.end_all(Outcome.PEER_REMOVED, _removed)
-        self.admit(new)
-        while new.outbox and self.offered(new, new.outbox[0]):
+        new.admit()
+        while new.outbox and new.give(new.outbox[0]):
             del new.outbox[0]
         for each in new.served:
             each.roused()

@@ -260,7 +260,7 @@ class Member(Life, Mailbox):
         elif isinstance(self.action, Behavior):
             self.sight.sees()
         if running:
-            self.crew.mediator.admit(self)
+            self.admit()
             for queue in self.served:
                 queue.roused()
         if before is not self.state:

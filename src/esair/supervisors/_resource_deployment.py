@@ -122,17 +122,17 @@ class ResourceDeployment:
             f"when this computer dies: {when_alone(life.resource)}"
         )
 
-    def plan(self, behaviors: Sequence[Any]) -> Plan:
+    def plan(
+        self, behaviors: Sequence[Any] = (), *new: Any, without: Resource | None = None
+    ) -> Plan:
+        """Return this robot, with what is about to come and without what goes."""
+        there = (life.resource for life in self.lives.values())
         return Plan(
-            resources=[life.resource for life in self.lives.values()],
+            resources=[*(each for each in there if each is not without), *new],
             behaviors=behaviors,
             policies=tuple(self.control.rules.policies.values()),
             writers=self.control.rules.writers(),
         )
-
-    def plan_with(self, new: Any, without: Resource | None = None) -> Plan:
-        there = [life.resource for life in self.lives.values()]
-        return Plan(resources=[*(each for each in there if each is not without), new])
 
     # How one comes.
 
