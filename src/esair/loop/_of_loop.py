@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 
 class OfLoop:
@@ -19,23 +19,17 @@ class OfLoop:
 
         def __init__(self, loop: asyncio.AbstractEventLoop) -> None: ...
 
+    _attribute: ClassVar[str]
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls._attribute = f"_esair_{cls.__name__}"
+
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Self:
         """Return the one of a loop."""
         attributes: dict[str, Any] = vars(loop)
-        key = _KEYS[cls]
-        found: Self | None = attributes.get(key)
+        found: Self | None = attributes.get(cls._attribute)
         if found is None:
-            found = attributes[key] = cls(loop)
+            found = attributes[cls._attribute] = cls(loop)
         return found
-
-
-class _Keys(dict[type, str]):
-    """The names of the attributes: to make one takes as long as all the rest."""
-
-    def __missing__(self, kind: type) -> str:
-        key = self[kind] = f"_esair_{kind.__name__}"
-        return key
-
-
-_KEYS = _Keys()
