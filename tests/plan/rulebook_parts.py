@@ -165,6 +165,24 @@ class BadFlag(Brake):
     sonar = esair.reads(float, optional="no")  # type: ignore[arg-type]
 
 
+class BadEvery(esair.Behavior):
+    sonar = esair.reads(float, every=True)
+
+
+class Order(esair.Request[int]):
+    """What a worker is asked."""
+
+
+class BadTaker(Brake):
+    orders = esair.takes(Order)
+
+
+class BadAnswers(esair.Behavior):
+    @esair.answers
+    async def order(self, request: Order) -> int:  # type: ignore[misc]
+        yield 1
+
+
 class BadAge(Brake):
     sonar = esair.reads(float, max_age=0.0)
 

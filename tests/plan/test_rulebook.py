@@ -146,6 +146,11 @@ CASES = [
          "63 at most", "bad_number", "sonar"),
     Case(parts.BadFlag, "expected True or False, not 'no'",
          "bad_flag", "sonar.optional"),
+    Case(parts.BadEvery, "only a reaction runs on every reading; here the newest wins",
+         "bad_every", "sonar.every"),
+    Case(parts.BadTaker, "only a behavior takes requests", "bad_taker", "orders"),
+    Case(parts.BadAnswers, "expected a method that returns its answer, not one that "
+         "yields", "bad_answers", "order"),
     Case(parts.BadAge, f"{SECONDS} 0.0", "bad_age", "sonar.max_age"),
     Case(parts.BadHold, f"{SECONDS} -1.0", "bad_hold", "wheels.hold"),
     Case(parts.BadPriority, "expected a whole number, not 1.5",

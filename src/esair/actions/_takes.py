@@ -184,6 +184,8 @@ def _answers(attribute: str, method: Any) -> Takes[Any] | str:
         return (
             "expected one parameter, annotated with a class derived from esair.Request"
         )
+    if inspect.isasyncgenfunction(method) or inspect.isgeneratorfunction(method):
+        return "expected a method that returns its answer, not one that yields"
     given, answer = hints.get("return", Any), answer_type(wanted)
     if not same_type(_or_none(given), _or_none(answer)):
         return (

@@ -55,6 +55,9 @@ def _in_needs(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
         yield from wrong_port(attribute, need)
         if isinstance(need, Guards) and isinstance(action, Behavior):
             yield attribute, "only a reaction guards: make one of it"
+        if isinstance(need, Reads) and need.every and isinstance(action, Behavior):
+            told = "only a reaction runs on every reading; here the newest wins"
+            yield f"{attribute}.every", told
         if isinstance(need, Writes) and need.blind not in {None, "safe", "release"}:
             told = f"expected 'safe' or 'release', not {need.blind!r:.80}"
             yield f"{attribute}.blind", told
@@ -127,7 +130,9 @@ def mistakes_in_requests(action: abc.Action) -> list[ConfigError]:
     found: list[ConfigError] = []
     by_type: dict[Any, str] = {}
     for attribute, each in declared_requests(type(action)).items():
-        if isinstance(each, str):
+        if isinstance(action, Reaction):
+            message = "only a behavior takes requests"
+        elif isinstance(each, str):
             message = each
         elif not is_request(each.type):
             message = (
