@@ -307,6 +307,26 @@ async def test_an_optional_sensor_blinds_nobody() -> None:
 
 
 @pytest.mark.promise("PRO-4")
+async def test_optional_sensors_alone_blind_nobody_who_has_no_rate() -> None:
+    """It decides once without them, although nothing that it reads has come yet."""
+
+    class Hint(esair.Reaction):
+        sonar = esair.reads(float, optional=True)
+        wheels = esair.writes(float, priority=10)
+
+        def react(self, sonar: float | None) -> float | None:
+            return sonar
+
+    sonar: FakeSensor[float] = FakeSensor("sonar", type=float)
+    wheels = FakeActuator("wheels", safe=0.0)
+    drive: Any = esair.Behavior(name="drive", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Hint(), drive]):
+        assert await drive.wheels.write(0.5)
+        sonar.feed(0.25)
+        await wheels.until(0.25, timeout=0.01)
+
+
+@pytest.mark.promise("PRO-4")
 @pytest.mark.parametrize("guards", [False, True], ids=["writes", "guards"])
 async def test_an_optional_sensor_that_is_removed_blinds_nobody(guards: bool) -> None:
     """Nor when what does without it begins anew; added again, it is read again."""

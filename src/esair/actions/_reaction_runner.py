@@ -216,6 +216,8 @@ class ReactionRunner:
                 each.feed(newest)
         if self.missing == 0 and self.parked:
             self._unpark()
+            if self.on_reading:  # with optional ones alone none may ever come
+                self.job.soon()
         elif self.parked:
             waits = ", ".join(
                 each.name for each in self._inputs if not (each.ready or each.optional)
