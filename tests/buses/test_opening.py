@@ -322,3 +322,42 @@ async def test_what_is_lost_is_let_go_at_once(fails: bool) -> None:
     await bus.open()
     assert bus.holds == ["wire"]
     await bus.close()
+
+
+class Sluggish(Broken):
+    """Takes three turns to open, and as many until it lets go."""
+
+    async def _open(self) -> None:
+        await super()._open()
+        for _ in range(3):
+            await asyncio.sleep(0)
+
+    async def _close(self) -> None:
+        for _ in range(3):
+            await asyncio.sleep(0)
+        await super()._close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-1")
+@pytest.mark.parametrize("opens", range(6))
+@pytest.mark.parametrize("turns", range(9))
+async def test_a_close_that_is_cancelled_leaves_nothing(opens: int, turns: int) -> None:
+    """Whatever it waits for; the next opening waits until all is let go."""
+    bus = Sluggish()
+    opening = asyncio.ensure_future(bus.open())
+    for _ in range(opens):
+        await asyncio.sleep(0)
+    closing = asyncio.ensure_future(bus.close())
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    closing.cancel()
+    await asyncio.wait({opening, closing})
+    with contextlib.suppress(DeviceLostError):
+        opening.result()
+
+    await bus.open()
+    assert bus.is_open
+    assert bus.holds == ["wire"]
+    await bus.close()
+    assert not bus.holds

@@ -187,6 +187,9 @@ class Bus(abc.ABC):
         self._closing = asyncio.get_running_loop().create_future()
         try:
             await self._close_once()
+        except BaseException:  # who closes it may be cancelled
+            self._let_go()
+            raise
         finally:
             closing, self._closing = self._closing, None
             wake(closing)
@@ -257,10 +260,9 @@ class Bus(abc.ABC):
             self.stats.last_error = describe(error)
 
     async def _has_let_go(self) -> None:
-        letting_go = self._letting_go
-        if letting_go is not None:
-            await asyncio.wait({letting_go})
-            if self._letting_go is letting_go:
+        while (task := self._letting_go) is not None:
+            await asyncio.wait({task})
+            if task is self._letting_go:
                 self._letting_go = None
 
     def arrived(self) -> None:
