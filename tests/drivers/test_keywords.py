@@ -13,7 +13,7 @@ import pytest
 import esair
 import esair.buses
 import esair.drivers
-from esair.config._construct import Place, accepted_by
+from esair.config._construct import accepted_by
 from esair.drivers.ads1115 import Ads1115
 from esair.exceptions import BadValueError
 from esair.resources import (
@@ -108,9 +108,7 @@ def test_a_file_may_say_what_a_part_takes(cls: type[Resource]) -> None:
     """As keywords, and no other."""
     accepted = accepted_by(cls).items()
 
-    assert {name for name, each in accepted if each.place is Place.KEYWORD} == by_code(
-        cls
-    ).keys()
+    assert {name for name, each in accepted if each.is_keyword} == by_code(cls).keys()
 
 
 @pytest.mark.parametrize(

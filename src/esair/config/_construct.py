@@ -52,22 +52,17 @@ OPTIONS: Final = "options"
 """The key of a table with keywords for the package behind a class."""
 
 
-class Place(enum.Enum):
-    """Where a value goes."""
-
-    KEYWORD = "keyword of the constructor"
-    SETTING = "setting"
-    ATTRIBUTE = "attribute"
-    OPTIONS = "table of further keywords"
-
-
 @attrs.frozen
 class Accepted:
     """One key that a class accepts."""
 
-    place: Place
     field: Field  # Its type, and whether it must be there
     setting: Setting | None = None
+    is_keyword: bool = False  # Of the constructor; else it is set as an attribute
+
+
+_FURTHER = Accepted(Field(dict[str, Any], required=False))
+"""A table of keywords for what is behind the class."""
 
 
 @once_for_class
@@ -77,29 +72,24 @@ def accepted_by(cls: type) -> Mapping[str, Accepted]:
     A constructor with ``**keywords`` is taken to hand them on to the next class,
     one with ``**options`` to hand them on to something else.
     """
-    attributes = _attributes_of(cls)
+    attributes, keywords = _attributes_of(cls), keywords_of(cls)
     found: dict[str, Accepted] = {}
     if issubclass(cls, Resource):
         for name, setting in settings_of(cls).items():
-            found[name] = Accepted(
-                Place.SETTING, Field(setting.type, required=False), setting
-            )
+            field = Field(setting.type, required=False)
+            found[name] = Accepted(field, setting, keywords.takes_settings)
     for name, kind in attributes.items():
-        found.setdefault(name, Accepted(Place.ATTRIBUTE, Field(kind, required=False)))
-    keywords = keywords_of(cls)
-    if keywords.takes_settings:
-        for name, accepted in found.items():
-            if accepted.setting is not None:
-                found[name] = attrs.evolve(accepted, place=Place.KEYWORD)
+        found.setdefault(name, Accepted(Field(kind, required=False)))
     for name, field in keywords.fields.items():
         known = found.get(name)
         if field.kind is Any and known is not None:
             field = attrs.evolve(field, kind=known.field.kind)
-        found[name] = Accepted(Place.KEYWORD, field, known.setting if known else None)
+        found[name] = Accepted(field, known.setting if known else None, is_keyword=True)
     if keywords.takes_options:
         for name, kind in _options_of(cls).items():
-            found.setdefault(name, Accepted(Place.KEYWORD, Field(kind, required=False)))
-        found[OPTIONS] = Accepted(Place.OPTIONS, Field(dict[str, Any], required=False))
+            option = Accepted(Field(kind, required=False), is_keyword=True)
+            found.setdefault(name, option)
+        found[OPTIONS] = _FURTHER
     return found
 
 
@@ -223,7 +213,7 @@ def construct(
             kind = wanted(accept.field.kind)
             mistakes.add(key, f"the key {field!r} is missing: expected {kind}")
     options: dict[str, Any] = {}
-    if accepted_as(accepted, OPTIONS, Place.OPTIONS) and OPTIONS in values:
+    if accepted.get(OPTIONS) is _FURTHER and OPTIONS in values:
         options = values.pop(OPTIONS)
         for field in options if isinstance(options, dict) else ():
             if field in accepted:
@@ -234,11 +224,6 @@ def construct(
     values |= {**options, **given}
     with searched_first(source.folder):  # a key may name a class, as ``library`` does
         return _make(cls, name, values, accepted, key, mistakes)
-
-
-def accepted_as(accepted: Mapping[str, Accepted], field: str, place: Place) -> bool:
-    """Tell whether a class accepts a key in a certain way."""
-    return field in accepted and accepted[field].place is place
 
 
 def _check_setting(
@@ -259,13 +244,13 @@ def _make(
     key: str,
     mistakes: Mistakes,
 ) -> Any:
-    takes_name = accepted_as(accepted, "name", Place.KEYWORD)
+    takes_name = "name" in accepted and accepted["name"].is_keyword
 
     def made_of(**everything: Any) -> Any:
         keywords = {
             field: value
             for field, value in everything.items()
-            if accepted_as(accepted, field, Place.KEYWORD) or field not in accepted
+            if field not in accepted or accepted[field].is_keyword
         }
         made = cls(**({"name": name} if takes_name else {}), **keywords)
         if not takes_name and isinstance(made, abc.Component) and made.name != name:
