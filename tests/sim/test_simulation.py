@@ -21,6 +21,7 @@ from esair.drivers.wheel_motor import (
 )
 from esair.exceptions import ConfigError, DeviceLostError
 from esair.sim import SimCanBus, SimI2CBus, SimSerialBus, Simulation
+from esair.sim._simulation import _of_loop
 
 Check = Callable[[Simulation], Awaitable[None]]
 
@@ -217,14 +218,14 @@ async def test_buses_without_a_simulation_share_a_new_one() -> None:
     ]
 
     await asyncio.gather(*(bus.open() for bus in buses))
-    simulation = Simulation.running()
-    assert simulation is not None
+    loop = asyncio.get_running_loop()
+    simulation = _of_loop[loop]
     assert await Simulation.join(buses[0]) is simulation
     await buses[0].close()
-    assert Simulation.running() is simulation
+    assert _of_loop[loop] is simulation
     await buses[1].close()
 
-    assert Simulation.running() is None
+    assert loop not in _of_loop
 
 
 @pytest.mark.virtual_clock

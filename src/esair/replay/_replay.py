@@ -130,7 +130,9 @@ class Replay:
             RecordingBrokenError: What was recorded cannot be read.
             ExceptionGroup: The robot cannot start; every mistake is named.
         """
-        spoiled, moments, player = "", self._moments(), None
+        spoiled, player = "", None
+        # When something has happened.
+        moments = sorted({event.time for event in self._contents.events}) or [0.0]
         if loop is None:
             kept = turns_of(self.path, self._contents.turns, _modules_of(robot))
             spoiled = kept.spoiled or ""
@@ -191,10 +193,6 @@ class Replay:
             took=time.monotonic() - began,
             short=spoiled or (f"{lost} events were not recorded" if lost else ""),
         )
-
-    def _moments(self) -> list[float]:
-        """Return the moments at which something has happened."""
-        return sorted({event.time for event in self._contents.events}) or [0.0]
 
 
 def _modules_of(robot: Robot) -> list[str]:

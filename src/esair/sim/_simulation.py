@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import collections
-import contextlib
 import itertools
 import os
 import shutil
@@ -207,13 +206,6 @@ class Simulation:
             del self._users[user]
             if not self._users:
                 await self.stop()
-
-    @staticmethod
-    def running() -> Simulation | None:
-        """Return the simulation of the running loop, if there is one."""
-        with contextlib.suppress(RuntimeError):
-            return _of_loop.get(asyncio.get_running_loop())
-        return None
 
 
 _of_loop: weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, Simulation] = (

@@ -148,10 +148,8 @@ def recording(
         raise RecordingBrokenError(str(place), "no sensor has given anything in it")
     wanted = types or {}
     sensors = {name: RecordedSensor(name, type=wanted.get(name, Any)) for name in names}
-    ups = [each.time for each in events if each.kind == Kind.UP]
-    began = min([events[0].time, *ups])
-    if ups:
-        began = min(ups)
+    ups = (each.time for each in events if each.kind == Kind.UP)
+    began = min(ups, default=events[0].time)
     run = RecordedRun(sensors, events[-1].time - began)
     given = _given(contents, place)
     for seconds, act, args in _acts(events, sensors, given, began):
