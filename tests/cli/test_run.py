@@ -259,7 +259,9 @@ def test_an_extra_that_is_not_installed_is_exit_code_2(
     """The installation cannot be used as asked: nothing is moved."""
     where = folder("Once")
     without = f"import sys; sys.modules[{package!r}] = None; import esair.cli as cli"
-    process = start("run", "robot.toml", option, cwd=where, code=f"{without}; cli.main()")
+    process = start(
+        "run", "robot.toml", option, cwd=where, code=f"{without}; cli.main()"
+    )
     _, log = process.communicate(timeout=20)
 
     assert process.returncode == 2, log

@@ -355,3 +355,13 @@ logging.getLogger("esair").warning("of another robot")
     child = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert child.returncode == 0, child.stderr
     assert "of another robot" in child.stderr
+
+
+def test_only_a_plain_function_can_listen() -> None:
+    """What nobody could call, or would have to be awaited, is told at once."""
+
+    async def later(event: Event) -> None: ...
+
+    for wrong in (None, "print", later):
+        with pytest.raises(esair.ConfigError, match="a plain function"):
+            Journal().listen(wrong)  # type: ignore[arg-type]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import inspect
 import logging
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from esair.exceptions import describe
+from esair.exceptions import ConfigError, describe
 from esair.journal._event import Event, Kind
 from esair.loop import clock_of
 
@@ -110,7 +111,13 @@ class Journal:
 
         Returns:
             The listener; its ``stop()`` ends it.
+
+        Raises:
+            ConfigError: It is no plain function.
         """
+        if not callable(function) or inspect.iscoroutinefunction(function):
+            told = f"expected a plain function, not {function!r:.80}"
+            raise ConfigError("journal", "listen", told)
         wanted = None if kinds is None else frozenset(Kind(kind) for kind in kinds)
         listener = Listener(self, function, wanted, backlog)
         self._listeners = (*self._listeners, listener)
