@@ -60,7 +60,7 @@ from collections.abc import Callable
 from typing import Any, Literal, TypeVar, cast, overload
 
 from esair import minimal
-from esair.actions._behavior import Behavior, portal_of
+from esair.actions._behavior import Behavior, D, portal_of
 from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
@@ -74,7 +74,6 @@ from esair.connections import Stopped
 from esair.messages import Access
 
 A = TypeVar("A")
-T = TypeVar("T")
 '''
 
 BASE = '''
@@ -107,7 +106,8 @@ ITERATION = '''
             while True:
                 yield self._portal.call(values.__anext__)
         finally:
-            with contextlib.suppress(BehaviorRemovedError):  # its tasks are gone too
+            # Its tasks are gone too; or the collector ends it, who may be in the loop.
+            with contextlib.suppress(BehaviorRemovedError, RuntimeError):
                 self._portal.call(values.aclose)
 '''
 

@@ -23,6 +23,13 @@ from esair.values import check_duration, passes_as, type_name
 A = TypeVar("A")
 T = TypeVar("T")
 
+if TYPE_CHECKING:
+    import typing_extensions
+
+    D = typing_extensions.TypeVar("D", default=Any)
+else:
+    D = TypeVar("D")  # a default is for type checkers alone before Python 3.13
+
 NOTHING: Any = object()
 """What `Host.take` returns when there is nothing to take at once."""
 
@@ -113,15 +120,9 @@ class Behavior(ProfiledAction):
         if not host.hand(receiver, data, interval):
             await host.put(receiver, data, interval)
 
-    @overload
-    async def get(self, sender: str, interval: float = 1.0) -> Any: ...
-    @overload
     async def get(
-        self, sender: str, interval: float = 1.0, *, as_type: type[T]
-    ) -> T: ...
-    async def get(
-        self, sender: str, interval: float = 1.0, *, as_type: type[Any] | None = None
-    ) -> Any:
+        self, sender: str, interval: float = 1.0, *, as_type: type[D] | None = None
+    ) -> D:
         """Ask another behavior for data, through the behavior supervisor.
 
         The other answers with what it has offered, or by its ``provide``.
@@ -186,13 +187,9 @@ class Behavior(ProfiledAction):
         """
         return await self._host.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
 
-    @overload
-    async def receive(self, *, timeout: float | None = None) -> Any: ...
-    @overload
-    async def receive(self, *, timeout: float | None = None, as_type: type[T]) -> T: ...
     async def receive(
-        self, *, timeout: float | None = None, as_type: type[Any] | None = None
-    ) -> Any:
+        self, *, timeout: float | None = None, as_type: type[D] | None = None
+    ) -> D:
         """Wait for data that another behavior has put, and take it.
 
         Args:
@@ -208,17 +205,9 @@ class Behavior(ProfiledAction):
             data if as_type is None else self._checked(data, as_type, "receive", sender)
         )
 
-    @overload
     async def receive_from(
-        self, *, timeout: float | None = None
-    ) -> tuple[str, Any]: ...
-    @overload
-    async def receive_from(
-        self, *, timeout: float | None = None, as_type: type[T]
-    ) -> tuple[str, T]: ...
-    async def receive_from(
-        self, *, timeout: float | None = None, as_type: type[Any] | None = None
-    ) -> tuple[str, Any]:
+        self, *, timeout: float | None = None, as_type: type[D] | None = None
+    ) -> tuple[str, D]:
         """Wait for data as `receive` does.
 
         Args:
@@ -288,36 +277,19 @@ class Behavior(ProfiledAction):
         resource: str,
         access: Literal[Access.READ],
         *,
+        as_type: type[D] | None = None,
         max_age: float | None = None,
-    ) -> SensorPort[Any]: ...
-    @overload
-    async def register(
-        self,
-        resource: str,
-        access: Literal[Access.READ],
-        *,
-        as_type: type[T],
-        max_age: float | None = None,
-    ) -> SensorPort[T]: ...
+    ) -> SensorPort[D]: ...
     @overload
     async def register(
         self,
         resource: str,
         access: Literal[Access.WRITE],
         *,
+        as_type: type[D] | None = None,
         priority: int = 0,
         hold: float | None = None,
-    ) -> ActuatorPort[Any]: ...
-    @overload
-    async def register(
-        self,
-        resource: str,
-        access: Literal[Access.WRITE],
-        *,
-        as_type: type[T],
-        priority: int = 0,
-        hold: float | None = None,
-    ) -> ActuatorPort[T]: ...
+    ) -> ActuatorPort[D]: ...
     @overload
     async def register(
         self,

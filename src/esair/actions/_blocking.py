@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, Literal, TypeVar, cast, overload
 
 from esair import minimal
-from esair.actions._behavior import Behavior, portal_of
+from esair.actions._behavior import Behavior, D, portal_of
 from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
@@ -23,7 +23,6 @@ from esair.connections import Stopped
 from esair.messages import Access
 
 A = TypeVar("A")
-T = TypeVar("T")
 
 
 class ThreadBehavior(Behavior):
@@ -53,14 +52,9 @@ class ThreadBehavior(Behavior):
         """Hand data to another behavior, through the behavior supervisor. See `Behavior.put`."""
         portal_of(self).call(Behavior.put, self, receiver, data, interval)
 
-    @overload
-    def get(self, sender: str, interval: float = 1.0) -> Any: ...
-    @overload
-    def get(self, sender: str, interval: float = 1.0, *, as_type: type[T]) -> T: ...
-
     def get(
-        self, sender: str, interval: float = 1.0, *, as_type: type[Any] | None = None
-    ) -> Any:
+        self, sender: str, interval: float = 1.0, *, as_type: type[D] | None = None
+    ) -> D:
         """Ask another behavior for data, through the behavior supervisor. See `Behavior.get`."""
         return portal_of(self).call(
             Behavior.get, self, sender, interval, as_type=as_type
@@ -79,29 +73,17 @@ class ThreadBehavior(Behavior):
             Behavior.ask, self, receiver, request, timeout=timeout, progress=progress
         )
 
-    @overload
-    def receive(self, *, timeout: float | None = None) -> Any: ...
-    @overload
-    def receive(self, *, timeout: float | None = None, as_type: type[T]) -> T: ...
-
     def receive(
-        self, *, timeout: float | None = None, as_type: type[Any] | None = None
-    ) -> Any:
+        self, *, timeout: float | None = None, as_type: type[D] | None = None
+    ) -> D:
         """Wait for data that another behavior has put, and take it. See `Behavior.receive`."""
         return portal_of(self).call(
             Behavior.receive, self, timeout=timeout, as_type=as_type
         )
 
-    @overload
-    def receive_from(self, *, timeout: float | None = None) -> tuple[str, Any]: ...
-    @overload
     def receive_from(
-        self, *, timeout: float | None = None, as_type: type[T]
-    ) -> tuple[str, T]: ...
-
-    def receive_from(
-        self, *, timeout: float | None = None, as_type: type[Any] | None = None
-    ) -> tuple[str, Any]:
+        self, *, timeout: float | None = None, as_type: type[D] | None = None
+    ) -> tuple[str, D]:
         """Wait for data as `receive` does. See `Behavior.receive_from`."""
         return portal_of(self).call(
             Behavior.receive_from, self, timeout=timeout, as_type=as_type
@@ -138,36 +120,19 @@ class ThreadBehavior(Behavior):
         resource: str,
         access: Literal[Access.READ],
         *,
+        as_type: type[D] | None = None,
         max_age: float | None = None,
-    ) -> BlockingSensorPort[Any]: ...
-    @overload
-    def register(
-        self,
-        resource: str,
-        access: Literal[Access.READ],
-        *,
-        as_type: type[T],
-        max_age: float | None = None,
-    ) -> BlockingSensorPort[T]: ...
+    ) -> BlockingSensorPort[D]: ...
     @overload
     def register(
         self,
         resource: str,
         access: Literal[Access.WRITE],
         *,
+        as_type: type[D] | None = None,
         priority: int = 0,
         hold: float | None = None,
-    ) -> BlockingActuatorPort[Any]: ...
-    @overload
-    def register(
-        self,
-        resource: str,
-        access: Literal[Access.WRITE],
-        *,
-        as_type: type[T],
-        priority: int = 0,
-        hold: float | None = None,
-    ) -> BlockingActuatorPort[T]: ...
+    ) -> BlockingActuatorPort[D]: ...
     @overload
     def register(
         self,
