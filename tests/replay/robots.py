@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import os
 import random
 import time
 from collections.abc import AsyncIterator
@@ -14,6 +15,11 @@ import esair
 
 GAIN = 0.5
 """What a test changes to have the robot decide otherwise."""
+
+
+def stamps() -> list[str]:
+    """What the robot of another module reads behind its back."""
+    return os.listdir()
 
 
 class Sonar(esair.Sensor[float]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -244,6 +245,34 @@ def test_what_cannot_repeat_is_named() -> None:
     lines = Path(__file__).read_text().splitlines()
     assert all(each.call.rpartition(".")[2] in lines[each.line - 1] for each in found)
     assert any("esair.random" in each.why for each in found)
+
+
+class Hides(esair.Reaction):
+    """What cannot repeat, behind names and modules."""
+
+    wheel = esair.writes(float)
+    rate = 10.0
+
+    def react(self, system: object = None) -> float:
+        import functools
+        from os import getpid
+        from os import system as run
+        from os import urandom as some
+
+        clock = functools.partial(time.time)
+        names = sorted(robots.stamps(), key=lambda _: some(1))
+        assert system is None or isinstance(system, Path)  # neither is a call
+        run(f"true {names} {getpid()}")
+        seeded = random.Random(3).random() + float(time.strftime("%H", time.gmtime(0)))
+        return clock() + float(time.strftime("%H")) + seeded
+
+
+@pytest.mark.promise("REP-3")
+def test_what_hides_is_named_too() -> None:
+    """Functions that are only handed on, other names, modules of the same folder."""
+    assert {each.call for each in unrepeatable([Hides()])} == {
+        *("time.time", "os.urandom", "os.system", "time.strftime", "os.listdir")
+    }
 
 
 @pytest.mark.promise("REP-3")

@@ -6,7 +6,7 @@ import contextlib
 import fcntl
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,24 +17,26 @@ CHUNK = 1 << 20  # The largest chunk in bytes; time ends it earlier (`Segment.fl
 
 
 class _Out:
-    """What the writer writes to; it keeps the error that the writer would hide."""
+    """What the writer writes to; it keeps the error, which the writer would log."""
 
     def __init__(self, path: Path) -> None:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         self._file = os.fdopen(descriptor, "w+b")
         with contextlib.suppress(OSError):  # not on every file system
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        self.size = 0
+        self.size = self._place = 0
         self.error: OSError | None = None
 
     def write(self, data: bytes) -> int:
-        written: int = self._keeping(self._file.write, data)
-        self.size = max(self.size, self._keeping(self._file.tell))
-        return written
+        self._keeping(self._file.write, data)
+        self._place += len(data)
+        self.size = max(self.size, self._place)
+        return len(data)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        place: int = self._keeping(self._file.seek, offset, whence)
-        return place
+        self._keeping(self._file.seek, offset, whence)
+        self._place = offset + (0, self._place, self.size)[whence]
+        return self._place
 
     def flush(self) -> None:
         self._keeping(self._file.flush)
@@ -42,12 +44,12 @@ class _Out:
     def sync(self) -> None:
         self._keeping(os.fsync, self._file.fileno())
 
-    def _keeping(self, call: Any, *args: Any) -> Any:
-        try:
-            return call(*args)
-        except OSError as error:
-            self.error = error
-            raise
+    def _keeping(self, call: Callable[..., object], *args: object) -> None:
+        if self.error is None:
+            try:
+                call(*args)
+            except OSError as error:
+                self.error = error
 
     def close(self) -> None:
         self._file.close()
@@ -132,7 +134,7 @@ class Segment:
             call(*args, **options)
         except (OSError, RuntimeError) as error:
             raise recording_error(self.path, self._out.error or error) from error
-        if self._out.error is not None:  # the writer logs it and goes on
+        if self._out.error is not None:
             raise recording_error(self.path, self._out.error)
 
 
