@@ -109,6 +109,38 @@ async def test_a_press_that_is_over_in_the_same_turn_is_seen_too() -> None:
         assert robot.journal.counts()["bumper"]["overflow"] == 0
 
 
+@pytest.mark.promise("PRO-8", "MIN-3")
+@pytest.mark.parametrize("order", [1, -1])
+async def test_a_guard_latches_at_nothing_that_ends_in_the_same_turn(
+    order: int,
+) -> None:
+    """Whoever stands first in the list: its writer wants what is bad, so it is safe."""
+
+    class Near(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(float, latch=True)
+
+        def react(self, sonar: float, wheels: float) -> float | None:
+            return None if sonar < 0.5 else wheels
+
+    class Bad(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+
+        def react(self, sonar: float) -> float:
+            return math.nan if sonar < 0.5 else 1.0
+
+    sonar, wheels = FakeSensor("sonar", 1.0), FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[Near(), Bad()][::order]
+    ):
+        await wheels.until(1.0, timeout=1.0)
+        sonar.feed(0.4)
+        await wheels.until(0.0, timeout=0.01)
+        sonar.feed(1.0)
+        await wheels.until(1.0, timeout=0.01)
+
+
 @pytest.mark.promise("PRO-7")
 async def test_what_a_guard_refuses_is_safe_and_the_writer_keeps_the_hold() -> None:
     """Safe is sent once; a lower priority does not turn the wheels meanwhile."""

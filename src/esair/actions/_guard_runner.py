@@ -85,8 +85,12 @@ class GuardRunner(ReactionRunner):
     def _step(self, now: float) -> None:
         if not self._sees(now) or (self._until is not None and self._is_over()):
             return
-        if self._channel is not None:
+        if self._channel is None:
+            return
+        if self.every:  # another reading waits, so this one has a look of its own
             self._channel.review()
+        else:
+            self._channel.decision.look()
 
     def _judge(self, command: Any) -> Any:
         began = self._time()

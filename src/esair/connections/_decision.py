@@ -51,7 +51,7 @@ class Decision:
     the name), whatever the order in which they decided.
     """
 
-    __slots__ = ("_channel", "_others", "_scheduler", "_wish", "sights")
+    __slots__ = ("_channel", "_looks", "_others", "_scheduler", "_wish", "sights")
 
     def __init__(self, channel: HeldDevice, loop: asyncio.AbstractEventLoop) -> None:
         self._channel = channel
@@ -59,6 +59,7 @@ class Decision:
         self.sights: list[Sight] = []  # what those see who have a say in it
         self._wish: Wish | None = None
         self._others: list[Wish] = []
+        self._looks = False  # the guards see something new in this turn
 
     def join(self, sight: Sight) -> None:
         """Let those who decide with them wait for what they see."""
@@ -68,12 +69,25 @@ class Decision:
         """Wait for it no more. Also fine when it was never there."""
         self.sights = [each for each in self.sights if each is not sight]
 
+    def look(self) -> None:
+        """Have the guards look at what stands, before anything of this turn leaves.
+
+        Not in their own step: what somebody who steps after them makes safe in this turn
+        stands no more.
+        """
+        if not self._looks:
+            self._looks = True
+            if self._wish is None:
+                self._scheduler.decide(self)
+
     def add(self, wish: Wish) -> None:
         """Take part in the decision of this turn; the wish commits at its end."""
         if self._wish is None:
             self._wish = wish
             scheduler = self._scheduler
-            if scheduler.in_turn:  # as mostly: `Scheduler.decide` in its place
+            if self._looks:
+                pass  # it is called anyway
+            elif scheduler.in_turn:  # as mostly: `Scheduler.decide` in its place
                 scheduler.decided.append(self)
             else:
                 scheduler.decide(self)
@@ -83,7 +97,11 @@ class Decision:
     def function(self, _now: float) -> Awaitable[object] | None:
         """Decide. Called by the scheduler when all steps of the turn have run."""
         wish, self._wish = self._wish, None
-        assert wish is not None
+        if self._looks:
+            self._looks = False
+            self._channel.review()
+        if wish is None:
+            return None
         if not self._others:
             return wish.commit()[1]
         wishes, self._others = [wish, *self._others], []
