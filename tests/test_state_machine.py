@@ -301,11 +301,9 @@ class SupervisorMachine(RuleBasedStateMachine):
         worker = self.workers.get(name)
         if worker is None:
             return
-        if resource not in self.resources:
-            self.refused(esair.UnknownNameError, worker.register(resource, access))
-            return
-        if self.state(name) is esair.BehaviorState.FAILED:
-            self.refused(esair.BehaviorFailedError, worker.register(resource, access))
+        failed = self.state(name) is esair.BehaviorState.FAILED
+        if failed or resource not in self.resources:
+            self.refused(self.mistake(name), worker.register(resource, access))
             return
         port = self.run(worker.register(resource, access))
         self.extra.setdefault(name, []).append(port.registration)
