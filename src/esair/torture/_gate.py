@@ -14,7 +14,7 @@ import attrs
 
 from esair.resources import HOLD, Actuator, Resource, Sensor
 from esair.testing import VirtualLoop
-from esair.torture._values import CannotMakeError, make, wrong
+from esair.torture._values import CannotMakeError, make, same, wrong
 
 CALLS = ("open", "close", "identify", "apply", "is_set_up", "read", "write")
 """The methods of a driver that esair calls, beside ``stream`` and operations."""
@@ -111,10 +111,7 @@ class Gate:
 
     def is_safe(self, command: Any) -> bool:
         """Tell whether a command does not move it."""
-        if command is HOLD:
-            return True
-        same = command == self.safe
-        return same if isinstance(same, bool) else bool(all(same))
+        return command is HOLD or same(command, self.safe)
 
     # In front of the driver.
 

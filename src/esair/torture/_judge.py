@@ -13,7 +13,7 @@ from esair.actions import Guards, Reaction, Reads, Writes
 from esair.exceptions import BehaviorFailedError, EsairError, describe
 from esair.messages import BehaviorState, ResourceState
 from esair.torture._gate import Gate, Told
-from esair.torture._values import is_good
+from esair.torture._values import is_good, same
 
 if TYPE_CHECKING:
     from esair.torture._world import World
@@ -116,7 +116,7 @@ class Judge:
             return
         if channel.latched:
             self.say("stopped", name, f"{what} after the stop of the robot had begun")
-        if not _same(channel.told().command, command):
+        if not same(channel.told().command, command):
             self.say("unregistered", name, f"{what} by somebody who calls its driver")
         holder = channel.holder
         if holder is None and gate.in_thread:
@@ -329,11 +329,6 @@ def _last(gate: Gate) -> Told | None:
 def _guards_strictly(action: Any) -> bool:
     """Tell whether nothing passes a guard while it is blind."""
     return getattr(action.blind, "__func__", None) is Reaction.blind
-
-
-def _same(one: Any, other: Any) -> bool:
-    same = one == other
-    return same if isinstance(same, bool) else bool(all(same))
 
 
 def protected_in(actions: Sequence[Any]) -> frozenset[str]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import io
 import itertools
 import logging
 import math
+import os
 import signal
 import threading
 import time
@@ -203,7 +203,11 @@ def _quietly() -> Iterator[None]:
     level = log.level
     log.setLevel(logging.CRITICAL + 1)
     try:
-        with contextlib.redirect_stdout(_Nowhere()), warnings.catch_warnings():
+        with (
+            open(os.devnull, "w", encoding="utf-8") as nowhere,
+            contextlib.redirect_stdout(nowhere),
+            warnings.catch_warnings(),
+        ):
             warnings.simplefilter("ignore")  # of numbers that are no good, for one
             yield
     finally:
@@ -227,8 +231,3 @@ def _interruptible(report: Report) -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-class _Nowhere(io.TextIOBase):
-    def write(self, text: str, /) -> int:
-        return len(text)

@@ -132,6 +132,12 @@ def is_good(value: Any) -> bool:
     return all(map(is_good, _inside(value).values()))
 
 
+def same(one: Any, other: Any) -> bool:
+    """Tell whether two values are equal, all of their parts if they are arrays."""
+    equal = one == other
+    return equal if isinstance(equal, bool) else bool(all(equal))
+
+
 def _inside(value: Any) -> dict[Any, Any]:
     fields = parts_of(value)
     if fields is None and isinstance(value, dict):

@@ -181,13 +181,14 @@ class World:
         loop = self.loop
         problems: list[str] = []
         loop.set_exception_handler(lambda _, told: problems.append(_words(told)))
-        leaks = Leaks(loop)
+        leaks, is_over = Leaks(loop), False
         patience = Patience(loop)
         try:
             with patience, virtual_sleep(loop):
                 if self._tell():
                     self._left_behind(problems)
                 loop.run_until_complete(loop.shutdown_asyncgens())
+            is_over = True
         except (HeldError, RuntimeError) as error:
             if patience.lost is not None:
                 self.judge.say("holds", patience.lost.component, str(patience.lost))
@@ -198,7 +199,7 @@ class World:
         finally:
             abandon(loop)
             loop.close()
-        for left in () if patience.lost is not None else leaks.check_process():
+        for left in leaks.check_process() if is_over else ():
             self.judge.say("left", self.robot.name, f"the {left} is left behind")
         for check in self._checks:
             check(self)
