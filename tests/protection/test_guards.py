@@ -110,35 +110,39 @@ async def test_a_press_that_is_over_in_the_same_turn_is_seen_too() -> None:
 
 
 @pytest.mark.promise("PRO-8", "MIN-3")
+@pytest.mark.parametrize("rate", [None, 20.0])
 @pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("name", ["above", "under"])
 async def test_a_guard_latches_at_nothing_that_ends_in_the_same_turn(
-    order: int,
+    rate: float | None, order: int, name: str
 ) -> None:
-    """Whoever stands first in the list: its writer wants what is bad, so it is safe."""
+    """Whoever steps first: its writer wants what is bad, so it is safe."""
 
     class Near(esair.Reaction):
-        sonar = esair.reads(float)
+        sonar = esair.reads(float, max_age=60.0)
         wheels = esair.guards(float, latch=True)
 
         def react(self, sonar: float, wheels: float) -> float | None:
             return None if sonar < 0.5 else wheels
 
     class Bad(esair.Reaction):
-        sonar = esair.reads(float)
+        sonar = esair.reads(float, max_age=60.0)
         wheels = esair.writes(float)
 
         def react(self, sonar: float) -> float:
             return math.nan if sonar < 0.5 else 1.0
 
+    Near.rate = Bad.rate = rate
     sonar, wheels = FakeSensor("sonar", 1.0), FakeActuator("wheels", safe=0.0)
     async with esair.Robot(
-        resources=[sonar, wheels], behaviors=[Near(), Bad()][::order]
+        resources=[sonar, wheels],
+        behaviors=[Near(name=name), Bad(name="between")][::order],
     ):
         await wheels.until(1.0, timeout=1.0)
         sonar.feed(0.4)
-        await wheels.until(0.0, timeout=0.01)
+        await wheels.until(0.0, timeout=0.1)
         sonar.feed(1.0)
-        await wheels.until(1.0, timeout=0.01)
+        await wheels.until(1.0, timeout=0.1)
 
 
 @pytest.mark.promise("PRO-7")
