@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from tests.patience import in_time
 
+import esair
+
 pytestmark = pytest.mark.real_clock
 
 ROBOT = """
@@ -290,3 +292,24 @@ async def test_a_robot_lives_in_every_kind_of_loop(tmp_path: Path, how: str) -> 
     assert told[-1] == "wheels=0.0"
     assert seconds < 2.0
     assert "Traceback" not in errors
+
+
+@pytest.mark.promise("ROB-6", "RES-2")
+def test_a_driver_that_holds_the_loop_leaves_it_between_two_tries() -> None:
+    """So that the robot can hear of a signal, and make safe what moves, in the pause."""
+    times: list[float] = []
+
+    class Blocks(esair.Sensor[float]):
+        async def open(self) -> None:
+            times.append(time.monotonic())
+            time.sleep(0.15)  # noqa: ASYNC251 - the mistake in question
+            times.append(time.monotonic())
+            raise esair.DeviceLostError(self.name)
+
+        async def read(self) -> float:
+            return 0.0
+
+    robot = esair.Robot(resources=[Blocks()])
+    esair.run(robot, duration=0.5, stall_warning=None)
+    pauses = [begin - end for end, begin in zip(times[1::2], times[2::2], strict=False)]
+    assert min(pauses) > 0.05

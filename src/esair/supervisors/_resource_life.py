@@ -313,6 +313,9 @@ class ResourceLife(Life):
                 self._first_try(error)
             self._down(error)
             await self._close()
+            # A driver that has held the loop would be asked again in the same turn, whose
+            # clock stood still, and before the robot could hear that it shall end.
+            await asyncio.sleep(0)
             if absent or is_loss(error) or is_silence(error):
                 pause: float | None = delay
                 delay = min(delay * 2, MAX_DELAY)
