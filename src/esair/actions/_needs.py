@@ -10,6 +10,7 @@ from typing import (
     Generic,
     Literal,
     NoReturn,
+    Self,
     TypeVar,
     overload,
 )
@@ -17,15 +18,17 @@ from typing import (
 import attrs
 
 from esair import abc
+from esair.actions._blocking_ports import BlockingActuatorPort, BlockingSensorPort
 from esair.connections import ActuatorPort, SensorPort
 from esair.exceptions import ConfigError, NotRegisteredError
 from esair.messages import Access
 from esair.resources import APPLIED
 
 if TYPE_CHECKING:
-    from esair.actions._blocking_ports import BlockingActuatorPort, BlockingSensorPort
     from esair.actions._supervisor import HasThread
 
+B = TypeVar("B")
+P = TypeVar("P")
 T = TypeVar("T")
 
 Blind = Literal["safe", "release"]
@@ -53,7 +56,27 @@ class Unbound:
         raise not_bound(instance, "robot")
 
 
-class _Declared(Generic[T]):
+class Becomes(Generic[P, B]):
+    """A declaration that is a port in the running action: ``B`` in one with a thread."""
+
+    __slots__ = ()
+
+    resource: Any  # what it is a port to
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, instance: HasThread, owner: type) -> B: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> P: ...
+    def __get__(self, instance: object | None, owner: type) -> Any:
+        if instance is None:
+            return self
+        # A bound port lies in the instance and is found before this.
+        raise not_bound(instance, self.resource)
+
+
+class _Declared:
     """What is declared of any device: it is named like the attribute unless said."""
 
     __slots__ = ()
@@ -87,7 +110,7 @@ class _Declared(Generic[T]):
 
 
 @attrs.frozen
-class Reads(_Declared[T]):
+class Reads(_Declared, Becomes[SensorPort[T], BlockingSensorPort[T]]):
     """An action reads a sensor; in the running action it is a `SensorPort`.
 
     Its attributes are what `reads` takes.
@@ -103,18 +126,6 @@ class Reads(_Declared[T]):
     every: bool = attrs.field(default=False, kw_only=True)
     optional: bool = attrs.field(default=False, kw_only=True)
 
-    @overload
-    def __get__(self, instance: None, owner: type) -> Reads[T]: ...
-    @overload
-    def __get__(self, instance: HasThread, owner: type) -> BlockingSensorPort[T]: ...
-    @overload
-    def __get__(self, instance: object, owner: type) -> SensorPort[T]: ...
-    def __get__(self, instance: object | None, owner: type) -> Any:
-        if instance is None:
-            return self
-        # A bound port lies in the instance and is found before this.
-        raise not_bound(instance, self.resource)
-
     @property
     def provider(self) -> str:
         """Who has to be there for it: the actuator, if it reads its last command."""
@@ -122,7 +133,7 @@ class Reads(_Declared[T]):
 
 
 @attrs.frozen
-class Writes(_Declared[T]):
+class Writes(_Declared, Becomes[ActuatorPort[T], BlockingActuatorPort[T]]):
     """An action writes an actuator; in the running action it is an `ActuatorPort`.
 
     Its attributes are what `writes` takes.
@@ -138,20 +149,9 @@ class Writes(_Declared[T]):
     attribute: str = ""
     blind: Blind | None = attrs.field(default=None, kw_only=True)
 
-    @overload
-    def __get__(self, instance: None, owner: type) -> Writes[T]: ...
-    @overload
-    def __get__(self, instance: HasThread, owner: type) -> BlockingActuatorPort[T]: ...
-    @overload
-    def __get__(self, instance: object, owner: type) -> ActuatorPort[T]: ...
-    def __get__(self, instance: object | None, owner: type) -> Any:
-        if instance is None:
-            return self
-        raise not_bound(instance, self.resource)
-
 
 @attrs.frozen
-class Guards(_Declared[T]):
+class Guards(_Declared, Generic[T]):
     """A reaction guards an actuator: every command of everybody passes it.
 
     Its attributes are what `guards` takes.

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, overload
 
 import attrs
 
-from esair.actions._needs import attributes_of, not_bound
+from esair.actions._needs import Becomes, attributes_of
 from esair.actions._request import Request, answer_type
 from esair.loop import Portal
 from esair.values import once_for_class, same_type, type_name
 
 if TYPE_CHECKING:
-    from esair.actions._supervisor import HasThread
+    pass
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -82,7 +82,7 @@ class BlockingRequestPort(Generic[R]):
 
 
 @attrs.frozen
-class Takes(Generic[R]):
+class Takes(Becomes[RequestPort[R], BlockingRequestPort[R]]):
     """A behavior takes requests; in the running behavior it is a `RequestPort`.
 
     Attributes:
@@ -97,17 +97,10 @@ class Takes(Generic[R]):
     newest: bool = False
     method: str | None = None
 
-    @overload
-    def __get__(self, instance: None, owner: Any) -> Takes[R]: ...
-    @overload
-    def __get__(self, instance: HasThread, owner: Any) -> BlockingRequestPort[R]: ...
-    @overload
-    def __get__(self, instance: object, owner: Any) -> RequestPort[R]: ...
-    def __get__(self, instance: object | None, owner: Any) -> Any:
-        if instance is None:
-            return self
-        # A bound port lies in the instance and is found before this.
-        raise not_bound(instance, type_name(self.type))
+    @property
+    def resource(self) -> str:
+        """The name of the requests."""
+        return type_name(self.type)
 
 
 def takes(
