@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import math
+import sys
 import time
 
 from esair.loop._of_loop import OfLoop
@@ -19,7 +20,7 @@ TRIES = 20
 
 LONG = 0.001  # a collection that takes longer sets aside what it has kept, in seconds
 MAX_SHARE = 0.02  # the greatest share of time that full collections may take
-FEW = 50_000  # up to how many objects that were set aside are not worth a look
+FEW = 200_000  # by how many blocks of memory more it may grow without a look at all
 
 _NEVER = 1_000_000
 
@@ -35,16 +36,16 @@ class Collector:
     It never makes a full collection: that stops the program for milliseconds, in the
     midst of a step. They are made here, when nothing is due for as long as one takes.
     What exists at the start, and what a long collection has kept, is set aside and not
-    looked at again until there is twice as much. It is not even counted: to count a
-    robot of a thousand components takes ten times as long as a collection may.
+    looked at again until the program has grown to twice as much memory. Objects are not
+    even counted: what a collection keeps takes half as long to count as to collect.
     """
 
     def __init__(self) -> None:
         self._robots = 0
         self._before = (0, 0, 0)
         self._not_before = -math.inf
-        self._known = 0  # how many objects were kept when all were looked at,
-        self._set_aside = 0  # and how many were set aside since
+        self._before_all = 0  # how many blocks of memory there were before the robot,
+        self._known = 0  # and how many more when all was looked at
         self.collections = 0  # how many full collections there were
         self.collected = 0  # how many objects they have freed
         self.longest = 0.0
@@ -58,7 +59,7 @@ class Collector:
             self._before = gc.get_threshold()
             gc.freeze()
             gc.set_threshold(self._before[0], self._before[1], _NEVER)
-            self._known = self._set_aside = 0
+            self._before_all, self._known = sys.getallocatedblocks(), 0
             self.longest = self._expected = 0.0
             self._looks_at_all = False
         self._robots += 1
@@ -94,18 +95,18 @@ class Collector:
         self._not_before = time.monotonic() + took / MAX_SHARE
 
     def _set_aside_what_was_kept(self) -> None:
-        kept = len(gc.get_objects())  # without those that are set aside
         gc.freeze()
         self._expected = 0.0
+        blocks = sys.getallocatedblocks()
+        there = blocks - self._before_all
         if self._looks_at_all:
             self._looks_at_all = False
-            self._known, self._set_aside = kept, 0
-            return
-        self._set_aside += kept
-        if self._set_aside > max(self._known, 2 * FEW):
+            self._known = there
+        elif not blocks or there - self._known > max(self._known, FEW):
+            # Another allocator than Python's own does not count its blocks.
             gc.unfreeze()  # the next collection looks at all of it
             self._looks_at_all = True
-            self._expected = (self._known + self._set_aside) * 1e-7
+            self._expected = blocks * 5e-8
 
 
 collector = Collector()  # the one of this process
