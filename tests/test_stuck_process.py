@@ -152,6 +152,33 @@ async def test_what_is_interrupted_may_end_in_peace(tmp_path: Path) -> None:
     assert told[-1] == "wheels=0.0"
 
 
+@pytest.mark.promise("ROB-6", "ROB-2")
+async def test_who_holds_the_loop_again_is_interrupted_again(tmp_path: Path) -> None:
+    """A driver is asked again at once, in the midst of the stop: safe is last even so."""
+    main = """
+    class Sonar(esair.Sensor[float]):
+        rate = esair.setting(50.0)
+        asked = 0
+        async def read(self):
+            self.asked += 1
+            if self.asked > 8:
+                time.sleep(60)
+            return 1.0
+
+    class Follow(esair.Behavior):
+        sonar = esair.reads(float)
+        async def run(self):
+            async for _ in self.sonar: pass
+
+    robot = esair.Robot(resources=[Wheels(), Sonar()], behaviors=[Drive(), Follow()])
+    esair.run(robot, stall_warning=None)
+    """
+    returned, told, errors, _ = await live(tmp_path / "log", signal.SIGTERM, main=main)
+
+    assert returned == 143, errors
+    assert told[-1] == "wheels=0.0", errors
+
+
 @pytest.mark.promise("ROB-6", "ROB-1")
 async def test_a_slow_import_is_nobodys_reason_to_interrupt(tmp_path: Path) -> None:
     """On a slow computer: what a robot imports is there before it may be stopped."""

@@ -58,12 +58,14 @@ class Ending:
         hear: Callable[[], None] | None = None,
         *,
         patience: float = math.inf,
+        is_done: Callable[[], bool] = lambda: True,
     ) -> None:
         self._loop = loop
         self._hear = hear
+        self._is_done = is_done  # until then the loop may be held once more
         self._patience = patience
         self._thread = threading.get_ident()
-        self._reason = math.inf
+        self._reason = self._asked = math.inf
         self._limit = math.inf
         self._code = 1
         self._told = False
@@ -80,7 +82,7 @@ class Ending:
     def because(self, moment: float, code: int = 1) -> None:
         """Take note of a reason to end; the earliest counts."""
         if moment < self._reason:
-            self._reason, self._code = moment, code
+            self._reason, self._asked, self._code = moment, moment, code
             self._limit = moment + self._patience
         overseer.wake()
 
@@ -116,18 +118,21 @@ class Ending:
             leave_at_once(self._code, "it did not end in time")
         if now < self._reason:
             return min(self._reason, self._limit)
+        if self.heard and not self._is_done():
+            self._told, self.heard, self._asked = False, False, now
         self.tell()
         if self.heard:
             return self._limit
-        if now - self._reason >= PATIENCE:
+        if now - self._asked >= PATIENCE:
             self._kicks += 1
             kick(self._thread)
         return now + KICK
 
     def _acknowledge(self) -> None:
         self.heard = True
-        if self._hear is not None:
-            self._hear()
+        hear, self._hear = self._hear, None
+        if hear is not None:
+            hear()
 
 
 def kick(thread: int) -> None:

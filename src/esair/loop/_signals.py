@@ -59,7 +59,7 @@ class SignalWatch:
         """
         self.loop = asyncio.get_running_loop()
         self.host = asyncio.current_task()
-        self.ending = Ending(self.loop, self._hear)
+        self.ending = Ending(self.loop, self._hear, is_done=self.is_safe)
         self.ending.start()
         return desk.join(self, interrupts=interrupts)
 
