@@ -53,6 +53,18 @@ def test_a_wrong_command_line_is_told(esair_command, capsys, words) -> None:
     assert "Traceback" not in told.err
 
 
+@pytest.mark.parametrize(
+    "words",
+    [["put", "planner", "{'goal': 3}"], ["ask", "docking", "Dock", "bays=[1, 2"]],
+)
+def test_what_begins_as_json_is_no_text_by_mistake(
+    esair_command, capsys, words
+) -> None:
+    """It is refused here: a behavior would get the text."""
+    assert esair_command(*words) == 2
+    assert "it begins as JSON, and is none" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("option", ["--record", "--page"])
 @pytest.mark.parametrize(
     ("words", "why"),

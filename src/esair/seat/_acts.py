@@ -487,8 +487,11 @@ def table_of(words: Iterable[str]) -> dict[str, Any]:
 
 
 def value_of(word: str) -> Any:
-    """Return a typed word as a value: JSON if it is some, else a text."""
+    """Return a typed word as a value: JSON, else a text; raise for JSON that is none."""
     try:
         return json.loads(word)
-    except ValueError:
-        return word
+    except ValueError as error:
+        if word[:1] not in {"{", "[", '"'}:
+            return word
+        told = f"it begins as JSON, and is none: {error}"
+        raise ConfigError("command", f"{word!r:.80}", told) from None
