@@ -58,7 +58,7 @@ class Decision:
         self._scheduler = Scheduler.of(loop)
         self.sights: list[Sight] = []  # what those see who have a say in it
         self._wish: Wish | None = None
-        self._others: list[Wish] = []
+        self._others: tuple[Wish, ...] = ()
         self._looks = False  # the guards see something new in this turn
 
     def join(self, sight: Sight) -> None:
@@ -92,7 +92,7 @@ class Decision:
             else:
                 scheduler.decide(self)
         else:
-            self._others.append(wish)
+            self._others += (wish,)
 
     def function(self, _now: float) -> Awaitable[object] | None:
         """Decide. Called by the scheduler when all steps of the turn have run."""
@@ -104,7 +104,7 @@ class Decision:
             return None
         if not self._others:
             return wish.commit()[1]
-        wishes, self._others = [wish, *self._others], []
+        wishes, self._others = [wish, *self._others], ()
         wishes.sort(key=self._rank)
         winner: Wish | None = None
         rest: Awaitable[object] | None = None
