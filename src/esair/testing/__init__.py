@@ -7,6 +7,7 @@ imitates, in `esair.buses` and `esair.drivers`, and is handed out here.
 from typing import TYPE_CHECKING, Any
 
 from esair.buses import MEDIA
+from esair.loading import late
 from esair.testing._clock import DeadlockError, LivelockError, VirtualLoop
 from esair.testing._fakes import FakeActuator, FakeSensor
 from esair.testing._leaks import Leaks
@@ -39,27 +40,23 @@ __all__ = [
     "recording",
 ]
 
-_LATER = {
-    # The suites need pytest.
-    "ActuatorContract": "_contracts",
-    "BusContract": "_bus_contract",
-    # Recordings need ``esair[record]``.
-    "RecordedRun": "_recorded",
-    "RecordedSensor": "_recorded",
-    "SensorContract": "_contracts",
-    "recording": "_recorded",
-}
+_get, _ = late(
+    __name__,
+    {
+        # The suites need pytest.
+        "_bus_contract": "BusContract",
+        "_contracts": "ActuatorContract SensorContract",
+        # Recordings need ``esair[record]``.
+        "_recorded": "RecordedRun RecordedSensor recording",
+    },
+)
 
 
 def __getattr__(name: str) -> Any:
     for medium in MEDIA.values():
         if medium.fake == name:
             return medium.get(name)
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    import importlib
-
-    return getattr(importlib.import_module(f"{__name__}.{_LATER[name]}"), name)
+    return _get(name)
 
 
 def __dir__() -> list[str]:

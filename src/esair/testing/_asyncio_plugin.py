@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections.abc import AsyncIterator, Callable, Mapping
-from typing import Literal
+from typing import Literal, get_args
 
 import pytest
 import pytest_asyncio
@@ -69,8 +69,5 @@ def _no_leaks(loop_scope: LoopScope) -> Callable[[], AsyncIterator[None]]:
     return check
 
 
-esair_no_leaks_function = _no_leaks("function")
-esair_no_leaks_class = _no_leaks("class")
-esair_no_leaks_module = _no_leaks("module")
-esair_no_leaks_package = _no_leaks("package")
-esair_no_leaks_session = _no_leaks("session")
+for _scope in get_args(LoopScope):
+    globals()[f"esair_no_leaks_{_scope}"] = _no_leaks(_scope)
