@@ -17,7 +17,7 @@ from esair import config
 from esair.cli._errors import CANNOT_USE, NOT_DONE, counted, tell, wrong_seconds
 from esair.cli._log import shown_log
 from esair.cli._options import Running
-from esair.exceptions import ConfigError, EsairError, describe
+from esair.exceptions import EsairError, describe
 
 _AS_SAID = Running()
 
@@ -131,5 +131,5 @@ def _headline(described: config.Description) -> Text:
 def _not_started(errors: Sequence[Exception]) -> int:
     for error in errors:
         tell(describe(error))
-    unusable = any(isinstance(error, ConfigError) for error in errors)
-    return CANNOT_USE if unusable else NOT_DONE
+    lacks = any(isinstance(error.__cause__, ImportError) for error in errors)
+    return CANNOT_USE if lacks else NOT_DONE

@@ -78,7 +78,7 @@ def import_packages() -> None:
             __import__(package)
     except ImportError as error:
         told = f"it needs {error.name}: pip install 'esair[page]'"
-        raise ConfigError("page", "", told) from None
+        raise ConfigError("page", "", told) from error
 
 
 class PageServer(Way["_Viewer"]):

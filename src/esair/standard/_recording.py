@@ -70,7 +70,7 @@ class Keeping:
             self.recorder = recorder
         except ImportError as error:
             told = f"it needs {error.name}: pip install 'esair[record]'"
-            raise ConfigError("recording", "", told) from None
+            raise ConfigError("recording", "", told) from error
         except RecordingError as error:
             _log.error("%s; the robot starts without it", describe(error))
 
