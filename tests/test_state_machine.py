@@ -541,7 +541,8 @@ class SupervisorMachine(RuleBasedStateMachine):
             self.removed_devices, getattr(self, "counts", []), strict=False
         ):
             new = device.commands[count:]
-            assert all(command == SAFE for command in new)
+            # What does not end when it is told to may land late: the log names it.
+            assert device.was_odd or all(command == SAFE for command in new)
 
     @invariant()
     def settings_are_what_was_asked_for_and_what_the_device_has(self) -> None:
