@@ -65,7 +65,9 @@ async def test_nothing_but_safe_leaves_while_halted(
         assert (refused.holder, refused.rule) == ("halt", "somebody is in the cell")
         assert not any(drive.answers)
         assert robot.halted == "somebody is in the cell"
-        assert robot.resources.why("wheels").holder == "halt"
+        why = robot.resources.why("wheels")
+        assert why.holder == "halt"
+        assert why.until is refused.until is None  # that is no matter of time
         for name in ("drive", "turn"):
             status = robot.behaviors.query(name)
             assert status.state is BehaviorState.RUNNING

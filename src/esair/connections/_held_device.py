@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -183,7 +182,7 @@ class HeldDevice(ActuatorDevice):
         if self.latched or not registration.usable:
             raise self._refusal(registration) from None
         if halt is not None:
-            refused = Refused(HALT, HALT_PRIORITY, halt.reason, halt.since, math.inf)
+            refused = Refused(HALT, HALT_PRIORITY, halt.reason, halt.since, None)
         elif isinstance(error, BeingReplacedError):
             refused = Refused(USER, HALT_PRIORITY, error.detail, self.since, None)
         else:
@@ -432,7 +431,7 @@ class HeldDevice(ActuatorDevice):
             holder = None
         by: tuple[str, int, str, float, float | None]
         if halt is not None:
-            by = HALT, HALT_PRIORITY, halt.reason, halt.since, math.inf
+            by = HALT, HALT_PRIORITY, halt.reason, halt.since, None
             frees = "robot.resume(), by the user"
         elif isinstance(error, BeingReplacedError):
             by = USER, HALT_PRIORITY, error.detail, self.since, None
