@@ -179,12 +179,15 @@ async def test_data_between_behaviors_is_told():
     assert [event[3:6] for event in events] == [("guest", "greet", "hello")]
 
 
-async def test_a_listener_that_raises_is_ended_with_a_line(fake_actuator, caplog):
+@pytest.mark.parametrize("error", [ValueError("no"), asyncio.CancelledError()])
+async def test_a_listener_that_raises_is_ended_with_a_line(
+    fake_actuator, caplog, error
+):
     """It hears nothing more; the robot and the other listeners go on."""
     heard: list[Event] = []
 
     def broken(event: Event) -> None:
-        raise ValueError("no")
+        raise error
 
     wheels = fake_actuator("wheels", safe=0.0)
     robot = esair.Robot(resources=[wheels], behaviors=[Wander()])

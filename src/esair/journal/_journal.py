@@ -199,7 +199,7 @@ class Journal:
             told += 1
             try:
                 function(event)
-            except Exception as error:  # contained: it is somebody else's code
+            except (Exception, asyncio.CancelledError) as error:  # it is somebody else's
                 self.forget(listener)
                 listener.heard += told
                 self.ended_listeners += 1
