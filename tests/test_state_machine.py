@@ -76,7 +76,7 @@ class Wheels(FakeActuator[float]):
 
     gain = esair.setting(0, min=0, max=9)
     in_device = 0
-    was_odd = False
+    was_odd = was_slow = False
 
     def __init__(self) -> None:
         super().__init__("wheels", safe=SAFE)
@@ -428,6 +428,10 @@ class SupervisorMachine(RuleBasedStateMachine):
             self.resources[name].slow(seconds, acknowledge=acknowledge)
             self.resources[name].swallow(swallows)
             self.resources[name].was_odd = True
+            if name == "wheels" and not self.resources[name].is_quick:
+                self.resources[name].was_slow = True
+            if not self.is_busy():
+                self.write("a")  # so that often there is a call that takes its time
 
     @rule(seconds=st.sampled_from([0.01, 0.1, 0.3, 1.0, 6.0]))
     def wait(self, seconds: float) -> None:
@@ -535,7 +539,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         wheels = self.resources.get("wheels")
         if wheels is not None and wheels.commands:
             last = wheels.commands[-1]
-            told = self.works(wheels) and wheels.is_quick
+            told = self.works(wheels) and not wheels.was_slow
             assert last == SAFE or int(last) not in self.gone or not told
         for device, count in zip(
             self.removed_devices, getattr(self, "counts", []), strict=False
@@ -618,4 +622,5 @@ def test_the_supervisors_follow_their_model(request: pytest.FixtureRequest) -> N
         ),
     )
     assert SupervisorMachine.configured > 0  # the rule is more than its refusals
-    assert SupervisorMachine.late > 0
+    if soak or long:  # a few examples may have none
+        assert SupervisorMachine.late > 0
