@@ -239,6 +239,23 @@ async def test_a_listener_that_was_stopped_hears_nothing():
     assert not journal.heard
 
 
+async def test_a_listener_without_end_does_not_keep_the_end_waiting():
+    """What it has not heard in time is dropped, and counted."""
+    journal = Journal()
+    heard: list[Event] = []
+
+    def slow(event: Event) -> None:
+        heard.append(event)
+        journal.publish(Kind.LOG, "more", "of it")
+
+    listener = journal.listen(slow)
+    journal.publish(Kind.LOG, "the", "first")
+    journal.close()
+    assert heard
+    assert listener.dropped == 1
+    assert not listener.waiting
+
+
 async def test_a_slow_listener_gives_way():
     """After its share of a turn the others are served, and it goes on in the next."""
     journal, order = Journal(), list[str]()

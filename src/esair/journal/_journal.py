@@ -6,7 +6,6 @@ import asyncio
 import collections
 import inspect
 import logging
-import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -20,6 +19,9 @@ BACKLOG = 4096
 
 SLICE = 0.001
 """How long one listener may take in one turn before its other events wait, in s."""
+
+LAST = 0.5
+"""How long one listener may take at the end before its other events are dropped, in s."""
 
 _new = tuple.__new__
 """Makes an event without the checks of its arguments, which are here."""
@@ -174,9 +176,11 @@ class Journal:
         loop.call_soon(self._flush)
 
     def close(self) -> None:
-        """Hand over all that waits: the robot has stopped."""
+        """Hand over what waits: the robot has stopped, and ends in time."""
         for listener in self._listeners:
-            self._tell(listener, None)
+            self._tell(listener, LAST)
+            listener.dropped += len(listener.waiting)
+            listener.waiting.clear()
         self._loop = None
 
     def _flush(self) -> None:
@@ -190,16 +194,19 @@ class Journal:
             self._flushing = True
             loop.call_soon(self._flush)
 
-    def _tell(self, listener: Listener, seconds: float | None) -> None:
+    def _tell(self, listener: Listener, seconds: float) -> None:
         waiting, function = listener.waiting, listener.function
-        end = math.inf if seconds is None else time.perf_counter() + seconds
+        end = time.perf_counter() + seconds
         told = 0
         while waiting:
             event = waiting.popleft()
             told += 1
             try:
                 function(event)
-            except (Exception, asyncio.CancelledError) as error:  # it is somebody else's
+            except (
+                Exception,
+                asyncio.CancelledError,
+            ) as error:  # it is somebody else's
                 self.forget(listener)
                 listener.heard += told
                 self.ended_listeners += 1
