@@ -11,6 +11,7 @@ import enum
 import fractions
 import math
 import numbers
+import re
 from typing import Any, NamedTuple
 
 import attrs
@@ -195,6 +196,56 @@ def test_a_command_of_another_type_is_refused(command: object) -> None:
     """A float is wanted, and only numbers are floats."""
     with pytest.raises(esair.BadValueError, match="expected float"):
         check(0.0).checked(command)
+
+
+@attrs.frozen
+class Place:
+    x: Any
+    y: Any
+
+
+@attrs.frozen
+class Goal:
+    at: Any
+    yaw: Any
+    frame: Any = "map"
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.fault("V04")
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        (Goal(Place(None, 0.0), 0.0), "at.x: expected a number, not None"),
+        (Goal(Place("1", 0.0), 0.0), "at.x: expected a number, not '1'"),
+        (Goal(None, 0.0), "at: expected Place, not None"),
+        (Goal(1.5, 0.0), "at: expected Place, not 1.5"),
+        (Goal(Place(0.0, 0.0), None), "yaw: expected a number, not None"),
+    ],
+)
+def test_a_part_of_another_type_is_refused(command: Goal, told: str) -> None:
+    """Where the safe command has numbers, however deep, a command has them too."""
+    checked = check(Goal(Place(0.0, 0.0), 0.0)).checked
+    with pytest.raises(esair.BadValueError, match=re.escape(told)):
+        checked(command)
+    good = Goal(Place(1, 2.5), 0.5, frame=None)
+    assert checked(good) == good
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize("wrong", [None, "1", [1.0]])
+def test_a_dictionary_of_numbers_has_numbers(wrong: object) -> None:
+    """Its type says so: one without a type may have what its driver takes."""
+
+    class Arms(FakeActuator[dict[str, float]]):
+        pass
+
+    typed = CommandCheck(Arms("arms", safe={"left": 0.0}))
+    assert typed.checked({"left": 1.0}) == {"left": 1.0}
+    with pytest.raises(esair.BadValueError, match="left: expected a number"):
+        typed.checked({"left": wrong})
+    untyped = check({"left": 0.0})
+    assert untyped.checked({"left": wrong}) == {"left": wrong}
 
 
 @pytest.mark.promise("AC-1")

@@ -10,7 +10,7 @@ import numbers
 import operator
 import types
 import typing
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 import attrs
@@ -18,6 +18,8 @@ import attrs
 from esair.exceptions import BadValueError, describe
 from esair.resources import HOLD, Actuator
 from esair.values import checked_class, passes_as, type_name
+
+_DEPTH = 8  # How deep parts of a command are looked at
 
 
 class CommandCheck:
@@ -37,6 +39,9 @@ class CommandCheck:
         self._get = (lambda command: (get(command),)) if len(self._fields) == 1 else get
         if isinstance(actuator.safe, tuple):
             self._get = iter  # its places are its fields
+        self._kinds = dict(_kinds_in(actuator.safe))
+        """What is where in a command: a number, or what has numbers in it."""
+        self._of_numbers = _is_of_numbers(actuator.value_type)
         self._length = _length_of(actuator.value_type)
         self.copies = not (_is_frozen(self.wanted) and _is_fixed(actuator.safe))
         """Whether somebody could change a command after its check."""
@@ -103,6 +108,10 @@ class CommandCheck:
             if not isinstance(command, _ATOMS_AND_NUMBERS):
                 command = copy.deepcopy(command)  # what is checked is what leaves
             self._check_finite("", command)
+            if self._of_numbers:
+                for field, value in command.items():
+                    if not isinstance(value, numbers.Number):
+                        raise self._bad(field, f"expected a number, not {value!r:.80}")
             if self._limits:
                 command = self._limited(command)
             if self._own_check is not None and command is not HOLD:
@@ -147,16 +156,21 @@ class CommandCheck:
             return wanted(command)
         raise self._bad("", f"expected {type_name(wanted)}, not {command!r:.80}")
 
-    def _check_finite(self, field: str, value: Any, depth: int = 8) -> None:
+    def _check_finite(self, field: str, value: Any, depth: int = _DEPTH) -> None:
         if isinstance(value, numbers.Number):
             if not (value - value == 0):  # type: ignore[operator]
                 raise self._bad(field, f"expected a finite number, not {value!r:.80}")
+            kind = self._kinds.get(field, _NUMBER)
+            if kind != _NUMBER:
+                raise self._bad(field, f"expected {kind}, not {value!r:.80}")
             return
-        if field in self._fields:
-            raise self._bad(field, f"expected a number, not {value!r:.80}")
+        parts = _parts(value)
+        kind = self._kinds.get(field, "")
+        if kind == _NUMBER or (kind and not parts):
+            raise self._bad(field, f"expected {kind}, not {value!r:.80}")
         if depth == 0:
             raise self._bad(field, "it is nested too deeply")
-        for name, part in _parts(value):
+        for name, part in parts:
             self._check_finite(
                 f"{field}.{name}" if field else str(name), part, depth - 1
             )
@@ -216,6 +230,31 @@ def _length_of(kind: Any) -> int:
     return 0 if ... in places else len(places)
 
 
+def _is_of_numbers(kind: Any) -> bool:
+    """Whether all values of a kind of dictionary are numbers."""
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    is_mapping = isinstance(origin, type) and issubclass(origin, Mapping)
+    return is_mapping and len(inner) == 2 and inner[1] in {int, float}
+
+
+def _kinds_in(safe: Any, place: str = "") -> Iterator[tuple[str, str]]:
+    """What commands have in the places where the safe one has numbers, and around them."""
+    fields = _number_fields(safe)
+    for name, part in _parts(safe) if fields or _has_fields(safe) else ():
+        where = f"{place}.{name}" if place else str(name)
+        if str(name) in fields:
+            yield where, _NUMBER
+        elif not _has_fields(part) or where.count(".") >= _DEPTH:
+            continue
+        elif inside := list(_kinds_in(part, where)):
+            yield where, type_name(type(part))
+            yield from inside
+
+
+def _has_fields(value: Any) -> bool:
+    return attrs.has(type(value)) or hasattr(value, "__dataclass_fields__")
+
+
 def _number_fields(safe: Any) -> list[str]:
     has_names = not isinstance(safe, Collection | int | float)
     if not (has_names or isinstance(safe, tuple)) or hasattr(safe, "__array__"):
@@ -231,6 +270,8 @@ def _all_numbers(safe: Any, fields: list[str]) -> bool:
     """Whether a structured command has no other parts than its number fields."""
     return bool(fields) and len(fields) == len(_parts(safe))
 
+
+_NUMBER = "a number"
 
 _ATOMS_AND_NUMBERS = (int, float, complex, str, bytes, enum.Enum, type(None))
 """What cannot be changed."""
