@@ -112,10 +112,14 @@ async def test_a_stop_is_done_whatever_is_said_with_it(rover, raw):
 @pytest.mark.promise("OPS-1")
 async def test_an_id_is_that_of_one_act(rover, raw):
     """Another act with it is refused, and not taken for the first one."""
-    async with rover(Wander()), raw() as client:
+    async with rover(Wander()) as robot, raw() as client:
         assert (await client.do("one", "resume"))["ok"]
         refused = await client.do("one", "remove", name="wander")
         assert "id: it was that of resume" in refused["error"]["text"]
+        assert (await client.do("three", "stop"))["ok"]
+        refused = await client.do("three", "resume")
+        assert "id: it was that of stop" in refused["error"]["text"]
+        robot.resume()
         assert (await client.do("two", "list"))["result"] == ["wander: running"]
 
 

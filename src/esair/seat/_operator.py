@@ -162,8 +162,8 @@ class Console:
         try:
             act = self._act(message)
             fields = act.checked(message.fields)
-            known = None if act.open else self._outcomes.get(key)
-            if known is not None:
+            known = self._outcomes.get(key)
+            if known is not None and not act.open:
                 if known[0] is not act:
                     raise BadValueError(
                         "message", "id", f"it was that of {known[0].name}"
@@ -177,8 +177,8 @@ class Console:
             self.refused += 1
             outcome.set_exception(error)
             return outcome
-        if not (act.looks or act.open):
-            self._outcomes[key] = (act, outcome)
+        if not act.looks:
+            self._outcomes.setdefault(key, (act, outcome))
             while len(self._outcomes) > OUTCOMES:
                 self._outcomes.popitem(last=False)
         session.busy += 1
