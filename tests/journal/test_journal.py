@@ -312,6 +312,26 @@ async def test_lines_of_the_log_are_events():
     assert [event.text for event in events[:2]] == ["from the loop", "from a thread"]
 
 
+async def test_what_a_listener_logs_is_told_to_no_listener(caplog):
+    """Else each line would be the cause of the next; it is in the log all the same."""
+    log, heard = logging.getLogger("esair.test"), list[str]()
+    robot = esair.Robot(name="rover")
+
+    def echo(event: Event) -> None:
+        heard.append(event.text)
+        if len(heard) < 100:
+            log.warning("heard %s", event.text)
+
+    robot.journal.listen(echo, kinds=[Kind.LOG])
+    async with robot:
+        log.warning("one")
+        await asyncio.sleep(0.1)
+        log.warning("two")
+        await asyncio.sleep(0.1)
+        assert heard == ["one", "two"]
+    assert "heard two" in caplog.messages
+
+
 async def test_counts_name_every_component(fake_sensor, fake_actuator):
     """Counters of sensors, actuators, behaviors and the journal are in one place."""
     wheels = fake_actuator("wheels", safe=0.0)

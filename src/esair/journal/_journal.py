@@ -6,6 +6,7 @@ import asyncio
 import collections
 import inspect
 import logging
+import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -27,6 +28,20 @@ _new = tuple.__new__
 """Makes an event without the checks of its arguments, which are here."""
 
 _log = logging.getLogger("esair")
+
+
+class Here(threading.local):
+    """What this thread is at.
+
+    Attributes:
+        is_telling: Whether a listener runs: a line that it logs is told to nobody, or
+            each line would be the cause of the next.
+    """
+
+    is_telling = False
+
+
+here = Here()
 
 Counted = Callable[[], Iterable[tuple[str, Mapping[str, int]]]]
 """Returns the name of each component of a group with some of its counters."""
@@ -197,29 +212,29 @@ class Journal:
     def _tell(self, listener: Listener, seconds: float) -> None:
         waiting, function = listener.waiting, listener.function
         end = time.perf_counter() + seconds
-        told = 0
-        while waiting:
-            event = waiting.popleft()
-            told += 1
-            try:
+        failed: BaseException | None = None
+        here.is_telling = True
+        try:
+            while waiting:
+                event = waiting.popleft()
+                listener.heard += 1
                 function(event)
-            except (
-                Exception,
-                asyncio.CancelledError,
-            ) as error:  # it is somebody else's
-                self.forget(listener)
-                listener.heard += told
-                self.ended_listeners += 1
-                _log.exception(
-                    "journal: a listener raised at event %d (%s) and is ended: %s",
-                    event.number,
-                    event.kind,
-                    describe(error),
-                )
-                return
-            if time.perf_counter() >= end:
-                break
-        listener.heard += told
+                if time.perf_counter() >= end:
+                    break
+        except (Exception, asyncio.CancelledError) as error:  # it is somebody else's
+            failed = error
+        finally:
+            here.is_telling = False
+        if failed is not None:
+            self.forget(listener)
+            self.ended_listeners += 1
+            _log.error(
+                "journal: a listener raised at event %d (%s) and is ended: %s",
+                event.number,
+                event.kind,
+                describe(failed),
+                exc_info=failed,
+            )
 
     # Counters.
 

@@ -8,7 +8,7 @@ import logging
 import threading
 
 from esair.journal._event import Kind
-from esair.journal._journal import Journal
+from esair.journal._journal import Journal, here
 
 
 class LogLines(logging.Handler):
@@ -34,11 +34,13 @@ class LogLines(logging.Handler):
         logging.getLogger("esair").removeHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Publish a line; one that the journal itself causes is left out."""
+        """Publish a line; one that the journal or a listener causes is left out."""
         resort = logging.lastResort
         if resort and record.levelno >= resort.level and self._is_alone(record.name):
             resort.handle(record)
-        if self._inside or not self._journal.heard or self._loop.is_closed():
+        if self._inside or here.is_telling or not self._journal.heard:
+            return
+        if self._loop.is_closed():
             return  # closed under a robot that was not stopped: others go on
         try:
             text = record.getMessage()
