@@ -86,7 +86,9 @@ def test_a_damaged_byte_costs_its_chunk_and_is_told(
         if len(found) < 60 and caplog.messages:
             lost += 1
             (told,) = caplog.messages
-            where = int(told.split("byte ")[1].split(",")[0])
+            begin, _, rest = told.partition("byte ")
+            where = int(rest.removesuffix(", left out"))
+            assert begin == f"{path}: damaged at "
             assert where <= offset
     assert lost > 20
 
@@ -108,6 +110,18 @@ def test_what_is_recovered_has_an_index_and_the_original_stays(tmp_path: Path) -
     with found.path.open("rb") as file:
         messages = list(SeekingReader(file).iter_messages())
     assert len(messages) == found.messages == len(list(events_of(cut)))
+
+
+@pytest.mark.promise("REC-3")
+@pytest.mark.real_clock
+def test_the_oldest_segment_is_recovered_where_the_first_is_gone(
+    tmp_path: Path,
+) -> None:
+    """The name of the recording means what is left of it, as when it is read."""
+    write(tmp_path / "run.2.mcap", 1)
+    found = recover(tmp_path / "run.mcap")
+    assert found.path == tmp_path / "run.2-recovered.mcap"
+    assert found.messages == 1
 
 
 DRIVER = """

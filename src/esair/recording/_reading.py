@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from esair.exceptions import RecordingBrokenError, describe
+from esair.exceptions import RecordingBrokenError
 
 TURNS = "esair-turns"  # The encoding of the messages that hold the turns of a run
 
@@ -73,15 +73,13 @@ def records_of(path: Path) -> Iterator[Any]:
                 return
             except OSError:
                 raise
-            except Exception as error:  # the reader meets whatever is there
+            except Exception:  # the reader meets whatever is there
                 end = file.tell()
                 file.seek(begin + 1)
                 if file.read(len(_BEGUN)) == _BEGUN:
                     return
                 file.seek(end)
-                _log.warning(
-                    "%s: damaged at byte %d, left out: %s", path, begin, describe(error)
-                )
+                _log.warning("%s: damaged at byte %d, left out", path, begin)
                 if end == begin:
                     return
                 continue

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from esair.exceptions import RecordingBrokenError
-from esair.recording._reading import records_of
+from esair.recording._reading import records_of, segments_of
 
 RECOVERED = "-recovered"
 """What the name of a recovered file has more than that of the original."""
@@ -70,7 +70,8 @@ def recover(path: str | Path, target: str | Path | None = None) -> Recovered:
     """Write an indexed file with all that is readable; the original is untouched.
 
     Args:
-        path: A recording, cut anywhere.
+        path: A recording, cut anywhere. Where it was deleted to make room, its oldest
+            segment that is left.
         target: The new file; beside the original, with ``-recovered`` in its name,
             unless given.
 
@@ -80,7 +81,7 @@ def recover(path: str | Path, target: str | Path | None = None) -> Recovered:
     from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
     from mcap.writer import CompressionType, Writer
 
-    path = Path(path)
+    path = next(segments_of(Path(path)))
     new = Path(target) if target else path.with_stem(f"{path.stem}{RECOVERED}")
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
