@@ -61,7 +61,7 @@ def pytest_sessionstart() -> None:
     # Not above: older pytests want to rewrite a plugin before anybody imports it.
     from esair.testing import _asyncio_plugin
 
-    _asyncio_plugin.Leaks = OwnLeaks
+    _asyncio_plugin.Leaks = OwnLeaks  # type: ignore[misc, assignment]
 
 
 @pytest.hookimpl(tryfirst=True)
