@@ -159,6 +159,11 @@ def test_a_recording_without_turns_gives_plain_values(tmp_path: Path) -> None:
     assert run.duration == pytest.approx(1.3, abs=0.1)
     with pytest.raises(KeyError, match="did you mean 'sonar'"):
         run["sonr"]
+    for seconds in (float("nan"), float("inf"), "1"):
+        with pytest.raises(esair.ConfigError, match="expected seconds"):
+            run.at(seconds, run["sonar"].unplug)  # type: ignore[arg-type]
+    with pytest.raises(esair.ConfigError, match="expected what is called"):
+        run.at(1.0, None)  # type: ignore[arg-type]
 
 
 @pytest.mark.promise("REP-1")

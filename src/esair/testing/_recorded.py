@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import math
 import os
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from esair.connections import is_loss
-from esair.exceptions import DeviceFaultError, RecordingBrokenError, hint_for
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    RecordingBrokenError,
+    hint_for,
+)
 from esair.journal import Kind
 from esair.loop import First
 from esair.messages import Stamped
@@ -91,8 +97,15 @@ class RecordedRun:
             *args: What with.
 
         Raises:
+            ConfigError: That is no time, or cannot be called.
             RuntimeError: It has begun.
         """
+        if not (isinstance(seconds, int | float) and math.isfinite(seconds)):
+            told = f"expected seconds since the begin, not {seconds!r:.80}"
+            raise ConfigError("recording", "at", told)
+        if not callable(act):
+            told = f"expected what is called, such as sensor.unplug, not {act!r:.80}"
+            raise ConfigError("recording", "at", told)
         if self._has_begun:
             raise RuntimeError(
                 "the recording has begun: say so before the robot starts"
