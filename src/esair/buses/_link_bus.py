@@ -72,8 +72,8 @@ class LinkBus(Bus, Generic[L]):
 
     def __init__(self, *, name: str, timeout: float, wire: Wire | None = None) -> None:
         super().__init__(name=name, wire=wire)
-        self.timeout = check_seconds(name, "timeout", timeout)
-        self.path = ""
+        self.timeout: float = check_seconds(name, "timeout", timeout)
+        self.path: str = ""
         """The path of the kernel's bus while it is open."""
         self._link: L | None = None
         self._jitter = random.Random(name)

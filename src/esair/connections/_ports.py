@@ -50,7 +50,7 @@ class Port(Generic[T]):
         control: Control,
     ) -> None:
         self._channel = channel
-        self.registration = registration
+        self.registration: Registration = registration
         self._control = control
         self._budget = Budget.of(asyncio.get_running_loop())
 

@@ -38,9 +38,9 @@ class Framing(abc.ABC):
         return made
 
     def __init__(self, *, max_length: int) -> None:
-        self.max_length = check_whole("framing", "max_length", max_length, 1)
+        self.max_length: int = check_whole("framing", "max_length", max_length, 1)
         self.bad_frames = 0
-        self.discarded = 0
+        self.discarded: int = 0
         self._buffer = bytearray()
 
     @abc.abstractmethod

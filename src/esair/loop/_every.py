@@ -23,8 +23,8 @@ class Every:
     """
 
     def __init__(self, period: float) -> None:
-        self.period = float(check_duration("every", "period", period))
-        self.late = 0
+        self.period: float = float(check_duration("every", "period", period))
+        self.late: int = 0
         self._begin: float | None = None
         self._count = 0
 

@@ -23,7 +23,7 @@ class Owner:
     __slots__ = ("_first", "_others", "context", "over", "stream", "threads", "told")
 
     def __init__(self, context: contextvars.Context | None = None) -> None:
-        self.context = context
+        self.context: contextvars.Context | None = context
         """The context variables that its tasks begin with; those of the loop if None."""
         # Most components have one task only; a table for it would be half their size.
         self._first: asyncio.Task[Any] | None = None
@@ -31,7 +31,7 @@ class Owner:
         self.threads: tuple[threading.Thread, ...] = ()
         """The threads that run its plain functions."""
         self.stream: Callable[[], Random] | None = None  # gives its random numbers
-        self.over = False
+        self.over: bool = False
         """Its run has ended: what would not end with it speaks for nobody."""
         self.told: Sequence[asyncio.Task[Any]] = ()
         """Those of its tasks that were cancelled: each has its grace to clean up."""

@@ -28,9 +28,9 @@ class Portal:
     def __init__(self, name: str, owner: Owner) -> None:
         self.name = name
         self._owner = owner
-        self.loop = asyncio.get_running_loop()
+        self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self._door = Door.of(self.loop)
-        self.closed = False
+        self.closed: bool = False
         self._calls: set[asyncio.Task[Any]] = set()
         self._home = threading.current_thread()
 

@@ -125,9 +125,9 @@ class Robot:
         operator: Operator | None = None,
         page: Page | None = None,
     ) -> None:
-        self.name = check_name("robot", name)
+        self.name: str = check_name("robot", name)
         self._title = f"robot {name!r}"
-        self.operator = Operator() if operator is None else operator
+        self.operator: Operator = Operator() if operator is None else operator
         """What an operator may do from outside."""
         self.source: tuple[Path, bool] | None = None
         """The file it was made from, and whether simulated; None if from none."""
@@ -146,9 +146,9 @@ class Robot:
             "seed": seed,
             "operator": operator,
         }
-        self.sensors = SensorConnection()
-        self.actuators = ActuatorConnection()
-        self.journal = Journal()
+        self.sensors: SensorConnection = SensorConnection()
+        self.actuators: ActuatorConnection = ActuatorConnection()
+        self.journal: Journal = Journal()
         registrations = Registrations(self.journal)
         self._resources = ResourceDeployment(
             self.sensors,
@@ -158,7 +158,7 @@ class Robot:
             declared=lambda *names: self._behaviors.declared(*names),
             grace=self._grace,
         )
-        self.resources = ResourceSupervisor(self._resources)
+        self.resources: ResourceSupervisor = ResourceSupervisor(self._resources)
         self._halts = Halts(
             name,
             self.actuators,
@@ -174,7 +174,9 @@ class Robot:
             stop=self.stop,
             policies=given,
         )
-        self.behaviors = BehaviorSupervisor(self._behaviors, self._typed)
+        self.behaviors: BehaviorSupervisor = BehaviorSupervisor(
+            self._behaviors, self._typed
+        )
         self._keeper: Keeper | None = None
         if watchdog:
             self._keeper = Keeper(
@@ -190,9 +192,8 @@ class Robot:
             raise ConfigError(self._title, "seed", told)
         self.seed = seed
         """What `esair.random` begins with; known when the robot has started."""
-        self.stopped = Stopped()
-        """After the stop: what each actuator was told last, whether it answered, and
-        in ``reason`` why the robot stopped."""
+        self.stopped: Stopped = Stopped()
+        """What each actuator was told last, if it answered, and why the robot stopped."""
         self._entered = False
         self._signal: int | None = None
         self._host: asyncio.Task[Any] | None = None
