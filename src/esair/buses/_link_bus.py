@@ -119,7 +119,8 @@ class LinkBus(Bus, Generic[L]):
     ) -> EsairError:
         """Find out what an error of a transfer means; may look into files."""
         there, code = self._is_there(error), error.errno
-        if there is False or (there is None and code in GONE):
+        was_lost = not self.is_open  # meanwhile: nobody can look any more
+        if was_lost or there is False or (there is None and code in GONE):
             return DeviceLostError(self.name, describe(error))
         if code == errno.ETIMEDOUT:
             return self._stuck_with(address, seconds)

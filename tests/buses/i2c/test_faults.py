@@ -333,7 +333,7 @@ async def test_a_chip_of_a_driver_of_the_kernel_is_not_taken(
 
     monkeypatch.setattr(_i2c_kernel, "owner", lambda _path, _address: owner)
     bus = I2CBus(name="body")
-    bus.path = "/dev/i2c-1"
+    bus.path, bus.is_open = "/dev/i2c-1", True
     monkeypatch.setattr(bus, "_same_place", lambda: True)
     error = bus._explained(OSError(errno.EBUSY, "busy"), 0x48, 0.2)
 
@@ -433,4 +433,26 @@ async def test_other_errors_of_a_transaction_are_its_own() -> None:
         await bus.transaction(lambda _: dict[str, int]()["nothing"])
 
     assert bus.stats.errors == 0
+    await bus.close()
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("RES-3")
+async def test_a_transfer_that_is_cut_by_a_loss_is_lost_too() -> None:
+    """Whatever it fails with: its bus has gone, and can tell of no fault any more."""
+    bus = FakeI2c(chips={0x50: b"\0"})
+    await bus.open()
+    begun, go = threading.Event(), threading.Event()
+
+    def cut(_link: Any) -> None:
+        begun.set()
+        go.wait(5.0)
+        raise OSError(errno.EIO, "Input/output error")
+
+    transfer = asyncio.ensure_future(bus.transaction(cut, address=0x50, timeout=5.0))
+    await until(begun.is_set)
+    bus.lost(DeviceLostError("i2c", "it was unplugged"))
+    go.set()
+    with pytest.raises(DeviceLostError):
+        await transfer
     await bus.close()
