@@ -202,6 +202,22 @@ async def test_waiting_without_end_ends_on_the_virtual_clock_too() -> None:
         assert (await robot.sensors.read(right, fresh=True)).value == 5
 
 
+@pytest.mark.real_clock
+async def test_an_error_that_is_kept_keeps_no_buffer() -> None:
+    """The next driver that is imported may make the buffer that all share longer."""
+    bus, buffer = FakeI2c(chips={}), bytearray(4)
+    await bus.open()
+
+    def read() -> None:
+        AdafruitBus(bus).readfrom_into(0x10, buffer)
+
+    with pytest.raises(esair.DeviceFaultError) as kept:
+        await bus.executor.call(read, timeout=5.0)
+    buffer.extend(b"1")
+    assert kept.value.__traceback__ is not None
+    await bus.close()
+
+
 async def session(sensor: AdafruitSensor | AdafruitActuator, *calls: str) -> Any:
     """Open the device on the thread of its bus, and call its methods there."""
     await sensor.bus.open()

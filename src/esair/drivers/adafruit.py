@@ -116,8 +116,8 @@ class AdafruitBus:
         stop: bool = True,
     ) -> None:
         """Fill a buffer, or a part of it, from a chip."""
-        part = memoryview(buffer)[start:end]
-        part[:] = self._transfer(address, b"", len(part))
+        with memoryview(buffer)[start:end] as part:
+            part[:] = self._transfer(address, b"", len(part))
 
     def writeto(
         self,
@@ -147,8 +147,8 @@ class AdafruitBus:
     ) -> None:
         """Write a buffer, then fill one after a repeated start."""
         out = bytes(memoryview(buffer_out)[out_start:out_end])
-        part = memoryview(buffer_in)[in_start:in_end]
-        part[:] = self._transfer(address, out, len(part))
+        with memoryview(buffer_in)[in_start:in_end] as part:
+            part[:] = self._transfer(address, out, len(part))
 
     def _transfer(self, address: int, write: bytes, read: int) -> bytes:
         self.transfers += 1
