@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import select
+import signal
 import subprocess
 import sys
 import time
@@ -69,6 +70,16 @@ class Robot:
         self.process.kill()
         return self.process.communicate(timeout=PATIENCE)[1]
 
+    def see_it_pulled(self, wire: Wire) -> None:
+        """Pull a wire, and wait until the watchdog has let go of it."""
+        held = Path(f"/proc/{self.dog}/fd")
+        before = len(list(held.iterdir()))
+        wire.pull()
+        end = time.monotonic() + PATIENCE
+        while len(list(held.iterdir())) == before:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+
     @property
     def dog(self) -> int:
         tasks = Path(f"/proc/{self.process.pid}/task").glob("*/children")
@@ -89,17 +100,26 @@ def test_a_device_is_pulled_and_then_the_robot_is_killed(wires: list[Wire]) -> N
     """The other one is made safe, and of the pulled one nothing is said any more."""
     pulled, other = wires
     robot = Robot(pulled, other)
-    held = Path(f"/proc/{robot.dog}/fd")
-    before = len(list(held.iterdir()))
-    pulled.pull()
-    end = time.monotonic() + PATIENCE
-    while len(list(held.iterdir())) == before and time.monotonic() < end:
-        time.sleep(0.01)
+    robot.see_it_pulled(pulled)
     said = robot.kill()
     assert other.heard() == b"STOP\n"
     assert re.fullmatch(
         r"esair watchdog: its process died: line 1 safe, after .*\n", said
     )
+
+
+@pytest.mark.fault("O04", "D01")
+def test_a_robot_is_killed_that_has_not_heard_what_its_watchdog_said(
+    wires: list[Wire],
+) -> None:
+    """Its end of the channel is reset then, and the watchdog does its work."""
+    pulled, other = wires
+    robot = Robot(pulled, other)
+    robot.process.send_signal(signal.SIGSTOP)
+    robot.see_it_pulled(pulled)
+    said = robot.kill()
+    assert other.heard() == b"STOP\n"
+    assert "its process died: line 1 safe" in said
 
 
 @pytest.mark.fault("O04", "D02")

@@ -132,7 +132,9 @@ class Watchdog:
 
     def hears_good_bye(self) -> bool:
         """Do what the robot asks for, and answer."""
-        data, descriptors, *_ = socket.recv_fds(self.channel, 65536, 1)
+        data, descriptors = b"", list[int]()
+        with contextlib.suppress(OSError):  # it died before it heard an answer
+            data, descriptors, *_ = socket.recv_fds(self.channel, 65536, 1)
         if not data:
             self.poll.unregister(self.channel)  # the pidfd tells whether it died
             return False
