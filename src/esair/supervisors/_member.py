@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from functools import partial
 from typing import Any
 
@@ -100,7 +100,7 @@ class Member(Life, Mailbox):
         self._portal: Portal | None = None
         self.sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
-        self.used: frozenset[str] = frozenset()
+        self.used: Collection[str] = ()
         """Which resources its last run has used; what it moved may not be safe yet."""
 
     # What the behavior asks (`Host`).
