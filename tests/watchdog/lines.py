@@ -1,12 +1,19 @@
 """A process whose watchdog holds lines, none, one or more: ``lines.py DESCRIPTOR ...``."""
 
 import asyncio
+import os
+import signal
 import sys
 
 from esair.watchdog import Outlet, SafeFrames, Watchdog
 
 
+def run_another_program(*_: object) -> None:
+    os.execv("/bin/sleep", ["sleep", "60"])
+
+
 async def main(lines: list[int]) -> None:
+    signal.signal(signal.SIGUSR1, run_another_program)
     dog = Watchdog()
     await dog.start()
     for number, line in enumerate(lines):
@@ -16,8 +23,7 @@ async def main(lines: list[int]) -> None:
             if not refused:
                 break
         assert not refused, refused
-    sys.stdout.write("armed\n")
-    sys.stdout.flush()
+    os.write(int(os.environ.get("TELLS", "1")), b"armed\n")
     while True:
         dog.beat()
         await asyncio.sleep(0.02)

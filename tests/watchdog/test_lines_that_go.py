@@ -53,14 +53,18 @@ class Wire:
 class Robot:
     """A process that holds some lines."""
 
-    def __init__(self, *wires: Wire) -> None:
+    def __init__(
+        self, *wires: Wire, shell: str = "", tells: int = 1, says: int = subprocess.PIPE
+    ) -> None:
         lines = [wire.near for wire in wires]
+        words = [sys.executable, str(LINES), *map(str, lines)]
         self.process = subprocess.Popen(
-            [sys.executable, str(LINES), *map(str, lines)],
+            ["/bin/sh", "-c", f'exec "$0" "$@" {shell}', *words],
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=says,
             text=True,
             pass_fds=lines,
+            env=os.environ | {"TELLS": str(tells)},
         )
         assert self.process.stdout is not None
         assert self.process.stdout.readline() == "armed\n"
@@ -85,6 +89,13 @@ class Robot:
         tasks = Path(f"/proc/{self.process.pid}/task").glob("*/children")
         (dog,) = "".join(each.read_text("ascii") for each in tasks).split()
         return int(dog)
+
+
+def until_it_has_ended(process: int) -> None:
+    end = time.monotonic() + PATIENCE
+    while Path(f"/proc/{process}").exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not Path(f"/proc/{process}").exists()
 
 
 @pytest.fixture
@@ -122,6 +133,39 @@ def test_a_robot_is_killed_that_has_not_heard_what_its_watchdog_said(
     assert "its process died: line 1 safe" in said
 
 
+@pytest.mark.fault("O04", "O15")
+def test_a_robot_without_standard_descriptors(wires: list[Wire]) -> None:
+    """What the watchdog says in the end is written nowhere then, and not to a device."""
+    robot = Robot(*wires, shell="9>&1 <&- >&- 2>&-", tells=9)
+    dog = robot.dog
+    assert robot.kill() == ""
+    until_it_has_ended(dog)
+    assert [wire.heard() for wire in wires] == [b"STOP\n"] * 2
+
+
+@pytest.mark.fault("O04", "O15")
+def test_nobody_reads_what_the_watchdog_says(wires: list[Wire]) -> None:
+    """It ends all the same: a port that it held would be nobody else's."""
+    full, other = wires
+    full.fill()
+    os.set_blocking(full.near, True)
+    robot = Robot(other, says=full.near)
+    dog = robot.dog
+    robot.kill()
+    assert other.heard() == b"STOP\n"
+    until_it_has_ended(dog)
+
+
+@pytest.mark.fault("O04")
+def test_a_robot_becomes_another_program(wires: list[Wire]) -> None:
+    """Its process lives, and is no robot any more: it is ended like one that hangs."""
+    robot = Robot(*wires)
+    robot.process.send_signal(signal.SIGUSR1)
+    assert [wire.heard() for wire in wires] == [b"STOP\n"] * 2
+    assert robot.process.wait(PATIENCE) == -signal.SIGKILL
+    assert "its robot is gone, its process is not: line 0 safe" in robot.kill()
+
+
 @pytest.mark.fault("O04", "D02")
 def test_a_line_hangs_up_while_the_watchdog_writes(wires: list[Wire]) -> None:
     """It is full, so it is tried again: the other one first; then it is not there."""
@@ -157,7 +201,4 @@ def test_a_robot_without_actuators() -> None:
     dog = robot.dog
     said = robot.kill()
     assert "esair watchdog: its process died: nothing is watched" in said
-    end = time.monotonic() + PATIENCE
-    while Path(f"/proc/{dog}").exists() and time.monotonic() < end:
-        time.sleep(0.01)
-    assert not Path(f"/proc/{dog}").exists()
+    until_it_has_ended(dog)

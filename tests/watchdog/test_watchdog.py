@@ -150,13 +150,20 @@ def test_a_frozen_process_stays_stopped() -> None:
         victim.close()
 
 
+FORK = """
+    if not os.fork():
+        try:
+            dog.close().send(None)
+        finally:
+            time.sleep(2)
+            os._exit(0)
+    for number"""
+
+
 @pytest.mark.fault("O14")
 def test_a_child_that_holds_everything_open_hides_no_death() -> None:
-    """The pidfd tells, not the end of a pipe."""
-    source = VICTIM.read_text("utf-8").replace(
-        "    for number",
-        "    os.fork() or time.sleep(2) or os._exit(0)\n    for number",
-    )
+    """The pidfd tells, not the end of a pipe; and its good-bye is not the robot's."""
+    source = VICTIM.read_text("utf-8").replace("\n    for number", FORK)
     changed = VICTIM.with_name("victim_that_forks.py")
     changed.write_text(source, "utf-8")
     try:

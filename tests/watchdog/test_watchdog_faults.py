@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
 import resource
@@ -16,10 +17,12 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+from tests.watchdog.test_watchdog import dogs_of
 
 import esair
 from esair.buses import SerialBus
 from esair.watchdog import Outlet, SafeFrames, Watchdog, _watchdog
+from esair.watchdog._program import Device
 
 pytestmark = pytest.mark.real_clock
 
@@ -206,6 +209,109 @@ async def test_a_chip_that_cannot_be_opened_is_told(dog: Watchdog) -> None:
     outlet = Outlet("i2c", target={"path": "/nowhere"})
     why = await dog.arm("lamp", SafeFrames([b"\0"], address=0x40), outlet)
     assert os.strerror(errno.ENOENT) in why
+
+
+async def test_frames_may_be_long(dog: Watchdog, line: Line) -> None:
+    """As words of the channel they are twice as long, and one word all the same."""
+    frames = SafeFrames([b"\0" * 64], repeat=1000)
+    outlet = Outlet("serial", descriptor=line.near)
+    assert not await dog.arm("wheels", frames, outlet)
+    assert dog.runs
+
+
+async def test_what_one_device_cannot_take_is_its_own_fault(line: Line) -> None:
+    """Whatever its write raises: who sends to it goes on with the next one."""
+    told = {"name": "lamp", "wire": "gpio", "target": {}, "frames": ["00" * 2000]}
+    device = Device(told, [line.near])
+    device.begin()
+    assert device.is_left()
+    assert "too long" in device.error
+
+
+async def test_hundreds_may_be_armed_at_the_same_time(dog: Watchdog) -> None:
+    """They wait until there is room in the channel, both ways."""
+    outlet = Outlet("i2c", target={"path": "/nowhere"})
+    asked = (dog.arm(f"lamp {n}", SAFE, outlet) for n in range(700))
+    refused = await asyncio.gather(*asked)
+    assert all(os.strerror(errno.ENOENT) in why for why in refused)
+
+
+@pytest.mark.promise("GRD-1")
+async def test_it_does_not_wait_for_a_robot_that_does_not_hear(dog: Watchdog) -> None:
+    """One that is stuck leaves answers unread, and is watched all the same."""
+    for place in range(2000):  # more than there is room for the answers
+        with contextlib.suppress(BlockingIOError):
+            dog._send({"op": "drop", "place": place})
+        time.sleep(0.0001)  # noqa: ASYNC251 - it is stuck
+
+    def looks() -> int:
+        return dog._numbers[_watchdog._LOOKS]
+
+    before, end = looks(), time.monotonic() + 5.0
+    while looks() == before and time.monotonic() < end:
+        time.sleep(0.01)  # noqa: ASYNC251 - it is stuck
+    assert looks() > before
+
+
+@pytest.mark.promise("GRD-1")
+async def test_what_moves_moves_still_when_it_is_armed_again(
+    dog: Watchdog, line: Line
+) -> None:
+    """Its settings were changed, or its watchdog is a new one: it was told no stop."""
+    outlet = Outlet("serial", descriptor=line.near)
+    assert not await dog.arm("wheels", SAFE, outlet)
+    dog.moving("wheels", True)
+    assert not await dog.arm("wheels", SAFE, outlet)
+    assert dog._numbers[_watchdog._MOVING] == 1
+    await until(lambda: lines_of(dog) == [line.port])
+
+
+@pytest.mark.promise("GRD-3")
+async def test_a_start_that_is_broken_off_leaves_no_watchdog() -> None:
+    """A signal may come while it is started."""
+    dog = Watchdog()
+    starting = asyncio.create_task(dog.start())
+    await asyncio.sleep(0)
+    starting.cancel()
+    await asyncio.gather(starting, return_exceptions=True)
+    await dog.close()
+    await asyncio.sleep(0.1)
+    assert dogs_of(os.getpid()) == []
+
+
+@pytest.mark.parametrize("limit", [0.001, 1e8])
+async def test_every_limit_can_be_kept(limit: float, line: Line) -> None:
+    """Also one of years, which no clock of the kernel can wait for."""
+    dog = Watchdog(limit=limit)
+    await dog.start()
+    assert not await dog.arm("wheels", SAFE, Outlet("serial", descriptor=line.near))
+    assert dog.runs
+    await dog.close()
+
+
+async def test_both_may_be_paused(deaths: Deaths) -> None:
+    """As in a container: what counts is how often the robot looked in vain."""
+    dog = Watchdog(limit=0.001, on_death=deaths)
+    await dog.start()
+    os.kill(pid_of(dog), signal.SIGSTOP)
+    await asyncio.sleep(0.05)
+    dog.beat()
+    await asyncio.sleep(0.05)
+    dog.beat()
+    os.kill(pid_of(dog), signal.SIGCONT)
+    await asyncio.sleep(0.05)
+    assert deaths.count == 0
+    await dog.close()
+
+
+@pytest.mark.promise("GRD-2")
+async def test_process_1_of_a_container_has_no_watchdog(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The kernel would end both at once, and stops no such process for anybody."""
+    monkeypatch.setattr(os, "getpid", lambda: 1)
+    with pytest.raises(OSError, match="docker run --init"):
+        await Watchdog().start()
 
 
 @pytest.mark.promise("GRD-3")

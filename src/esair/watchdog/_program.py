@@ -19,7 +19,7 @@ import termios
 import time
 from typing import Any
 
-BEATS, MOVING, LATCH, LOOKS = range(4)
+BEATS, MOVING, LATCH, LOOKS, OVER = range(5)
 TELL_STACK = signal.SIGRTMAX
 STOP_WITHIN, SEND_WITHIN = 0.02, 0.5
 I2C_TIMEOUT, I2C_RDWR, GPIO_SET_VALUES = 0x0702, 0x0707, 0xC010B40F
@@ -37,19 +37,19 @@ class Device:
             can.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
             can.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
             can.bind((self.target["channel"],))
-            descriptors = [can.detach()]
+            descriptors.append(can.detach())
         elif self.wire == "i2c":
-            descriptors = [os.open(self.target["path"], os.O_RDWR | os.O_CLOEXEC)]
+            descriptors.append(os.open(self.target["path"], os.O_RDWR | os.O_CLOEXEC))
             fcntl.ioctl(descriptors[0], I2C_TIMEOUT, 2)  # 20 ms
         if not descriptors:
             raise OSError("its descriptor did not arrive: too many are open")
         self.descriptor = descriptors[0]
-        os.set_blocking(self.descriptor, False)
 
     def begin(self) -> None:
         """Throw away the motion that still waits in the kernel."""
         self.left = list(self.frames)
-        with contextlib.suppress(termios.error):  # a pipe has no such queue
+        with contextlib.suppress(Exception):  # a pipe has no such queue
+            os.set_blocking(self.descriptor, False)  # the robot's, too: not before
             termios.tcflush(self.descriptor, termios.TCOFLUSH)
             termios.tcflow(self.descriptor, termios.TCOON)
 
@@ -59,7 +59,7 @@ class Device:
             while self.left:
                 rest = self.left[0][self.write(self.left[0]) :]
                 self.left = [rest, *self.left[1:]] if rest else self.left[1:]
-        except OSError as error:
+        except Exception as error:  # the others are to be made safe all the same
             self.error = str(error)
         return bool(self.left)
 
@@ -96,15 +96,15 @@ class Watchdog:
         self.poll.register(self.pidfd, select.POLLIN)
 
     def watch(self) -> str:
-        """Return why the robot has to be made safe; empty after a good-bye."""
+        """Return why the robot has to be made safe; empty after its good-bye."""
         beats, since, asked = self.numbers[BEATS], time.monotonic(), False
-        while True:
+        while not self.is_over:
             self.numbers[LOOKS] += 1
-            events = dict(self.poll.poll(self.limit * 100))  # a tenth of it, in ms
+            events = dict(self.poll.poll(min(self.limit, 1e4) * 100))  # a tenth, in ms
             if self.pidfd in events:
                 return "its process died"
-            if self.channel.fileno() in events and self.hears_good_bye():
-                return ""
+            if self.channel.fileno() in events and not self.hears():
+                break
             for place, device in tuple(self.devices.items()):
                 if device.descriptor in events:  # gone: its number must become free
                     self.drop(place)
@@ -116,10 +116,25 @@ class Watchdog:
                 return f"no turn for {now - since:.3f} s{self.culprit()}"
             elif not asked and now - since >= self.limit / 2:
                 asked = True
-                os.ftruncate(self.stack, 0)
-                os.lseek(self.stack, 0, os.SEEK_SET)
-                with contextlib.suppress(OSError):  # it is dead
+                with contextlib.suppress(OSError):  # nothing is told, then
+                    os.ftruncate(self.stack, 0)
+                    os.lseek(self.stack, 0, os.SEEK_SET)
                     signal.pidfd_send_signal(self.pidfd, TELL_STACK)
+        why = "its robot is gone, its process is not"
+        return "" if self.is_over else self.last_look(STOP_WITHIN, why)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the robot itself, and no fork of it, has said good-bye."""
+        return bool(self.numbers[OVER] == self.pid)
+
+    def last_look(self, within: float, why: str = "") -> str:
+        """Return why a robot has to be made safe to which nobody listens any more."""
+        beats = self.numbers[BEATS]
+        if select.select([self.pidfd], [], [], within)[0]:
+            return "its process died"
+        stuck = self.numbers[MOVING] and self.numbers[BEATS] == beats
+        return why or ("no turn" if stuck else "")
 
     def culprit(self) -> str:
         """Return who holds the process: the code next to it that is not a library's."""
@@ -130,27 +145,28 @@ class Watchdog:
         own = [each for each in frames if not each[6:].startswith(libraries)]
         return "".join(f", in {frame}" for frame in (own or frames)[:1])
 
-    def hears_good_bye(self) -> bool:
-        """Do what the robot asks for, and answer."""
+    def hears(self) -> bool:
+        """Do what the robot asks for, and answer; tells whether it is still there."""
         data, descriptors = b"", list[int]()
-        with contextlib.suppress(OSError):  # it died before it heard an answer
-            data, descriptors, *_ = socket.recv_fds(self.channel, 65536, 1)
+        with contextlib.suppress(ConnectionResetError):  # it has left answers unread
+            data, descriptors, *_ = socket.recv_fds(self.channel, 1 << 20, 1)
         if not data:
-            self.poll.unregister(self.channel)  # the pidfd tells whether it died
             return False
         told = json.loads(data)
-        if told["op"] == "arm":
-            try:
-                device = self.devices[told["place"]] = Device(told, descriptors)
-            except OSError as error:
-                self.tell("refused", told["place"], str(error))
-                return False
-            self.poll.register(device.descriptor, 0)  # hang-up and error alone
-        elif told["op"] == "drop":
+        if told["op"] == "drop":
             self.drop(told["place"])
-        if told["op"] != "bye":
-            self.tell("done", told["place"])
-        return bool(told["op"] == "bye")
+        else:
+            try:
+                device = Device(told, descriptors)
+            except Exception as error:
+                for each in descriptors:
+                    os.close(each)
+                self.tell("refused", told["place"], str(error))
+                return True
+            self.devices[told["place"]] = device
+            self.poll.register(device.descriptor, 0)  # hang-up and error alone
+        self.tell("done", told["place"])
+        return True
 
     def drop(self, place: int) -> None:
         """Watch a device no more."""
@@ -161,8 +177,20 @@ class Watchdog:
 
     def tell(self, what: str, place: int, why: str = "") -> None:
         """Answer the robot."""
-        with contextlib.suppress(OSError):  # the pidfd tells whether it died
-            self.channel.send(json.dumps([what, place, why]).encode())
+        with contextlib.suppress(OSError):  # it is dead; or stuck, and hears nothing
+            self.channel.send(
+                json.dumps([what, place, why]).encode(), socket.MSG_DONTWAIT
+            )
+
+    def is_still(self) -> bool:
+        """Whether no thread of the process runs any more."""
+        states = b""
+        with contextlib.suppress(OSError):  # hidden from us; or a thread has just ended
+            for task in os.listdir(tasks := f"/proc/{self.pid}/task"):
+                with open(f"{tasks}/{task}/stat", "rb") as file:
+                    states += file.read().rpartition(b")")[2].split()[0]
+            return set(states) <= set(b"TtZX")
+        return bool(select.select([self.pidfd], [], [], 0)[0])
 
     def act(self, why: str) -> None:
         """Stop the process, make every device safe, end the process, and say so."""
@@ -170,18 +198,16 @@ class Watchdog:
         self.numbers[LATCH] = 1
         with contextlib.suppress(OSError):  # it is dead
             signal.pidfd_send_signal(self.pidfd, signal.SIGSTOP)
-            stat, state = f"/proc/{self.pid}/stat", b"R"
-            while state not in b"TtZX" and time.monotonic() - began < STOP_WITHIN:
-                with open(stat, "rb") as file:  # nothing of its comes after this
-                    state = file.read().rpartition(b")")[2].split()[0]
-        for device in self.devices.values():
-            device.begin()
+        while not self.is_still() and time.monotonic() - began < STOP_WITHIN:
+            time.sleep(0.0001)  # what it still writes must not come after safe
         waiting = list(self.devices.values())  # all of them before any is tried again
+        for device in waiting:
+            device.begin()
         while waiting := [device for device in waiting if device.is_left()]:
             if time.monotonic() - began > SEND_WITHIN:
                 break
             time.sleep(0.001)
-        took = (time.monotonic() - began) * 1000
+        took = time.monotonic() - began
         with contextlib.suppress(OSError):  # it is dead
             if self.policy == "kill":
                 signal.pidfd_send_signal(self.pidfd, signal.SIGKILL)
@@ -189,14 +215,24 @@ class Watchdog:
             f"{device.name} {f'NOT SAFE ({device.error})' if device.left else 'safe'}"
             for device in self.devices.values()
         ]
-        told_all = ", ".join(told) or "nothing is watched"
-        line = f"esair watchdog: {why}: {told_all}, after {took:.1f} ms\n"
-        os.write(2, line.encode())
+        said = f"{why}: {', '.join(told) or 'nothing is watched'}"
+        line = f"esair watchdog: {said}, after {took * 1000:.1f} ms\n".encode()
+        with contextlib.suppress(OSError):  # who reads it may have gone, or be stuck
+            while line and select.select([], [2], [], SEND_WITHIN)[1]:
+                line = line[os.write(2, line[: select.PIPE_BUF]) :]
 
 
 if __name__ == "__main__":
     for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(each, signal.SIG_IGN)
+    while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass  # else a device could get the number to which the last line is written
+    os.close(spare)
     dog = Watchdog(sys.argv[1:])
-    if reason := dog.watch():
+    try:
+        reason = dog.watch()
+    except Exception:
+        if not (reason := dog.last_look(dog.limit)):
+            raise  # a robot that lives hears of it, and makes itself safe
+    if reason and not dog.is_over:
         dog.act(reason)

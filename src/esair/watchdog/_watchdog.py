@@ -11,7 +11,6 @@ import os
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
@@ -23,12 +22,15 @@ from esair.watchdog._stack import stack_file
 ANSWER_WITHIN = 1.0  # How long the watchdog may take to answer, in seconds
 GONE_WITHIN = 0.1  # How long it may take to end after an orderly stop, in seconds
 
-STUCK_AFTER = 8
-"""After how many limits without a look a watchdog is killed while the robot beats."""
+STUCK_AFTER = 40
+"""After how many beats of the robot without a look a watchdog is killed."""
+
+AT_ONCE = 64
+"""How much may be asked at the same time: more words, or answers, may not find room."""
 
 _PROGRAM = Path(__file__).with_name("_program.py")
 _PAGE = mmap.PAGESIZE
-_BEATS, _MOVING, _LATCH, _LOOKS = range(4)
+_BEATS, _MOVING, _LATCH, _LOOKS, _OVER = range(5)
 
 _log = logging.getLogger("esair")
 
@@ -57,8 +59,8 @@ class Watchdog:
         self._places: dict[str, int] = {}
         self._answers: dict[int, asyncio.Future[str]] = {}
         self._last = 0
-        self._beats = self._looks = 0
-        self._looked = time.monotonic()
+        self._beats = self._looks = self._looked = 0
+        self._room = asyncio.Semaphore(AT_ONCE)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: socket.socket | None = None
@@ -75,36 +77,43 @@ class Watchdog:
             OSError: It cannot be started.
         """
         loop = self._loop = asyncio.get_running_loop()
-        mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        mine.setblocking(False)
-        shared = os.memfd_create("esair-watchdog")
-        me = os.pidfd_open(os.getpid())
-        stack = stack_file.open()
-        try:
+        if os.getpid() == 1:
+            told = (
+                "process 1 of a container takes its watchdog with it: give it an init"
+            )
+            raise OSError(f"{told} (docker run --init)")
+        self._spawn()
+        assert self._channel is not None
+        loop.add_reader(self._channel, self._hear)
+        loop.add_reader(self._pidfd, self._died)
+
+    def _spawn(self) -> None:
+        """Start it without a turn in between: one that nobody knows would not end."""
+        with contextlib.ExitStack() as here, contextlib.ExitStack() as failed:
+            mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            here.callback(its.close)
+            failed.callback(mine.close)
+            mine.setblocking(False)
+            shared = os.memfd_create("esair-watchdog")
+            here.callback(os.close, shared)
+            me = os.pidfd_open(os.getpid())
+            here.callback(os.close, me)
+            stack = stack_file.open()
+            failed.callback(stack_file.close)
             os.ftruncate(shared, _PAGE)
             self._share(mmap.mmap(shared, _PAGE))
+            failed.callback(self._share, None)
             descriptors = (its.fileno(), me, shared, stack)
             arguments = [*descriptors, os.getpid(), self.limit, self.policy]
-            self._process = await asyncio.to_thread(
-                subprocess.Popen,
+            self._process = subprocess.Popen(
                 [sys.executable, "-I", "-S", str(_PROGRAM), *map(str, arguments)],
                 stdin=subprocess.DEVNULL,
                 pass_fds=descriptors,
                 start_new_session=True,
             )
-        except BaseException:
-            mine.close()
-            self._share(None)
-            stack_file.close()
-            raise
-        finally:
-            its.close()
-            os.close(shared)
-            os.close(me)
+            failed.pop_all()
         self._channel = mine
         self._pidfd = os.pidfd_open(self._process.pid)
-        loop.add_reader(mine, self._hear)
-        loop.add_reader(self._pidfd, self._died)
 
     def _share(self, page: mmap.mmap | None) -> None:
         """Count in a page that the process sees; in one's own if it is None."""
@@ -125,8 +134,7 @@ class Watchdog:
         process = self._process
         if process is None:
             return
-        with contextlib.suppress(OSError):
-            self._send({"op": "bye"})
+        self._numbers[_OVER] = os.getpid()  # a fork of the robot cannot say this
         self._forget()
         try:
             await asyncio.to_thread(process.wait, GONE_WITHIN)
@@ -174,7 +182,7 @@ class Watchdog:
         Returns:
             Why it is not watched, in words; empty if it is.
         """
-        await self.drop(name)
+        before = self._places.get(name)
         self._last += 1
         place = self._last
         sent = list(frames.frames) * frames.repeat
@@ -191,9 +199,11 @@ class Watchdog:
         self._places[name] = place
         why = await self._ask(place, told, outlet.descriptor)
         if why:
-            self._places.pop(name, None)
-            with contextlib.suppress(OSError):  # it may still do what it was told
-                self._send({"op": "drop", "place": place})
+            self._places.pop(name, None)  # yet it may still do what it was told
+        for each in (before, place if why else None):
+            if each is not None:  # there was no moment in which neither was watched
+                with contextlib.suppress(OSError):
+                    self._send({"op": "drop", "place": each})
         return why
 
     async def drop(self, name: str) -> None:
@@ -212,17 +222,18 @@ class Watchdog:
     ) -> str:
         if self._channel is None or self._loop is None:
             return "there is no watchdog process"
-        answer: asyncio.Future[str] = self._loop.create_future()
-        self._answers[place] = answer
-        try:
-            self._send(told, descriptor)
-            return await asyncio.wait_for(answer, ANSWER_WITHIN)
-        except TimeoutError:
-            return f"the watchdog has not answered for {ANSWER_WITHIN:g} s"
-        except OSError as error:
-            return f"the watchdog cannot be told: {error}"
-        finally:
-            self._answers.pop(place, None)
+        async with self._room:
+            answer: asyncio.Future[str] = self._loop.create_future()
+            self._answers[place] = answer
+            try:
+                self._send(told, descriptor)
+                return await asyncio.wait_for(answer, ANSWER_WITHIN)
+            except TimeoutError:
+                return f"the watchdog has not answered for {ANSWER_WITHIN:g} s"
+            except OSError as error:
+                return f"the watchdog cannot be told: {error}"
+            finally:
+                self._answers.pop(place, None)
 
     def _send(self, told: dict[str, object], descriptor: int | None = None) -> None:
         data = json.dumps(told).encode()
@@ -256,12 +267,12 @@ class Watchdog:
         """Tell that the scheduler turns; end a watchdog that does not look any more."""
         self._beats += 1
         self._numbers[_BEATS] = self._beats
-        looks, now = self._numbers[_LOOKS], time.monotonic()
+        looks = self._numbers[_LOOKS]
         if looks != self._looks or self._process is None:
-            self._looks, self._looked = looks, now
-        elif now - self._looked > STUCK_AFTER * self.limit:
-            _log.critical("watchdog: it has not looked for %.1f s", now - self._looked)
-            self._looked = now
+            self._looks, self._looked = looks, self._beats
+        elif self._beats - self._looked > STUCK_AFTER:
+            _log.critical("watchdog: it has not looked for %d beats", STUCK_AFTER)
+            self._looked = self._beats
             self._process.kill()
 
     def moving(self, name: str, moves: bool) -> None:
