@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import runpy
 import subprocess
 import sys
 import textwrap
@@ -205,3 +206,15 @@ def test_a_name_that_is_none_is_told_as_of_any_module() -> None:
 def test_the_package_says_that_it_is_typed() -> None:
     """Type checkers look for py.typed."""
     assert (Path(esair.__file__).parent / "py.typed").exists()
+
+
+def test_another_system_is_told_what_it_is_not_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Whoever tries it on Windows, or a watchdog elsewhere, reads why it cannot be."""
+    monkeypatch.setattr(sys, "platform", "win32")
+    with pytest.raises(ImportError, match="not on Windows: use it in WSL"):
+        runpy.run_path(str(ROOT / "src/esair/loop/_signals.py"))
+    monkeypatch.setattr(sys, "platform", "darwin")
+    with pytest.raises(esair.ConfigError, match="watchdog: expected Linux"):
+        esair.Robot(watchdog=True)

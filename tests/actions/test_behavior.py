@@ -167,6 +167,12 @@ async def test_who_waits_for_data_is_woken_by_the_removal() -> None:
             await waiting
 
 
+async def test_a_plain_loop_of_ticks_in_the_event_loop_is_refused() -> None:
+    """``for`` instead of ``async for`` would hold up everybody, for ever."""
+    with pytest.raises(esair.ConfigError, match="write 'async for' in it"):
+        next(iter(esair.every(60.0)))
+
+
 # BEH-2
 
 

@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Iterator
 
+from esair.exceptions import ConfigError
 from esair.loop._budget import Budget
 from esair.loop._futures import wake
 from esair.loop._ownership import is_outside
@@ -54,8 +55,15 @@ class Every:
         return self._count * self.period
 
     def __iter__(self) -> Iterator[float]:
-        """Tick in a plain behavior, whose thread waits meanwhile."""
+        """Tick in a plain behavior, whose thread waits meanwhile.
+
+        Raises:
+            ConfigError: In the event loop, where everybody would wait.
+        """
         own = portal.get(None)
+        if own is None and asyncio._get_running_loop() is not None:  # noqa: SLF001
+            told = "an event loop is running: write 'async for' in it"
+            raise ConfigError("every", "", told)
         while True:
             if own is not None:
                 yield own.call(self.__anext__)

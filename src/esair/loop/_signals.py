@@ -28,6 +28,9 @@ from typing import Any, Self
 from esair.loop._ending import Ending, Kicks, break_out, leave_at_once
 from esair.loop._overseer import overseer
 
+if sys.platform == "win32":
+    raise ImportError("esair runs on Linux, not on Windows: use it in WSL")
+
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 LAST_WORD = 0.6  # how long the third signal waits at most for safe commands, in seconds

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
-from esair.exceptions import describe
+from esair.exceptions import ConfigError, describe
 from esair.loop import Job, News, Scheduler, outside, spawn
 from esair.supervisors._resource_deployment import ResourceDeployment
 from esair.values import check_choice, check_seconds
@@ -41,6 +42,9 @@ class Keeper:
         self._on_death = check_choice(owner, "watchdog_death", on_death, choices)
         self._limit = limit = check_seconds(owner, "watchdog_limit", limit)
         check_choice(owner, "watchdog_policy", policy, ("kill", "freeze"))
+        if sys.platform != "linux":
+            told = f"expected Linux, not {sys.platform}: leave it out"
+            raise ConfigError(owner, "watchdog", told)
         from esair.watchdog import Watchdog  # only for the robots that have one
 
         self._watchdog: Watchdog = Watchdog(
