@@ -315,6 +315,21 @@ async def test_memory_that_is_not_there_is_a_failure_of_who_wants_it(
     assert lines.count("1.0") == 2
 
 
+@pytest.mark.promise("ROB-2")
+@pytest.mark.fault("O14")
+async def test_a_fork_that_goes_on_as_the_robot_is_ended(tmp_path: Path) -> None:
+    """It would hold the robot's devices, and nobody would stop it."""
+    returned, lines, errors, _ = await live(
+        tmp_path / "log",
+        step="if self.child is None: self.child = os.fork()",
+        main="Drive.child = None\nesair.run(robot, duration=0.3)",
+    )
+
+    assert returned == 0, errors
+    assert "it is a fork of a robot's, and went on as that robot" in errors
+    assert is_safe(lines)
+
+
 @pytest.mark.promise("ROB-1")
 async def test_run_ends_after_its_duration(tmp_path: Path) -> None:
     """A normal end: exit code 0, safe."""

@@ -154,7 +154,11 @@ class SignalDesk:
         return now + 0.01
 
     def forget(self) -> None:
-        """This is a forked child: its signals are not those of the robots."""
+        """This is a forked child: its signals, and its loops, are not the robots'."""
+        told = "it is a fork of a robot's, and went on as that robot"
+        for watch in self._watches:
+            if watch.loop is not None:
+                watch.loop.call_soon(leave_at_once, 1, told)
         if self._before:
             with contextlib.suppress(ValueError):
                 signal.set_wakeup_fd(-1)
