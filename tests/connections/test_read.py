@@ -328,6 +328,48 @@ async def test_a_slow_reader_of_a_stream_gets_the_newest(
         assert robot.sensors.channels["radar"]._followers == ()
 
 
+@pytest.mark.promise("SC-3")
+@pytest.mark.parametrize("what", ["silent", "lost", "slept", "again"])
+async def test_a_slow_reader_of_a_stream_never_gets_an_old_value(
+    what: str, fake_sensor: Any, user_of: Any
+) -> None:
+    """It waits for the next one: that value came while it was busy, and is old now."""
+    loop: Any = asyncio.get_running_loop()
+    sonar = fake_sensor("sonar")
+    user = user_of("user", sonar=esair.reads(float, max_age=0.5))
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        ticks = esair.every(0.01)
+        await anext(ticks)
+        values = aiter(user.sonar)
+        first = asyncio.create_task(anext(values))
+        await asyncio.sleep(0.01)
+        sonar.feed(1.0)
+        assert await first == 1.0
+        sonar.feed(2.0)
+        await asyncio.sleep(0.1)
+        if what == "silent":
+            await asyncio.sleep(0.5)
+        elif what == "slept":
+            loop.suspend(60.0)
+            for _ in "ab":
+                await anext(ticks)  # somebody has to turn the wheel
+        else:
+            sonar.unplug()
+            await asyncio.sleep(0.01)
+        if what == "again":
+            sonar.plug()
+            await asyncio.sleep(0.01)
+        second = asyncio.create_task(anext(values))
+        await asyncio.sleep(0.2)
+        assert not second.done()
+        if what == "lost":
+            sonar.plug()
+            await asyncio.sleep(0.2)
+        sonar.feed(3.0)
+        assert await second == 3.0
+        await values.aclose()
+
+
 @pytest.mark.promise("SC-1", "SUP-5")
 @pytest.mark.fault("R10")
 async def test_a_stream_waits_through_a_loss_and_ends_with_a_removal(

@@ -11,7 +11,7 @@ from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._registrations import Registration, run_ended
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.exceptions import EsairError, NotRegisteredError, UnknownNameError
-from esair.loop import WRITE_COST, Budget, current_owner, speaks_for_nobody, wake
+from esair.loop import WRITE_COST, Budget, current_owner, fail, speaks_for_nobody
 from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
 from esair.resources import Operation
 from esair.values import check_duration
@@ -225,20 +225,19 @@ class SensorPort(Port[T]):
     def __aiter__(self) -> AsyncIterator[T]:
         """Yield each new value; a slow reader misses some and gets the newest.
 
-        It waits while the device is lost, and raises when the sensor is removed.
+        It waits while the device is lost and for a value that is not older than
+        `max_age`, and raises when the sensor is removed.
         """
         return self._values()
 
     async def _values(self) -> AsyncGenerator[T, None]:
         await Budget.spend()  # whoever begins again and again has lost its sensor
-        stream = _Stream(self.registration)
+        stream = _Stream(self)
         self._channel.cached(self.registration, 0.0)  # checks the registration
         self._channel.follow(stream)
         try:
             while True:
                 reading = await stream.next()
-                self._channel.dropped += stream.dropped
-                stream.dropped = 0
                 self._budget.left -= 1
                 if self._budget.left < 0:
                     await self._budget.give_way()
@@ -264,25 +263,25 @@ class SensorPort(Port[T]):
 
 
 class _Stream:
-    """Keeps the newest reading for one loop over a port."""
+    """What one loop over a port has seen, and whether it waits for more."""
 
-    def __init__(self, registration: Registration) -> None:
-        self.registration = registration
-        self.dropped = 0
-        self._newest: Reading[Any] | None = None
-        self._error: EsairError | None = None
-        self._waiting: asyncio.Future[None] | None = None
+    def __init__(self, port: SensorPort[Any]) -> None:
+        self.registration = port.registration
+        self._port = port
+        self._channel = port._channel  # noqa: SLF001 - two halves of one
+        self._seen = self._channel.sequence
+        self._waiting: asyncio.Future[Reading[Any]] | None = None
 
     def feed(self, reading: Reading[Any]) -> None:
-        if self._newest is not None:
-            self.dropped += 1
-        self._newest = reading
-        self._wake()
+        waiting = self._waiting
+        if waiting is None or waiting.done():
+            return  # who is late gets what is current then
+        if self._channel.time() - reading.time <= self._port.max_age:
+            waiting.set_result(reading)
 
     def changed(self, error: EsairError | None) -> None:
         if error is not None and not self.registration.usable:
-            self._error = error
-            self._wake()
+            fail(self._waiting, error)
 
     def limited(self) -> None:
         """Each loop decides by itself what is too old."""
@@ -291,16 +290,14 @@ class _Stream:
         """Wait for the next good value."""
 
     async def next(self) -> Reading[Any]:
-        while self._newest is None:
-            if self._error is not None:
-                raise self._error
+        """Return the newest reading that was not seen, as soon as it is current."""
+        reading = self._channel.cached(self.registration, self._port.max_age)
+        if reading is None or reading.sequence <= self._seen:
             self._waiting = asyncio.get_running_loop().create_future()
-            await self._waiting
-        newest, self._newest = self._newest, None
-        return newest
-
-    def _wake(self) -> None:
-        wake(self._waiting)
+            reading = await self._waiting
+        self._channel.dropped += reading.sequence - self._seen - 1
+        self._seen = reading.sequence
+        return reading
 
 
 class ActuatorPort(Port[T]):
