@@ -167,6 +167,65 @@ async def test_faults_in_a_row_close_and_reopen_the_device(
         assert await user.sonar.read() == 1.0
 
 
+class Grumbling(esair.Actuator[float]):
+    """Wheels that turn as they are told, and complain of it, or do not come back."""
+
+    safe = 0.0
+    deadline = 0.05
+
+    def __init__(self, way: str) -> None:
+        super().__init__(name="wheels")
+        self.way = way
+        self.hangs = False
+        self.turns: list[tuple[float, float]] = []
+
+    async def open(self) -> None:
+        if self.hangs:
+            raise ConnectionError("busy")
+        await asyncio.sleep(0.5)
+
+    def turn(self, command: float) -> None:
+        self.turns.append((asyncio.get_running_loop().time(), command))
+
+    async def write(self, command: float) -> None:
+        self.turn(command)
+        if command and self.way == "grumbles":
+            raise ValueError("checksum")
+        if command and self.way == "hangs":
+            self.hangs = True
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.sleep(60.0)
+            await asyncio.sleep(4.0)
+            self.hangs = False
+            self.turn(command)
+
+
+@pytest.mark.promise("AC-2", "CALL-2")
+@pytest.mark.fault("D24", "D21")
+@pytest.mark.parametrize(
+    ("way", "within"), [("grumbles", 0.2), ("hangs", 0.51), ("restarted", 0.2)]
+)
+async def test_a_device_that_is_closed_is_made_safe_first(
+    way: str, within: float, user_of: Any
+) -> None:
+    """It is there, and turns as it was told; what it does late is undone at once."""
+    wheels = Grumbling(way)
+    user = user_of("user", wheels=esair.writes(float))
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        for _ in range(wheels.fault_limit if way == "grumbles" else 1):
+            with contextlib.suppress(esair.EsairError):
+                await user.wheels.write(1.0)
+        if way == "restarted":
+            await robot.resources.restart("wheels")
+        await asyncio.sleep(6.0)
+    turns = wheels.turns
+    moved = [n for n, (_, command) in enumerate(turns) if command]
+    assert len(moved) == {"grumbles": 3, "hangs": 2, "restarted": 1}[way]
+    for n in moved:
+        stopped = next(time for time, command in turns[n:] if command == 0.0)
+        assert stopped - turns[n][0] <= within
+
+
 @pytest.mark.promise("RES-2")
 @pytest.mark.fault("D24", "B17")
 async def test_a_device_that_is_always_at_fault_fails_for_good(

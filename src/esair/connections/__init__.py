@@ -3,7 +3,7 @@
 from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
 from esair.connections._applied_channel import Applied, AppliedChannel
-from esair.connections._call import Call, End
+from esair.connections._call import Call, End, GivenUpError
 from esair.connections._command_check import (
     CommandCheck,
     changed,
@@ -44,6 +44,7 @@ __all__ = [
     "Driver",
     "End",
     "Follower",
+    "GivenUpError",
     "Halt",
     "Halting",
     "LastCommand",

@@ -185,6 +185,8 @@ class ActuatorDevice(Device):
             self._lane_free(call)
         elif call.may_move:
             self._repeat_safe()
+            if self.state is ResourceState.LOST:  # because that did not end
+                self.actuator.report_arrived()
         self._pulse()
 
     def _lane_free(self, call: Call) -> None:
@@ -324,7 +326,7 @@ class ActuatorDevice(Device):
             )
         return False
 
-    async def _tell_safe(self) -> None:
+    async def _tell_safe(self, limit: float | None = None) -> None:
         actuator, calls = self.actuator, self.calls
         command = HOLD if self._stays else actuator.safe
         if command is HOLD and self._told is not HOLD:
@@ -335,7 +337,8 @@ class ActuatorDevice(Device):
         self._told_error = "it has not answered yet"
         self._safe_number = calls.number + 1
         opening = calls.opening
-        applied = calls.begin("safe", self._write, (command,), actuator.deadline)
+        limit = limit or actuator.deadline
+        applied = calls.begin("safe", self._write, (command,), limit)
         if type(applied) is Call:
             applied = await self._outcome_of_safe(applied)
         if opening == calls.opening and calls is self.calls:
@@ -364,6 +367,12 @@ class ActuatorDevice(Device):
         except BaseException as error:
             self._told_error = describe(error)
             raise
+
+    async def last_safe(self) -> None:
+        """Send the safe command to a device that is to be closed: it may move still."""
+        if not (self._told is None or self._told is HOLD or self._told_safe):
+            with contextlib.suppress(Exception):  # it may be gone, or not obey
+                await self._tell_safe(self._turn_within)
 
     # What people ask.
 

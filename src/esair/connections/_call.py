@@ -86,6 +86,10 @@ class Call:
         return f"{self.kind} {self.number}"
 
 
-def given_up(call: Call) -> DeviceLostError:
+class GivenUpError(DeviceLostError):
+    """The robot closes a device that is there: it may move still, and obey."""
+
+
+def given_up(call: Call) -> GivenUpError:
     """Make the error for a device whose driver does not end a call."""
-    return DeviceLostError(call.resource, f"{call} was given up and does not end")
+    return GivenUpError(call.resource, f"{call} was given up and does not end")

@@ -12,6 +12,7 @@ from esair.connections import (
     ActuatorChannel,
     Call,
     End,
+    GivenUpError,
     Method,
     SensorChannel,
     is_loss,
@@ -120,7 +121,7 @@ class ResourceLife(Life):
         if self.tried.done():  # else somebody waits for it: one trial is for all
             self.tried = self._loop.create_future()
         if self.channel.state is ResourceState.READY:
-            self._hear(DeviceLostError(self.name, "it is restarted"))
+            self._hear(GivenUpError(self.name, "it is restarted"))
             self._arrived = True
         else:
             self._hear(None)
@@ -179,7 +180,7 @@ class ResourceLife(Life):
             except Exception as second:
                 # Nobody knows its settings now: close it and begin anew.
                 unknown = f"its settings are unknown: {describe(second)}"
-                self._hear(DeviceLostError(resource.name, unknown))
+                self._hear(GivenUpError(resource.name, unknown))
             told = translate(resource.name, error)
             raise told from (error.__cause__ if told is error else error)
         self._check_ready(None)  # what opens it again does not know these changes
@@ -312,6 +313,9 @@ class ResourceLife(Life):
             else:
                 self._first_try(error)
             self._down(error)
+            is_there = isinstance(error, GivenUpError) or not is_loss(error)
+            if is_there and isinstance(self.channel, ActuatorChannel):
+                await self.channel.last_safe()
             await self._close()
             # A driver that has held the loop would be asked again in the same turn, whose
             # clock stood still, and before the robot could hear that it shall end.
