@@ -82,7 +82,7 @@ class HeldDevice(ActuatorDevice):
         self.halts = 0
         """Grows with each halt: a command from before is never sent after it."""
         self.fence = 0
-        """Grows with each safe command: what was begun before it leaves no more."""
+        """Grows when it is made safe, or is gone: what was begun before leaves no more."""
         self._blind: Protection | None = None
         """The hold in force of those that cannot see, the highest of several."""
         self._guards: tuple[Protection, ...] = ()
@@ -111,6 +111,7 @@ class HeldDevice(ActuatorDevice):
 
     def _disarm(self) -> None:
         self.holder = self._writer = None
+        self.fence += 1
         self._dead_man.disarm()
         self._look_no_more()
 
@@ -205,7 +206,6 @@ class HeldDevice(ActuatorDevice):
         self._disarm()
         if self.operations.running:
             self.operations.end(self._safe_instead())
-        self.fence += 1
         return super().make_safe(stay=stay)
 
     @property

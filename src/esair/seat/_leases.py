@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, Protocol
 
 import attrs
 
-from esair.connections import ActuatorConnection, Registration
+from esair.connections import ActuatorChannel, ActuatorConnection, Registration
 from esair.exceptions import BadValueError, DeviceLostError, EsairError
 from esair.loop import Job, Scheduler, clock_of, spawn
 from esair.messages import Access, Answer, Refused, Written
@@ -43,6 +44,10 @@ class Beats:
             del self._sent[next(iter(self._sent))]
         return number
 
+    def forget(self) -> None:
+        """Know no beat any more: what answers one is old."""
+        self._sent.clear()
+
     def time_of(self, number: object) -> float | None:
         """Return when a beat was sent; None if nobody knows any more."""
         return self._sent.get(number) if type(number) is int else None
@@ -67,6 +72,10 @@ class Lease:
     seconds: float  # How long it lasts after the beat that the last input answers
     owner: Driver
     until: float  # When it lapses unless input renews it; on the loop's clock
+    channel: ActuatorChannel
+    fence: int = (
+        0  # Of the actuator when the last input came: who is later made it safe
+    )
     command: Any = None  # What it was told last; None before that
     timer: asyncio.TimerHandle | None = None
     repeats: Job | None = None
@@ -99,6 +108,9 @@ class Leases:
         self._time = clock_of(self._loop)
         self._next_beat: asyncio.TimerHandle | None = None
         self.beats = Beats(self._time)
+        suspends = Scheduler.of(self._loop).suspends
+        suspends.listen(self._slept)
+        self._undo = partial(suspends.forget, self._slept)
         self.lapses = 0  # How many leases have lapsed for want of fresh input
         self.stale = 0  # How many inputs came too late and were not done
 
@@ -107,7 +119,7 @@ class Leases:
 
     def take(self, actuator: str, seconds: float, owner: Driver) -> Lease:
         """Give somebody the lease of an actuator; whoever has it loses it."""
-        self._actuators.channel(actuator)
+        channel = self._actuators.channel(actuator)
         check_duration("drive", "seconds", seconds)
         if seconds > LONGEST:
             raise BadValueError("drive", "seconds", f"expected at most {LONGEST:g}")
@@ -117,9 +129,8 @@ class Leases:
         registration = admit(
             self._resources, self._name, actuator, Access.WRITE, priority=self._priority
         )
-        lease = Lease(
-            next(self._numbers), registration, seconds, owner, self._time() + seconds
-        )
+        until = self._time() + seconds
+        lease = Lease(next(self._numbers), registration, seconds, owner, until, channel)
         self._live[lease.number] = lease
         self._watch(lease)
         if self._next_beat is None:
@@ -146,8 +157,10 @@ class Leases:
         resource = self._resources.get(lease.actuator)
         lease.command = command(resource)
         lease.until = max(lease.until, sent + lease.seconds)
+        lease.channel = self._actuators.channel(lease.actuator)
+        lease.fence = lease.channel.fence
         if lease.repeats is None:
-            pause = self._actuators.channel(lease.actuator).command_timeout / 3
+            pause = lease.channel.command_timeout / 3
             lease.repeats = Scheduler.of(self._loop).every(
                 pause, lambda _now: self._repeat(lease)
             )
@@ -170,6 +183,11 @@ class Leases:
             lease.newest = None
         lease.owner.lapsed(lease)
 
+    def close(self) -> None:
+        """The robot stops: give back what is driven."""
+        self._undo()
+        self.end_all()
+
     def end_all(self, owner: Driver | None = None) -> None:
         """End the leases of somebody who is gone; all of them unless given."""
         for lease in self:
@@ -177,6 +195,12 @@ class Leases:
                 self.end(lease)
 
     # Inside.
+
+    def _slept(self, _seconds: float) -> None:
+        """The computer slept, whose clock stood still: all input is from before."""
+        self.beats.forget()
+        for lease in self:
+            self._lapse(lease)
 
     def _beat(self) -> None:
         """Tell a beat to those who drive: in a replay too, where nobody hears it."""
@@ -201,7 +225,7 @@ class Leases:
         """Keep what was told alive within the lease: an actuator forgets sooner."""
         if self._time() >= lease.until:
             self._lapse(lease)
-        elif not lease.writing:
+        elif not lease.writing and lease.channel.fence == lease.fence:
             self._write(lease)
 
     def _write(self, lease: Lease) -> asyncio.Future[Any]:

@@ -209,7 +209,7 @@ class Console:
 
     def close(self) -> None:
         """The robot stops: give back what is driven, and end what waits."""
-        self.leases.end_all()
+        self.leases.close()
 
     # What the acts use.
 
