@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import subprocess
 import sys
@@ -9,6 +10,16 @@ from pathlib import Path
 
 import pytest
 
+import esair
+from esair.actions import (
+    ActuatorPort,
+    BlockingActuatorPort,
+    BlockingSensorPort,
+    SensorPort,
+)
+
+HOOKS = {"setup", "run", "teardown", "provide"}
+"""What a behavior overrides, in either form."""
 CASES = Path(__file__).with_name("cases.py")
 ROOT = CASES.parents[2]
 SCRIPT = CASES.with_name("first_script.py")
@@ -65,19 +76,20 @@ def test_pyright_finds_what_is_wrong_and_no_more(tmp_path: Path) -> None:
 
 
 @pytest.mark.promise("BEH-4")
-def test_what_waits_is_made_from_what_is_awaited() -> None:
-    """`actions/_blocking*.py` are what tools/make_blocking.py writes now."""
-    sys.path.insert(0, str(ROOT / "tools"))
-    try:
-        import make_blocking  # type: ignore[import-not-found]
-    finally:
-        sys.path.remove(str(ROOT / "tools"))
-
-    for name, text in make_blocking.made().items():
-        written = (make_blocking.ACTIONS / name).read_text(encoding="utf-8")
-        assert made_once(text) == made_once(written)
-
-
-def made_once(text: str) -> str:
-    """Leave out the imports, whose order and use ruff settles."""
-    return text.partition("TypeVar(")[2]
+@pytest.mark.parametrize(
+    ("awaited", "waiting"),
+    [
+        (SensorPort, BlockingSensorPort),
+        (ActuatorPort, BlockingActuatorPort),
+        (esair.Behavior, esair.ThreadBehavior),
+    ],
+)
+def test_whatever_is_awaited_a_thread_can_wait_for(
+    awaited: type, waiting: type
+) -> None:
+    """No verb of a port or of `Behavior` is forgotten, and each has the same words."""
+    for name, method in inspect.getmembers(awaited, inspect.iscoroutinefunction):
+        if not name.startswith("_") and name not in HOOKS:
+            of_thread = getattr(waiting, name)
+            assert not inspect.iscoroutinefunction(of_thread), name
+            assert (of_thread.__doc__ or "")[:20] == (method.__doc__ or "")[:20]

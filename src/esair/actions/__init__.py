@@ -1,7 +1,7 @@
 """What the robot does: behaviors deliberate, reactions react."""
 
 from esair.actions._behavior import NOTHING, Behavior
-from esair.actions._blocking import ThreadBehavior
+from esair.actions._blocking import BlockingCalls, ThreadBehavior
 from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
@@ -42,6 +42,7 @@ __all__ = [
     "Behavior",
     "Blind",
     "BlockingActuatorPort",
+    "BlockingCalls",
     "BlockingRequestPort",
     "BlockingSensorPort",
     "Derivation",

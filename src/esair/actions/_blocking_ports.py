@@ -1,31 +1,58 @@
-"""Ports whose calls wait. Written by tools/make_blocking.py."""
+"""Ports whose calls wait, and how such a call is made of one that is awaited."""
 
-# What a thread calls waits where its base is awaited: that is the idea of it.
 # mypy: disable-error-code="no-any-return"
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Generic, TypeVar
+import functools
+import inspect
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, cast
 
 from esair.connections import ActuatorPort, Port, SensorPort
 from esair.exceptions import BehaviorRemovedError
 from esair.loop import Portal
-from esair.messages import Reading, Refused, ResourceState, Why, Written
+from esair.messages import Reading, ResourceState
 from esair.resources import Operation
 
 T = TypeVar("T")
+R = TypeVar("R")
+S = TypeVar("S")
+P = ParamSpec("P")
 
 
-async def in_loop(function: Callable[..., T], *args: Any, **options: Any) -> T:
-    """Call a plain function where it belongs, while its thread waits."""
-    return function(*args, **options)
+class Waits:
+    """What a thread has in its hand of something that lives in the event loop."""
+
+    __slots__ = ("_base", "_portal")
+
+    def __init__(self, base: Any, portal: Portal) -> None:
+        self._base = base
+        self._portal = portal
 
 
-async def forever() -> None:
-    await asyncio.get_running_loop().create_future()
+def waits(
+    method: Callable[Concatenate[S, P], Awaitable[R]],
+) -> Callable[Concatenate[Any, P], R]:
+    """Return a method with the same parameters that waits, in the thread that calls it."""
+
+    @functools.wraps(method)
+    def call(self: Waits, /, *args: P.args, **options: P.kwargs) -> R:
+        return self._portal.call(in_loop, method, self._base, *args, **options)
+
+    return call
+
+
+def calls(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[Any, P], R]:
+    """Return the same of a plain method: it is called in the loop."""
+    return waits(cast("Callable[Concatenate[S, P], Awaitable[R]]", method))
+
+
+async def in_loop(method: Callable[..., Any], /, *args: Any, **options: Any) -> Any:
+    """Call a method where it belongs, while its thread waits for what it gives."""
+    found = method(*args, **options)
+    return await found if inspect.isawaitable(found) else found
 
 
 def blocking(port: Any, portal: Portal) -> Any:
@@ -34,45 +61,33 @@ def blocking(port: Any, portal: Portal) -> Any:
     return kind(port, portal)
 
 
-class BlockingPort(Generic[T]):
+class BlockingPort(Waits, Generic[T]):
     """A `Port` for a behavior with a plain ``run``: the thread waits."""
 
-    __slots__ = ("_port", "_portal")
+    __slots__ = ()
 
-    def __init__(self, port: Port[T], portal: Portal) -> None:
-        self._port = port
-        self._portal = portal
+    configure = waits(Port.configure)
+    operate = waits(Port.operate)
 
     @property
     def resource(self) -> str:
         """The name of the device."""
-        return self._port.resource
-
-    def configure(self, **settings: Any) -> None:
-        """Change settings of the device: all of them, or none. See `Port.configure`."""
-        self._portal.call(self._port.configure, **settings)
-
-    def operate(self, name: str, /, **parameters: Any) -> Any:
-        """Call an operation of the device, such as ``home``, and wait for its outcome.
-
-        See `Port.operate`.
-        """
-        return self._portal.call(self._port.operate, name, **parameters)
+        return self._base.resource
 
     @property
     def operations(self) -> Mapping[str, Operation]:
         """What can be called by `operate`, by name, with its parameters."""
-        return self._port.operations
+        return self._base.operations
 
     @property
     def settings(self) -> Mapping[str, Any]:
         """The current settings of the device."""
-        return self._port.settings
+        return self._base.settings
 
     @property
     def state(self) -> ResourceState:
         """What the device is doing."""
-        return self._port.state
+        return self._base.state
 
 
 class BlockingSensorPort(BlockingPort[T]):
@@ -80,49 +95,23 @@ class BlockingSensorPort(BlockingPort[T]):
 
     __slots__ = ()
 
-    _port: SensorPort[T]
+    read = waits(SensorPort[T].read)
+    reading = waits(SensorPort[T].reading)
+    history = calls(SensorPort[T].history)
 
     @property
     def max_age(self) -> float:
         """The greatest age of a reading unless a call says otherwise, in seconds."""
-        return self._port.max_age
-
-    def read(
-        self,
-        *,
-        fresh: bool = False,
-        max_age: float | None = None,
-        timeout: float | None = None,
-    ) -> T:
-        """Return a value: the newest one, or one that is newer than now. See `SensorPort.read`."""
-        return self._portal.call(
-            self._port.read, fresh=fresh, max_age=max_age, timeout=timeout
-        )
-
-    def reading(
-        self,
-        *,
-        fresh: bool = False,
-        max_age: float | None = None,
-        timeout: float | None = None,
-    ) -> Reading[T]:
-        """Return what `read` does, with its time and sequence number."""
-        return self._portal.call(
-            self._port.reading, fresh=fresh, max_age=max_age, timeout=timeout
-        )
+        return self._base.max_age
 
     @property
     def newest(self) -> Reading[T]:
-        """The newest reading, without a wait, as a reaction sees it. See `SensorPort.newest`."""
-        return self._port.newest
-
-    def history(self, count: int) -> list[Reading[T]]:
-        """Return the last readings, the oldest first; at most `history_size` of them."""
-        return self._portal.call(in_loop, self._port.history, count)
+        """The newest reading, without a wait; see `SensorPort.newest`."""
+        return self._base.newest
 
     def __iter__(self) -> Iterator[T]:
         """Yield each new value; a slow reader misses some and gets the newest."""
-        values = self._port._values()  # noqa: SLF001 - the same port, for a thread
+        values = self._base._values()  # noqa: SLF001 - the same port, for a thread
         try:
             while True:
                 yield self._portal.call(values.__anext__)
@@ -133,23 +122,10 @@ class BlockingSensorPort(BlockingPort[T]):
 
 
 class BlockingActuatorPort(BlockingPort[T]):
-    """A `ActuatorPort` for a behavior with a plain ``run``: the thread waits."""
+    """An `ActuatorPort` for a behavior with a plain ``run``: the thread waits."""
 
     __slots__ = ()
 
-    _port: ActuatorPort[T]
-
-    def write(self, command: T, *, hold: float | None = None) -> Written[T] | Refused:
-        """Send a command, and hold the actuator for a while. See `ActuatorPort.write`."""
-        return self._portal.call(self._port.write, command, hold=hold)
-
-    def release(self) -> None:
-        """Give the actuator back at once: lower priorities get through.
-
-        See `ActuatorPort.release`.
-        """
-        self._portal.call(in_loop, self._port.release)
-
-    def why(self) -> Why:
-        """Tell who holds the actuator, by which rule, and what would free it."""
-        return self._portal.call(in_loop, self._port.why)
+    write = waits(ActuatorPort[T].write)
+    release = waits(ActuatorPort[T].release)
+    why = calls(ActuatorPort[T].why)

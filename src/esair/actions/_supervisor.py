@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from esair.abc import Action
-from esair.actions._blocking_ports import in_loop
-from esair.loop import Portal
+from esair.actions._blocking_ports import Waits, calls, waits
 from esair.messages import BehaviorStatus
 
 
@@ -53,32 +52,16 @@ class Behaviors:
         await self._host.manage("restart", name)
 
 
-class BlockingBehaviors:
+class BlockingBehaviors(Waits):
     """`Behaviors` for a behavior with a plain ``run``: the thread waits."""
 
-    def __init__(self, behaviors: Behaviors, portal: Portal) -> None:
-        self._behaviors = behaviors
-        self._portal = portal
+    __slots__ = ()
 
-    def query(self, name: str) -> BehaviorStatus:
-        """Tell what a behavior is doing; see `Behaviors.query`."""
-        return self._portal.call(in_loop, self._behaviors.query, name)  # type: ignore[no-any-return]
-
-    def add(self, behavior: Action) -> None:
-        """Deploy a behavior or reaction; see `BehaviorSupervisor.add`."""
-        self._portal.call(self._behaviors.add, behavior)
-
-    def remove(self, name: str) -> list[Any]:
-        """Take a behavior away; see `BehaviorSupervisor.remove`."""
-        return self._portal.call(self._behaviors.remove, name)
-
-    def replace(self, name: str, behavior: Action) -> list[Any]:
-        """Put another in the place of one; see `BehaviorSupervisor.replace`."""
-        return self._portal.call(self._behaviors.replace, name, behavior)
-
-    def restart(self, name: str) -> None:
-        """End the run of a behavior and begin another; see `BehaviorSupervisor.restart`."""
-        self._portal.call(self._behaviors.restart, name)
+    query = calls(Behaviors.query)
+    add = waits(Behaviors.add)
+    remove = waits(Behaviors.remove)
+    replace = waits(Behaviors.replace)
+    restart = waits(Behaviors.restart)
 
 
 class HasThread(Protocol):

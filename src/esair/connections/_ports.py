@@ -64,7 +64,7 @@ class Port(Generic[T]):
         """The name of the device."""
         return self.registration.resource
 
-    async def configure(self, **settings: Any) -> None:
+    async def configure(self, /, **settings: Any) -> None:
         """Change settings of the device: all of them, or none.
 
         Raises:

@@ -10,6 +10,7 @@ from typing import Any
 from esair.actions import (
     ActuatorPort,
     Behavior,
+    BlockingCalls,
     BlockingRequestPort,
     GuardRunner,
     Guards,
@@ -40,8 +41,8 @@ _log = logging.getLogger("esair")
 
 _METHODS = {
     name: method
-    for name, method in vars(ThreadBehavior).items()
-    if isinstance(method, types.FunctionType) and name != "run"
+    for name, method in vars(BlockingCalls).items()
+    if isinstance(method, types.FunctionType)
 }
 """What a plain behavior calls in its thread, and others await."""
 
