@@ -1,6 +1,5 @@
 """A gripper: its motor and its force on a CAN bus, its attitude from an IMU on I²C."""
 
-import contextlib
 from collections.abc import AsyncIterator
 
 import esair
@@ -27,7 +26,7 @@ class Force(esair.Sensor[float]):
     bus: CanBus
 
     async def stream(self) -> AsyncIterator[float]:
-        with contextlib.closing(self.bus.frames(0x181, length=2)) as frames:
+        with self.bus.frames(0x181, length=2) as frames:
             async for frame in frames:
                 yield int.from_bytes(frame.data) / 100
 

@@ -1,6 +1,5 @@
 """Three sensors: one that is asked, one whose driver blocks, one that pushes."""
 
-import contextlib
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -39,6 +38,6 @@ class RangeFinder(esair.Sensor[float]):
     bus: SerialBus
 
     async def stream(self) -> AsyncIterator[float]:
-        with contextlib.closing(self.bus.frames(b"R ")) as lines:
+        with self.bus.frames(b"R ") as lines:
             async for line in lines:
                 yield float(line[2:])

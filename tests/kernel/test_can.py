@@ -164,7 +164,7 @@ class TestContract(Asked, BusContract):
         return CanBus(name="drive", channel=self.channel)
 
     async def use(self, bus: Any) -> None:
-        with contextlib.closing(bus.frames(0x181)) as inbox:
+        with bus.frames(0x181) as inbox:
             await bus.send(0x101, b"ping")
             try:
                 assert (await inbox.take(timeout=2.0)).data == b"pong"
@@ -227,7 +227,7 @@ async def test_frames_that_nobody_wants_do_not_wake_the_process(vcan: str) -> No
         far.send(0x20 | socket.CAN_EFF_FLAG)
         await asyncio.sleep(0.1)
         assert wakes == []
-        with contextlib.closing(bus.frames(0x20)) as inbox:
+        with bus.frames(0x20) as inbox:
             far.send(0x20, b"now")
             far.send(0x20 | socket.CAN_EFF_FLAG, b"no")
             assert (await inbox.take(timeout=PATIENCE)).data == b"now"

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import collections
 from collections.abc import Callable, Iterable
-from typing import Generic, TypeVar
+from typing import Any, Generic, SupportsIndex, TypeVar, overload
 
 from esair.buses._inbox import within
 
 T = TypeVar("T")
+
+
+class Sent(collections.deque[T]):
+    """The newest that a robot has sent, in order; a slice of it is a list."""
+
+    @overload
+    def __getitem__(self, at: SupportsIndex) -> T: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[T]: ...
+    def __getitem__(self, at: Any) -> Any:
+        return list(self)[at] if isinstance(at, slice) else super().__getitem__(at)
 
 
 class Awaited(Generic[T]):

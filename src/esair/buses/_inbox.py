@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import collections
 from collections.abc import AsyncIterator, Callable, Sequence
-from typing import Generic, TypeVar
+from typing import Generic, Self, TypeVar
 
 from esair.exceptions import BadValueError
 from esair.loop import Deadlines, arrive
@@ -18,7 +18,7 @@ class Inbox(Generic[T]):
 
     When it is full the oldest item gives way to the newest and is counted. When the
     bus is lost whoever waits gets the error at once, and so does everybody later:
-    listen again once the bus is open again.
+    listen again once the bus is open again. As a context manager it is closed at the end.
 
     Attributes:
         dropped: How many items gave way because nobody took them in time.
@@ -40,6 +40,12 @@ class Inbox(Generic[T]):
 
     def __len__(self) -> int:
         return len(self._items)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
 
     def offer(self, item: T) -> None:
         """Add the newest item; never waits and never fails."""

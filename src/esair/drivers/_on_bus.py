@@ -127,7 +127,7 @@ async def hear_first(
     device: Resource, inbox: Inbox[T], silent_after: float | None
 ) -> None:
     """Wait for a sign of life, if there has to be one."""
-    with contextlib.closing(inbox):
+    with inbox:
         if silent_after is not None:
             async for _ in heard(device, inbox, silent_after):
                 return

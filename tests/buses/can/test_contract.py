@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import itertools
 import os
 from typing import Any
@@ -19,7 +18,7 @@ from esair.testing import BusContract, FakeCan
 
 async def ask(bus: CanBus) -> None:
     """Send a frame and take the answer of the other node."""
-    with contextlib.closing(bus.frames(0x181)) as inbox:
+    with bus.frames(0x181) as inbox:
         await bus.send(0x101, b"ping")
         try:
             frame = await inbox.take(timeout=1.0)

@@ -34,7 +34,20 @@ async def test_it_feeds_and_remembers(fake_can: Make) -> None:
         (0x101, b"a", False),
         (0x102, b"b", True),
     ]
+    assert can.sent[-1:] == [can.sent[1]]
     assert can.stats.bad_frames == 1
+    await can.close()
+
+
+async def test_a_listener_listens_until_its_block_ends(fake_can: Make) -> None:
+    """What comes later is nobody's."""
+    can = fake_can()
+    await can.open()
+    with can.frames(0x181) as frames:
+        can.feed(0x181, b"one")
+        assert (await frames.take()).data == b"one"
+    can.feed(0x181, b"two")
+    assert [frame async for frame in frames] == []
     await can.close()
 
 

@@ -356,7 +356,7 @@ class TestSocket(Asked, BusContract):
         return CanBus(name="drive", interface="pair", channel="pair0")
 
     async def use(self, bus: Any) -> None:
-        with contextlib.closing(bus.frames(0x181)) as inbox:
+        with bus.frames(0x181) as inbox:
             await bus.send(0x101, b"ping")
             if not self.silent:
                 with contextlib.suppress(AttributeError, OSError):  # it is unplugged

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import collections
 from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
-from esair.buses._awaited import Awaited
+from esair.buses._awaited import Awaited, Sent
 from esair.buses._bus import listen
 from esair.buses.can._bus import CanBus
 from esair.buses.can._errors import BUS_OFF, CONTROLLER, CONTROLLER_BITS, CanState
@@ -48,7 +47,7 @@ class FakeCan(CanBus):
     def __init__(self, name: str = "can", **options: Any) -> None:
         self._far = MemoryCan(self._heard)
         super().__init__(name=name, interface="fake", wire=self._far, **options)
-        self.sent: collections.deque[Frame] = collections.deque(maxlen=SENT_LIMIT)
+        self.sent: Sent[Frame] = Sent(maxlen=SENT_LIMIT)
         self._powered = True
         self._newest: dict[int, Frame] = {}
         self._on_send: list[Callable[[Frame], Reply]] = []
@@ -128,7 +127,7 @@ class FakeCan(CanBus):
             timeout,
             lambda: (
                 f"{self.name}: {words} did not come in {timeout:g} s; "
-                f"the last frames are {list(self.sent)[-5:]!r}"
+                f"the last frames are {self.sent[-5:]!r}"
             ),
         )
 

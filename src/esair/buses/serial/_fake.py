@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import collections
 import random
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from esair.buses._awaited import Awaited
+from esair.buses._awaited import Awaited, Sent
 from esair.buses._bus import Bus, LateWire
 from esair.buses._exchanges import Exchange
 from esair.buses._failures import Failures
@@ -76,7 +75,7 @@ class FakeSerial(SerialBus):
         super().__init__(
             name=name, framing=framing, wire=LateWire(self._reach), **options
         )
-        self.sent: collections.deque[bytes] = collections.deque(maxlen=SENT_LIMIT)
+        self.sent: Sent[bytes] = Sent(maxlen=SENT_LIMIT)
         self.written = b""
         self.on_write: Reply | None = None
         self.on_frame: Reply | None = None
@@ -167,7 +166,7 @@ class FakeSerial(SerialBus):
             timeout,
             lambda: (
                 f"{self.name}: {wanted!r} was not sent in {timeout:g} s; "
-                f"the last messages are {list(self.sent)[-5:]!r}"
+                f"the last messages are {self.sent[-5:]!r}"
             ),
         )
 

@@ -150,7 +150,7 @@ class _Beats(SharedTask):
 
     async def _run(self, bus: SerialBus) -> None:
         loop = asyncio.get_running_loop()
-        with contextlib.closing(bus.frames(b"B\0")) as inbox:
+        with bus.frames(b"B\0") as inbox:
             due = loop.time()
             while True:
                 if loop.time() >= due:
@@ -225,7 +225,7 @@ class Board(_OnBoard, Sensor[BoardState]):
             DeviceLostError: The beats stay away.
         """
         faults = None
-        with contextlib.closing(self.bus.frames(b"B\0")) as inbox:
+        with self.bus.frames(b"B\0") as inbox:
             async for value in _values(self.bus, self.name, b"B\0", inbox):
                 state = _state(value)
                 if state is None:

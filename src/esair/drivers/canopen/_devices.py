@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -149,7 +148,7 @@ class CanopenSensor(_Object, Sensor[Any]):
         mapped = self._mapped
         assert mapped is not None  # as it is open
         inbox = self.bus.frames(mapped.id, limit=64)
-        with contextlib.closing(inbox):
+        with inbox:
             async for frame in inbox:
                 if len(frame.data) < mapped.size:
                     self.bad_frames += 1

@@ -265,7 +265,7 @@ class Node:
 
     async def _take(self, inbox: Any) -> None:
         assert self.network is not None
-        with contextlib.closing(inbox):
+        with inbox:
             try:
                 async for frame in inbox:
                     self._hear(frame)

@@ -24,7 +24,6 @@ EMCY).
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import AsyncIterator
 from typing import Unpack
 
@@ -98,7 +97,7 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         first, second = 0x180 + self.node, 0x280 + self.node
         told: bytes | None = None
         inbox = self.bus.frames(first, second, limit=64)
-        with contextlib.closing(inbox):
+        with inbox:
             async for frame in inbox:
                 if len(frame.data) < (6 if frame.id == first else 4):
                     self.bad_frames += 1

@@ -97,8 +97,8 @@ class Claim(SharedTask):
 
     async def _run(self) -> None:
         try:
-            with contextlib.closing(
-                self._there().frames(CLAIMS, REQUESTS, extended=True, limit=256)
+            with self._there().frames(
+                CLAIMS, REQUESTS, extended=True, limit=256
             ) as inbox:
                 while True:
                     await self._hold(self._next, inbox)

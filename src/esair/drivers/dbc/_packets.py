@@ -96,10 +96,8 @@ class Sender:
     async def _connect(self, frame_id: int, data: bytes, destination: int) -> None:
         back = ANNOUNCE << 16 | (frame_id & SOURCE) << 8 | destination
         group = group_of(frame_id).to_bytes(3, "little")
-        with contextlib.closing(
-            self._there().frames(
-                Mask(back, 0x03FF_FFFF), extended=True, length=8, limit=64
-            )
+        with self._there().frames(
+            Mask(back, 0x03FF_FFFF), extended=True, length=8, limit=64
         ) as answers:
             try:
                 await self._control(frame_id, destination, RTS, head(data) + b"\xff")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Literal, Unpack
@@ -117,7 +116,7 @@ class DbcSensor(Sensor[Any]):
     async def open(self) -> None:
         """Wait for the first message, if the node may not be silent."""
         if self.silent_after is not None:
-            with contextlib.closing(self._frames()) as inbox:
+            with self._frames() as inbox:
                 async for _ in self._heard(inbox):
                     return
 
@@ -145,7 +144,7 @@ class DbcSensor(Sensor[Any]):
         bad_in_row = 0
         self._numbers.clear()
         self._inbox = self._frames()
-        with contextlib.closing(self._inbox):
+        with self._inbox:
             async for frame in self._heard(self._inbox):
                 try:
                     values = self._decoded(frame)

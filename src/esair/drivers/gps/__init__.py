@@ -19,7 +19,6 @@ receivers talk at 9600 bits per second, once a second::
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import errno
 import math
@@ -273,7 +272,7 @@ class Gps(Sensor[Fix]):
         Raises:
             DeviceFaultError: It is silent, or nothing but noise comes.
         """
-        with contextlib.closing(self.bus.frames()) as sentences:
+        with self.bus.frames() as sentences:
             try:
                 await sentences.take(timeout=self.deadline)
             except TimeoutError:
@@ -291,7 +290,7 @@ class Gps(Sensor[Fix]):
             DeviceLostError: It falls silent; a receiver without a fix still speaks.
         """
         self.builder = FixBuilder(self.sentences)
-        with contextlib.closing(self.bus.frames(limit=256)) as sentences:
+        with self.bus.frames(limit=256) as sentences:
             async for body in heard(self, sentences, self.deadline):
                 fix = self.builder.feed(body)
                 if fix is not None:

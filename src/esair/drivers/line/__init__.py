@@ -17,7 +17,6 @@ Source: this page; it is what most hobby firmware does.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 from collections.abc import AsyncIterator
@@ -189,7 +188,7 @@ class LineSensor(_OnLine, Sensor[float]):
     async def stream(self) -> AsyncIterator[float]:
         """Yield each value that comes; what is no number is counted and left out."""
         begin = len(self.key) + 1
-        with contextlib.closing(self._lines()) as lines:
+        with self._lines() as lines:
             async for line in heard(self, lines, self.silent_after):
                 value = _number(line[begin:])
                 if value is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import AsyncIterator
 from typing import Any, Literal, Required, TypedDict, Unpack
 
@@ -134,7 +133,7 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
 
     async def open(self) -> None:
         """Make sure that the axis is there."""
-        with contextlib.closing(self._frames(Message.HEARTBEAT, limit=4)) as inbox:
+        with self._frames(Message.HEARTBEAT, limit=4) as inbox:
             await self._next(inbox)
 
     async def stream(self) -> AsyncIterator[AxisReading]:
@@ -144,7 +143,7 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
         due = loop.time() + self.heartbeat_timeout
         heartbeat: Heartbeat | None = None
         inbox = self._frames(Message.HEARTBEAT, Message.GET_ENCODER_ESTIMATES, limit=64)
-        with contextlib.closing(inbox):
+        with inbox:
             while True:
                 try:
                     frame = await inbox.take(timeout=max(0.0, due - loop.time()))

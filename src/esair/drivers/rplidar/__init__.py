@@ -22,7 +22,6 @@ does unless it is told not to::
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import math
 import re
@@ -298,7 +297,7 @@ class RpLidar(Sensor[Scan]):
         """
         await self.bus.write(request(STOP))
         await asyncio.sleep(0.002)  # the document asks for 1 ms at least
-        with contextlib.closing(self.bus.frames(limit=1024)) as chunks:
+        with self.bus.frames(limit=1024) as chunks:
             info = await self._ask(GET_INFO, INFO_DESCRIPTOR, _INFO.size, chunks)
             answer = await self._ask(
                 GET_HEALTH, HEALTH_DESCRIPTOR, _HEALTH.size, chunks
@@ -326,7 +325,7 @@ class RpLidar(Sensor[Scan]):
             DeviceLostError: It falls silent: it has restarted, say, and scans no more.
         """
         decoder = self.decoder = ScanDecoder()
-        with contextlib.closing(self.bus.frames(limit=1024)) as chunks:
+        with self.bus.frames(limit=1024) as chunks:
             rest = await self._ask(SCAN, SCAN_DESCRIPTOR, 0, chunks)
             for scan in decoder.feed(rest):
                 yield scan
