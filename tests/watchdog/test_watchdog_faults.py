@@ -334,6 +334,22 @@ async def test_a_robot_whose_watchdog_cannot_be_started(
     assert ("halted by the watchdog" in caplog.text) == (policy == "stop")
 
 
+@pytest.mark.promise("GRD-1")
+@pytest.mark.fault("O05")
+async def test_a_robot_that_is_continued_is_halted(line: Line) -> None:
+    """What its driver was doing when it was stopped ends now: safe is sent after it."""
+    bus = SerialBus(name="front", port=line.port)
+    robot = esair.Robot(
+        resources=[Wheels(bus=bus)], watchdog=True, watchdog_death="alarm"
+    )
+    async with robot:
+        assert robot._keeper is not None
+        dog = robot._keeper._watchdog
+        dog._numbers[_watchdog._LATCH] = 1  # it was made safe, and then continued
+        os.kill(pid_of(dog), signal.SIGKILL)
+        await until(lambda: robot.halted)
+
+
 @pytest.mark.promise("GRD-2")
 async def test_two_robots_with_watchdogs_on_one_port(line: Line) -> None:
     """The second does not get the port, so its watchdog does not write there either."""

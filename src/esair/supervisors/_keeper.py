@@ -81,7 +81,7 @@ class Keeper:
 
     def _missing(self, why: str) -> None:
         _log.critical("%s", why)
-        if self._on_death == "stop":
+        if self._on_death == "stop" or self._watchdog.latched:
             self._halt(why, "the watchdog")
 
     def _died(self) -> None:
