@@ -275,6 +275,34 @@ async def test_signals_are_heard_without_run_too(
     assert is_safe(lines)
 
 
+@pytest.mark.promise("ROB-2")
+@pytest.mark.fault("O01", "O03")
+@pytest.mark.parametrize(
+    "runs", ["asyncio.run", "asyncio.new_event_loop().run_until_complete"]
+)
+async def test_no_number_of_interrupts_breaks_off_the_stop(
+    tmp_path: Path, runs: str
+) -> None:
+    """A runner leaves its loop at the second, a bare loop is left at the first."""
+    main = f"""
+    class Slow(Wheels):
+        def write(self, command):
+            time.sleep(0.2 * command)
+            self.note(str(command))
+    robot = esair.Robot(resources=[Slow(name="wheels")], behaviors=[Drive()])
+    async def main():
+        async with robot:
+            await asyncio.sleep(100)
+    {runs}(main())
+    """
+    returned, lines, errors, _ = await live(
+        tmp_path / "log", *[signal.SIGINT] * 3, main=main, blocking=True
+    )
+
+    assert returned in {130, -signal.SIGINT}, errors
+    assert [line for line in lines if line[0].isdigit()][-1] == "0.0", errors
+
+
 @pytest.mark.promise("ROB-2", "ROB-3")
 @pytest.mark.fault("B05")
 async def test_sys_exit_in_a_behavior_is_its_own_failure(tmp_path: Path) -> None:

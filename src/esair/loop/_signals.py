@@ -33,6 +33,9 @@ if sys.platform == "win32":
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
+_FREE = (signal.SIG_DFL, signal.default_int_handler)
+"""With these a signal ends the program, whatever its loop has still to do."""
+
 LAST_WORD = 0.6  # how long the third signal waits at most for safe commands, in seconds
 
 
@@ -111,6 +114,8 @@ class SignalDesk:
         self._first = 0
         self._last_word = math.inf
         self._code = 1
+        self._runner: Any = None  # asyncio's handler of Ctrl-C, if that is in charge
+        self._interrupted = False  # whether it has heard of one
 
     def join(self, watch: SignalWatch, *, interrupts: bool) -> bool:
         if not self._watches:
@@ -170,9 +175,12 @@ class SignalDesk:
         for number in ENDING:
             if number in self._before:
                 continue
-            handler = signal.getsignal(number)
-            free = handler is signal.SIG_DFL or isinstance(handler, _Again)
-            if interrupts if number == signal.SIGINT else free:
+            handler: Any = signal.getsignal(number)
+            free = handler in _FREE or isinstance(handler, _Again)
+            is_interrupt = number == signal.SIGINT
+            if is_interrupt and _is_of_a_runner(handler) and not interrupts:
+                self._runner, self._interrupted, free = handler, False, True
+            if free or (is_interrupt and interrupts):
                 self._before[number] = handler
                 signal.signal(number, self._handle)
         if self._before and overseer.on_bytes != self._count_all:
@@ -194,10 +202,23 @@ class SignalDesk:
             overseer.on_bytes = lambda _data: None
         self._kicks.stop()
         self._before.clear()
+        self._runner = None
         self._wake_before = -1
 
-    def _handle(self, number: int, _frame: FrameType | None) -> None:
-        """Count a signal in the main thread, unless the overseer has done so."""
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        """Count a signal in the main thread, unless the overseer has done so.
+
+        Asyncio's runner hears of the first Ctrl-C alone: at the second it leaves its
+        loop, and no stop that has begun goes on.
+        """
+        if self._is_the_runners(number):
+            if not self._interrupted:
+                self._interrupted = True
+                self._runner(number, frame)
+                return
+            self._count(number)
+            self._kicks.arm()
+            return
         current = signal.set_wakeup_fd(overseer.wake_fd, warn_on_full_buffer=False)
         if current == overseer.wake_fd:
             overseer.drain()
@@ -211,8 +232,11 @@ class SignalDesk:
             with contextlib.suppress(OSError):
                 os.write(self._wake_before, data)
         for number in data:
-            if number in self._before:
+            if number in self._before and not self._is_the_runners(number):
                 self._count(number)
+
+    def _is_the_runners(self, number: int) -> bool:
+        return number == signal.SIGINT and self._runner is not None
 
     def _count(self, number: int) -> None:
         count = next(self._numbers)
@@ -285,6 +309,11 @@ class _Again:
 
     def __call__(self, _number: int, _frame: FrameType | None) -> None:
         raise SystemExit(self._code)
+
+
+def _is_of_a_runner(handler: Any) -> bool:
+    owner = getattr(getattr(handler, "func", None), "__self__", None)
+    return isinstance(owner, asyncio.Runner)
 
 
 def _hear_no_more() -> None:
