@@ -145,6 +145,55 @@ async def test_a_guard_latches_at_nothing_that_ends_in_the_same_turn(
         await wheels.until(1.0, timeout=0.1)
 
 
+@pytest.mark.promise("PRO-9", "TURN-2")
+@pytest.mark.parametrize("name", ["above", "under"])
+async def test_a_guard_latches_at_no_loss_that_stops_the_writer_too(name: str) -> None:
+    """Both lose the same sensor: whoever is told first, and whatever they are called."""
+
+    class Near(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(float, latch=True)
+
+        def react(self, sonar: float, wheels: float) -> float | None:
+            return wheels
+
+    class Follow(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, blind="release")
+
+        def react(self, sonar: float) -> float:
+            return SPEED
+
+    sonar, wheels = ranges(), Wheels()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[Near(name=name), Follow(name="between")]
+    ):
+        await wheels.until(SPEED, timeout=1.0)
+        sonar.unplug()
+        await wheels.until(0.0, timeout=0.1)
+        sonar.plug()
+        await wheels.until(SPEED, timeout=1.0)
+
+
+@pytest.mark.promise("PRO-6", "TURN-2")
+@pytest.mark.parametrize("names", [["first", "later"], ["later", "first"]])
+async def test_equal_guards_are_asked_by_their_names(names: list[str]) -> None:
+    """In whatever order they were added."""
+
+    class Nothing(esair.Reaction):
+        wheels = esair.guards(float)
+
+        def react(self, wheels: float) -> None: ...
+
+    wheels, driver = Wheels(), user()
+    async with esair.Robot(resources=[wheels], behaviors=[driver]) as robot:
+        for name in names:
+            await robot.behaviors.add(Nothing(name=name))
+        refused = await driver.wheels.write(0.3)
+        assert isinstance(refused, esair.Refused)
+        assert refused.holder == "first"
+
+
 @pytest.mark.promise("PRO-7")
 async def test_what_a_guard_refuses_is_safe_and_the_writer_keeps_the_hold() -> None:
     """Safe is sent once; a lower priority does not turn the wheels meanwhile."""

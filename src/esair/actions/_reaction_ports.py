@@ -131,6 +131,10 @@ class Input:
         else:
             self.lose(_in_short(self.name, error))
 
+    @property
+    def grace(self) -> float:
+        return self.runner.grace
+
     def limited(self) -> None:
         """Have the newest reading for as long as is said now, where the sensor says it."""
         newest = self.channel.newest

@@ -265,6 +265,8 @@ class SensorPort(Port[T]):
 class _Stream:
     """What one loop over a port has seen, and whether it waits for more."""
 
+    grace = 0.0
+
     def __init__(self, port: SensorPort[Any]) -> None:
         self.registration = port.registration
         self._port = port

@@ -243,9 +243,9 @@ class Protections:
         return iter([each for entries in self._entries.values() for each in entries])
 
     def of(self, actuator: str) -> list[Protection]:
-        """Return who holds or guards an actuator, the highest priority first."""
+        """Return who holds or guards an actuator, by priority and name."""
         entries = self._entries.get(actuator, [])
-        return sorted(entries, key=lambda each: -each.priority)
+        return sorted(entries, key=lambda each: (-each.priority, each.component))
 
     def enter(self, entries: Iterable[Protection]) -> None:
         """Put entries in force, all in one step."""

@@ -44,6 +44,10 @@ class Follower(Protocol):
     def registration(self) -> Registration:
         """The right by which it follows."""
 
+    @property
+    def grace(self) -> float:
+        """Who has more of it is told later of what happens in one moment."""
+
     def feed(self, reading: Reading[Any]) -> None:
         """Take a new reading; must not wait."""
 
@@ -247,7 +251,8 @@ class SensorChannel(SensorDevice):
     def follow(self, follower: Follower) -> None:
         """Feed every new reading to a follower; polls the device meanwhile."""
         if follower not in self._followers:
-            self._followers = (*self._followers, follower)
+            followers = (*self._followers, follower)
+            self._followers = tuple(sorted(followers, key=lambda each: each.grace))
             self._start_polling()
 
     def unfollow(self, follower: Follower) -> None:
