@@ -12,7 +12,10 @@ from tests.minimal import rules
 from tests.minimal.hw.board import Board, why_not
 
 from esair import minimal
-from esair.firmware import mistakes
+from esair.actions import adapt_action
+from esair.firmware import mistakes_in
+from esair.plan import Plan, examine
+from esair.resources import adapt_resource
 
 SOURCE = Path(minimal.__file__)
 
@@ -116,18 +119,29 @@ def test_nothing_is_allocated_in_the_steady_state() -> None:
 
 
 def found_in(reactions=(), sensors=(), actuators=(), rate=50.0) -> str:
-    return "; ".join(mistakes(reactions, sensors, actuators, rate))
+    """Return what the rulebook finds, and what only a board cannot do."""
+    plan = Plan(
+        resources=[adapt_resource(each) for each in (*sensors, *actuators)],
+        behaviors=[adapt_action(each) for each in reactions],
+    )
+    told = [
+        f"{each.component}: {each.field}: {each.text}"
+        for each in examine(plan)
+        if each.is_error
+    ]
+    for part in () if told else (*reactions, *sensors, *actuators):
+        told += [f"{part.name}: {': '.join(each)}" for each in mistakes_in(part, rate)]
+    return "; ".join(told)
 
 
-def test_every_mistake_is_named_at_once() -> None:
-    """Of all parts, and of how they fit together."""
+def test_a_mistake_of_a_part_is_that_of_std() -> None:
+    """All of it at once, in the words of the rulebook."""
 
     class NoSafe(minimal.Actuator):
         def write(self, command):
             pass
 
     class Lost(minimal.Reaction):
-        rate = 100
         lidar = minimal.reads(float)
         motor = minimal.writes(float)
 
@@ -136,13 +150,31 @@ def test_every_mistake_is_named_at_once() -> None:
 
     text = found_in([Lost()], [minimal.Sensor("sonar")], [NoSafe()])
     for each in (
-        "lost: rate: expected Hz > 0, at most 50, not 100",
-        "sonar: it must have a method read",
-        "no_safe: safe",
-        "lost: lidar: there is no sensor 'lidar', only ['sonar']",
-        "lost: motor: there is no actuator 'motor', only ['no_safe']",
+        "sonar: read: a sensor must have a read or stream method",
+        "no_safe: safe: an actuator must declare its safe command",
+        "lost: lidar: no resource is named 'lidar'",
+        "lost: motor: no resource is named 'motor'",
     ):
         assert each in text, text
+
+
+def test_a_reaction_is_no_quicker_than_its_loop() -> None:
+    """Its steps are the loop's."""
+    quick = rules.Go()
+    quick.rate = 100
+
+    text = found_in([quick], [rules.Sonar(1)], [rules.Motor()])
+    assert "rate: expected Hz > 0, at most 50, not 100" in text
+
+
+def test_two_ports_for_one_actuator_are_refused() -> None:
+    """A board has one decision of each reaction for an actuator."""
+
+    class Twice(rules.Go):
+        also = minimal.writes(float, name="motor")
+
+    text = found_in([Twice()], [rules.Sonar(1)], [rules.Motor()])
+    assert "motor has another port already" in text
 
 
 @pytest.mark.parametrize(
@@ -150,34 +182,20 @@ def test_every_mistake_is_named_at_once() -> None:
     [
         ({"command_timeout": 0}, "command_timeout: expected seconds > 0"),
         ({"command_timeout": 0.001}, "shorter than one step"),
+        ({"command_timeout": 1e6}, "command_timeout: expected seconds > 0, at most"),
         ({"slew": 1.0}, "slew: only STD has it"),
-        ({"limits": {"x": (0, 1)}, "clamp": True}, "clamp: only STD"),
-        ({"limits": (1.0, 2.0)}, "safe or limits"),
-        ({"safe": float("nan")}, "safe or limits"),
+        ({"limits": (1.0, 2.0)}, "safe: 0.0 is outside the limits"),
+        ({"safe": float("nan")}, "safe: does not fit"),
+        ({"safe": (0.0, (0.0,))}, "safe: a command of MIN is a number"),
     ],
 )
 def test_an_actuator_that_cannot_be_safe_is_refused(change, message) -> None:
-    """The loop is not made."""
+    """By the rulebook, or because a board has less."""
     motor = rules.Motor()
     for name, value in change.items():
         setattr(motor, name, value)
 
     assert message in found_in([], [], [motor])
-
-
-@pytest.mark.parametrize(
-    ("reactions", "sensors", "actuators", "message"),
-    [
-        ([], [rules.Motor("m")], [], "m: it must have a method read"),
-        ([], [], [rules.Sonar(1)], "sonar: it must have a method write"),
-        ([], [rules.Sonar], [], "Sonar: expected an object, not a class"),
-        ([], [], [rules.Motor("Left Arm")], "Left Arm: a name has small letters"),
-        ([], [], [rules.Motor("m"), rules.Motor("m")], "m: there are two of this name"),
-    ],
-)
-def test_what_is_no_part_is_refused(reactions, sensors, actuators, message) -> None:
-    """In the wrong list, a class for an object, a name that STD would refuse."""
-    assert message in found_in(reactions, sensors, actuators)
 
 
 @pytest.mark.parametrize(
@@ -192,7 +210,7 @@ def test_a_duration_that_is_none_is_named(key, need) -> None:
     wrong = type("Wrong", (rules.Go,), {"port": need})()
 
     text = found_in([wrong], [rules.Sonar(1)], [rules.Motor()])
-    assert f"wrong: port: {key}: expected seconds > 0" in text
+    assert f"wrong: port.{key}: expected seconds > 0" in text
 
 
 def test_async_methods_are_refused() -> None:
@@ -215,7 +233,7 @@ def test_parameters_that_are_no_readings_are_refused() -> None:
             return None
 
     text = found_in([Wrong()], [rules.Sonar(1)], [])
-    assert "parameters ['lidar'] must be its readings ['sonar']" in text
+    assert "its parameters must be its readings (sonar)" in text
 
 
 def test_what_can_be_called_is_no_mistake() -> None:

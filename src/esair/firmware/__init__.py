@@ -8,7 +8,7 @@ from esair.firmware._boards import BOARDS, Board
 from esair.firmware._build import Built, build
 from esair.firmware._deploy import Deployed, deploy, monitor
 from esair.firmware._micropython import Trial, find_micropython, run_folder
-from esair.firmware._mistakes import mistakes
+from esair.firmware._mistakes import mistakes_in
 from esair.firmware._modules import KNOWN_MODULES
 
 __all__ = [
@@ -21,7 +21,7 @@ __all__ = [
     "build",
     "deploy",
     "find_micropython",
-    "mistakes",
+    "mistakes_in",
     "monitor",
     "run_folder",
 ]

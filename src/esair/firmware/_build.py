@@ -96,7 +96,7 @@ def build(
 
     parts = fitting_parts(path, described, misfit)
     steps = rate if rate is not None else rate_of(parts)
-    loop_mistakes(parts, steps, misfit, whole=not misfits)
+    loop_mistakes(parts, steps, misfit)
     if watchdog is not None and not 1 / steps <= watchdog <= kind.watchdog:
         misfit(
             "",

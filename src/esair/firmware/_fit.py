@@ -11,7 +11,7 @@ import attrs
 
 from esair.actions import Behavior, MinimalReaction, Reaction
 from esair.config import Description
-from esair.firmware._mistakes import mistakes
+from esair.firmware._mistakes import mistakes_in, wrong_rate
 from esair.resources import Actuator, MinimalActuator, MinimalSensor, Resource, Sensor
 
 Misfit = Callable[[str, str], None]
@@ -107,32 +107,16 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in table.items() if key not in _NOT_ATTRIBUTES}
 
 
-def loop_mistakes(
-    parts: list[Part], rate: float, misfit: Misfit, *, whole: bool
-) -> None:
-    """Tell what the loop itself would refuse.
-
-    Args:
-        parts: What fits so far.
-        rate: Steps per second.
-        misfit: Whom to tell.
-        whole: Whether all parts of the robot are there; else some are missed for a
-            reason that was told already.
-    """
-    by_kind: dict[str, list[Any]] = {"sensor": [], "actuator": [], "behavior": []}
-    keys = {}
+def loop_mistakes(parts: list[Part], rate: float, misfit: Misfit) -> None:
+    """Tell what the loop itself would refuse."""
+    if told := wrong_rate(rate):
+        misfit("", f"loop: rate: {told}")
+        return
     for part in parts:
         if part.made.name != part.name:  # the file's name is what its adapter has
             part.made.name = part.name
-        by_kind[part.kind].append(part.made)
-        keys[part.name] = part.key
-    for text in mistakes(
-        by_kind["behavior"], by_kind["sensor"], by_kind["actuator"], rate
-    ):
-        name, _, reason = text.partition(": ")
-        if not whole and "there is no" in reason:
-            continue
-        misfit(keys.get(name, ""), reason)
+        for field, told in mistakes_in(part.made, rate):
+            misfit(part.key, f"{field}: {told}")
 
 
 def rate_of(parts: list[Part]) -> float:
