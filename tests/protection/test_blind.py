@@ -588,3 +588,39 @@ async def test_a_shorter_hold_of_another_is_not_waited_for_longer() -> None:
         assert wheels.commands[-1] == 0.4
         await asyncio.sleep(0.15)
         assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("TURN-2", "PRO-1")
+async def test_who_takes_over_above_a_hold_is_not_stopped_before() -> None:
+    """One gives it back, another takes it in the same turn: one command, not two."""
+
+    class High(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=109)
+
+        def react(self, sonar: float) -> float | None:
+            return 0.9 if sonar > 1.0 else None
+
+    class Low(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=105)
+
+        def react(self, sonar: float) -> float:
+            return 0.5
+
+    sonar, wheels = ranges(), Wheels()
+    hidden = FakeSensor("hidden", 1.0, type=float)
+    blind = ObstacleStop(reads={"sonar": esair.reads(float, name="hidden")})
+    async with esair.Robot(
+        resources=[sonar, wheels, hidden], behaviors=[High(), Low(), blind]
+    ):
+        await wheels.until(0.9, timeout=1.0)
+        hidden.unplug()
+        await asyncio.sleep(PERIOD / 2)
+        sonar.feed(0.5)
+        await wheels.until(0.5, timeout=1.0)
+        moved = wheels.commands.index(0.9)
+        assert 0.0 not in wheels.commands[moved:]
+        sonar.unplug()
+        await asyncio.sleep(0.0)
+        assert wheels.commands[-1] == 0.0

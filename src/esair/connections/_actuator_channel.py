@@ -244,7 +244,7 @@ class ActuatorChannel(HeldDevice):
         self._told = copy.deepcopy(command) if self._copies else command
         self._told_safe = False
         if blind is not None:
-            self._keep_still()  # when this one holds it no longer
+            self.keep_still()  # when this one holds it no longer
         if not self._dead_man.armed:
             self._dead_man.arm()
         self._busy = True

@@ -51,7 +51,14 @@ class Decision:
     the name), whatever the order in which they decided.
     """
 
-    __slots__ = ("_channel", "_looks", "_others", "_scheduler", "_wish", "sights")
+    __slots__ = (
+        "_channel",
+        "_looks",
+        "_others",
+        "_scheduler",
+        "_wish",
+        "sights",
+    )
 
     def __init__(self, channel: HeldDevice, loop: asyncio.AbstractEventLoop) -> None:
         self._channel = channel
@@ -108,12 +115,17 @@ class Decision:
         wishes.sort(key=self._rank)
         winner: Wish | None = None
         rest: Awaitable[object] | None = None
-        for wish in wishes:
-            if winner is not None:
-                wish.lost(winner.registration)
-                continue
-            decided, rest = wish.commit()
-            winner = wish if decided else None
+        self._channel.changes_hands = True
+        try:
+            for wish in wishes:
+                if winner is not None:
+                    wish.lost(winner.registration)
+                    continue
+                decided, rest = wish.commit()
+                winner = wish if decided else None
+        finally:
+            self._channel.changes_hands = False
+            self._channel.keep_still()
         return rest
 
     def _rank(self, wish: Wish) -> tuple[bool, int, bool, str, str]:

@@ -54,6 +54,7 @@ class HeldDevice(ActuatorDevice):
         "_last_write",
         "_still",
         "_writer",
+        "changes_hands",
         "fence",
         "halts",
         "holder",
@@ -72,6 +73,7 @@ class HeldDevice(ActuatorDevice):
 
     def __init__(self, actuator: Actuator[Any], robot: OfRobot) -> None:
         self.holder: Registration | None = None
+        self.changes_hands = False  # who gives it back is not the last of the turn
         self.since = 0.0
         self.until = 0.0
         self.refusals = 0
@@ -122,8 +124,8 @@ class HeldDevice(ActuatorDevice):
         """
         if self.holder is registration:
             self.holder = None
-            if self._blind is not None:
-                self._keep_still()
+            if not self.changes_hands:
+                self.keep_still()
 
     def drop(self, registration: Registration) -> None:
         """Make the actuator safe if what it does now is this registration's will."""
@@ -229,7 +231,7 @@ class HeldDevice(ActuatorDevice):
         self._blind = holds[0] if holds else None
         self._guards = guards
         if holds:
-            self._keep_still()
+            self.keep_still()
 
     @property
     def moves(self) -> bool:
@@ -241,7 +243,7 @@ class HeldDevice(ActuatorDevice):
             and self._safe_task is None
         )
 
-    def _keep_still(self) -> None:
+    def keep_still(self) -> None:
         """Make it safe because somebody is blind, unless a higher priority moves it."""
         blind = self._blind
         if blind is None or not self.moves:
@@ -265,7 +267,7 @@ class HeldDevice(ActuatorDevice):
 
     def _look_at_blind(self, _now: float) -> None:
         self._blind_look = None
-        self._keep_still()
+        self.keep_still()
 
     def _look_no_more(self) -> None:
         if self._blind_look is not None:
