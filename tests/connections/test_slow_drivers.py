@@ -11,6 +11,7 @@ import pytest
 
 import esair
 from esair import ResourceState
+from esair.loop import Scheduler
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -165,6 +166,33 @@ async def test_after_a_sleep_of_the_computer_no_reading_is_current(
         await user.sonar.read()
         assert sonar.reads == 2
         assert robot.resources.query("sonar").state is ResourceState.READY
+
+
+@pytest.mark.promise("SC-3")
+@pytest.mark.fault("T02")
+async def test_an_answer_to_a_question_from_before_a_sleep_is_old(
+    user_of: Any,
+) -> None:
+    """The device had measured already when the computer fell asleep: it is asked again."""
+
+    class Slow(esair.Sensor[float]):
+        distance = 1.0
+
+        async def read(self) -> float:
+            measured = self.distance
+            await asyncio.sleep(0.2)
+            return measured
+
+    slow = Slow()
+    user = user_of("user", slow=esair.reads(float))
+    loop: Any = asyncio.get_running_loop()
+    async with esair.Robot(resources=[slow], behaviors=[user]):
+        reading = asyncio.create_task(user.slow.read())
+        await asyncio.sleep(0.1)
+        slow.distance = 2.0
+        loop.suspend(3600.0)
+        Scheduler.of(loop).suspends.look()
+        assert await reading == 2.0
 
 
 @pytest.mark.promise("CALL-2", "SUP-3")

@@ -181,6 +181,7 @@ class SensorChannel(SensorDevice):
     def forget_age(self) -> None:
         """Make every reading stale, as after a suspend of the computer."""
         self.newest = None
+        self._old_before = self.time()
         error = StaleReadingError(self.name, None, self.good_for)
         for follower in self._followers:
             follower.changed(error)

@@ -28,6 +28,7 @@ class SensorDevice(Device):
         "_awaiting",
         "_begun",
         "_deadline",
+        "_old_before",
         "_read",
         "_waiting",
         "awaited_in",
@@ -49,6 +50,8 @@ class SensorDevice(Device):
         self.latency = 0.0
         """How long the device took lately at most, in seconds; what is past fades."""
         self._begun = 0.0
+        self._old_before = 0.0
+        """A question from before this moment gives an answer from before it."""
         self._awaiting: list[Callable[[], None]] = []
         self._asking: Call | bool = False
         """The question that waits for its answer: there is one at a time."""
@@ -114,10 +117,10 @@ class SensorDevice(Device):
         polled, self.awaited_in = self.awaited_in, 0
         if polled:
             self.latency = max(self.time() - self._begun, 0.75 * self.latency)
-        if end.error is None:
-            self.publish(end.value, self.transactions)
-        else:
+        if end.error is not None:
             self._fail(end.error, self.transactions)
+        elif call.begun >= self._old_before:  # else who waits has it asked again
+            self.publish(end.value, self.transactions)
         if polled:
             self._answered()
         self._free()
