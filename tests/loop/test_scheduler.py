@@ -145,6 +145,31 @@ async def test_every_leaves_out_ticks_that_have_passed() -> None:
     assert times[3] - times[2] <= 0.1 + 1e-9
 
 
+@pytest.mark.fault("T03")
+async def test_a_tick_that_comes_late_is_the_last_that_has_passed() -> None:
+    """The loop stands still for ten periods in a wait: one tick, then the grid."""
+    ticks: list[tuple[float, float]] = []
+
+    loop: Any = asyncio.get_running_loop()
+    loop.call_later(0.05, loop.advance, 1.0)
+    async for tick in esair.every(0.1):
+        ticks.append((clock(), tick))
+        if len(ticks) == 4:
+            break
+    expected = [(0.0, 0.0), (1.05, 1.0), (1.1, 1.1), (1.2, 1.2)]
+    assert ticks == [pytest.approx(each) for each in expected]
+
+
+@pytest.mark.fault("T05")
+async def test_what_is_due_when_no_timer_reaches_is_just_late() -> None:
+    """An actuator that is held for ever, as good as, has no moment that overflows."""
+    fired: list[float] = []
+    one_shot = scheduler().at(1e300, fired.append)
+    await asyncio.sleep(1.0)
+    scheduler().cancel(one_shot)
+    assert not fired
+
+
 @pytest.mark.parametrize("period", [0, -1.0, float("nan"), float("inf"), True, "1"])
 def test_every_takes_a_number_of_seconds(period: Any) -> None:
     """Anything else is refused before it starts."""

@@ -52,6 +52,7 @@ class Every:
             except BaseException:
                 scheduler.cancel(one_shot)
                 raise
+            self._skip(now())
         return self._count * self.period
 
     def __iter__(self) -> Iterator[float]:
@@ -70,6 +71,7 @@ class Every:
             else:
                 due = self._next(time.monotonic())
                 time.sleep(max(0.0, due - time.monotonic()))
+                self._skip(time.monotonic())
                 yield self._count * self.period
 
     def _next(self, now: float) -> float:
@@ -77,6 +79,11 @@ class Every:
             self._begin = now
             return now
         self._count += 1
+        return self._skip(now)
+
+    def _skip(self, now: float) -> float:
+        """Leave out the ticks that have passed, but the last; return when that was due."""
+        assert self._begin is not None
         due = self._begin + self._count * self.period
         missed = int((now - due) / self.period)
         if missed > 0:

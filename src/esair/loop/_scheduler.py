@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("esair")
 
 SPREAD = 2_500_000  # phases of the same period are at least this far apart, in ns
+FAR = 9e9  # what is due later than that many seconds is due then: timers end there
 CROWD = 32  # how many components share a phase before another phase is used
 
 
@@ -156,7 +157,7 @@ class Scheduler(OfLoop):
 
     def at(self, due: float, function: Step, *, order: Order = Order.WAKE) -> OneShot:
         """Call a function once, at a moment of the loop's clock."""
-        one_shot = OneShot(round(due * SECOND), order, function)
+        one_shot = OneShot(round(min(due, FAR) * SECOND), order, function)
         self._push(one_shot.due, one_shot)
         return one_shot
 
