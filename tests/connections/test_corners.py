@@ -77,7 +77,7 @@ async def test_following_twice_feeds_once():
 
     class Count:
         registration: Any = None
-        fed = 0
+        fed, grace = 0, 0.0
 
         def feed(self, reading: object) -> None:
             self.fed += 1
