@@ -54,7 +54,7 @@ class SimCanBus(CanBus):
 
     def __init__(self, *, name: str) -> None:
         wire = _wire(lambda simulation: simulation.drive)
-        super().__init__(name=name, interface="virtual", wire=wire)
+        super().__init__(name=name, wire=wire)
 
 
 class SimI2CBus(I2CBus):

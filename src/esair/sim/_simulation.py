@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import collections
-import itertools
-import os
 import shutil
 import tempfile
 import weakref
@@ -13,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from esair.buses import Frame
-from esair.buses.can import MemoryCan, VirtualCan
+from esair.buses.can import MemoryCan
 from esair.buses.i2c import ChipBus
 from esair.buses.serial import MemoryLine, PtyLine
 from esair.exceptions import ConfigError, hint_for
@@ -31,8 +29,6 @@ CATCH_UP = 50
 
 FRAME_LIMIT = 100_000  # How many frames are kept; then the newest win
 
-_numbers = itertools.count()
-
 
 class Simulation:
     """A rover in its arena, and the ends of its wires.
@@ -42,7 +38,7 @@ class Simulation:
     ========= =================  =============================================
     ``front`` range finder       `SimSerialBus`, a pseudo-terminal
     ``skirt`` bumper             `SimSerialBus`, a pseudo-terminal
-    ``drive`` two motors         `SimCanBus`, python-can's ``virtual`` interface
+    ``drive`` two motors         `SimCanBus`, in memory
     ``body``  MPU-6050 at 0x68   `SimI2CBus`, the methods of ``smbus2.SMBus``
     ========= =================  =============================================
 
@@ -75,12 +71,7 @@ class Simulation:
             self._folder = Path(tempfile.mkdtemp(prefix="esair-sim-"))
         self.front = self._make_line("front")
         self.skirt = self._make_line("skirt")
-        self.channel = f"esair-sim-{os.getpid()}-{next(_numbers)}"
-        self.drive: MemoryCan | VirtualCan = (
-            MemoryCan(self._heard)
-            if self.in_memory
-            else VirtualCan(self.channel, self._heard)
-        )
+        self.drive = MemoryCan(self._heard)
         self._motors = [SimMotor(self.world, side, self._tell) for side in (0, 1)]
         self._imu = SimMpu6050(self.world, seed=seed)
         self.body = ChipBus({0x68: self._imu})
@@ -110,7 +101,6 @@ class Simulation:
         _of_loop[self._loop] = self
         self.front.plug()
         self.skirt.plug()
-        await self.drive.start()
         self._began = self._loop.time()
         self._job = Scheduler.beside(self._loop).every(STEP, self._turn)
 
@@ -122,8 +112,6 @@ class Simulation:
             self._job.stop()
         self.front.unplug()
         self.skirt.unplug()
-        if self._job is not None:
-            await self.drive.stop()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
 

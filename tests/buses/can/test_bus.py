@@ -51,7 +51,6 @@ class Link(Wire):
         self,
         received: Callable[[Frame], None],
         gone: Callable[[Exception], None],
-        interface: object,
     ) -> FrameLink:
         self.opened += 1
         self.received, self.gone = received, gone

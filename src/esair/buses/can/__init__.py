@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from esair.buses.can._bus import CanBus
     from esair.buses.can._errors import CanState
     from esair.buses.can._fake import FakeCan
-    from esair.buses.can._far_end import MemoryCan, VirtualCan
+    from esair.buses.can._far_end import MemoryCan
     from esair.buses.can._frame import FD_SIZES, CanWire, Frame, FrameKind, FrameLink
     from esair.buses.can._ids import ALL, Filter, Ids, Mask
     from esair.buses.can._interfaces import devices, toml
@@ -34,7 +34,6 @@ __all__ = [
     "Ids",
     "Mask",
     "MemoryCan",
-    "VirtualCan",
     "devices",
     "python_can",
     "toml",
@@ -48,7 +47,7 @@ __getattr__, __dir__ = late(
         "_bus": "CanBus",
         "_errors": "CanState",
         "_fake": "FakeCan",
-        "_far_end": "MemoryCan VirtualCan",
+        "_far_end": "MemoryCan",
         "_interfaces": "devices toml",
         "_python_can": "python_can",
     },

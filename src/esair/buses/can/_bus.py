@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import functools
 from collections.abc import Callable, Hashable
 from typing import Any, Final, Literal
 
@@ -279,22 +278,15 @@ class CanBus(Bus):
         self._enter(link.state)
 
     async def _reach(self, gone: Callable[[Exception], None]) -> FrameLink:
-        interface = functools.partial(self._open_interface, gone)
-        if self._wire is None:
-            return await interface(self.interface, self.channel)
-        far_end = await self._far_end(self._wire)
-        link: FrameLink = await far_end.open(self._received, gone, interface)
-        return link
-
-    async def _open_interface(
-        self, gone: Callable[[Exception], None], interface: str, channel: str
-    ) -> FrameLink:
+        link: FrameLink
+        if self._wire is not None:
+            link = await (await self._far_end(self._wire)).open(self._received, gone)
+            return link
         from esair.buses.can._python_can import python_can
 
-        self.interface, self.channel = interface, channel
         opener = python_can(
-            interface,
-            channel,
+            self.interface,
+            self.channel,
             executor=self.executor,
             stats=self.stats,
             fd=self.fd,

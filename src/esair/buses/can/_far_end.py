@@ -1,4 +1,4 @@
-"""The far end of a CAN bus: in memory, or a node of python-can."""
+"""The far end of a CAN bus: memory."""
 
 from __future__ import annotations
 
@@ -8,51 +8,15 @@ from collections.abc import Callable, Collection
 
 from esair.buses._failures import Failures
 from esair.buses.can._errors import CanState
-from esair.buses.can._frame import (
-    CanWire,
-    Frame,
-    FrameKind,
-    FrameLink,
-    InterfaceOpener,
-)
+from esair.buses.can._frame import CanWire, Frame, FrameKind, FrameLink
 from esair.buses.can._ids import Filter
-from esair.buses.can._python_can import python_can
-from esair.loop import Executor, clock_of, spawn
+from esair.loop import clock_of
 
 Received = Callable[[Frame], None]
 Gone = Callable[[Exception], None]
 
 
-class _Socket(CanWire):
-    """Where the robot's adapter is plugged in."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.plugged = True
-        self._users: dict[object, Gone] = {}
-
-    def unplug(self) -> None:
-        """Take the robot's adapter away."""
-        if not self.plugged:
-            return
-        self.plugged = False
-        users, self._users = self._users, {}
-        for gone in users.values():
-            gone(ConnectionError("it was unplugged"))
-
-    def plug(self) -> None:
-        """Bring it back."""
-        if self.plugged:
-            return
-        self.plugged = True
-        self._tell_plugged()
-
-    def _check(self) -> None:
-        if not self.plugged:
-            raise ConnectionError("it is unplugged")
-
-
-class MemoryCan(_Socket):
+class MemoryCan(CanWire):
     """A CAN bus in memory: every node gets the frames of all others, in order.
 
     It can be told to do what a bus does on a bad day.
@@ -74,6 +38,8 @@ class MemoryCan(_Socket):
 
     def __init__(self, heard: Callable[[Frame], None]) -> None:
         super().__init__()
+        self.plugged = True
+        self._users: dict[object, Gone] = {}
         self.state = CanState.ACTIVE
         self.dropped = 0
         self._heard = heard
@@ -85,11 +51,25 @@ class MemoryCan(_Socket):
         self._full = 0
         self._failures = Failures()
 
-    async def start(self) -> None:
-        """Begin."""
+    def unplug(self) -> None:
+        """Take the robot's adapter away."""
+        if not self.plugged:
+            return
+        self.plugged = False
+        users, self._users = self._users, {}
+        for gone in users.values():
+            gone(ConnectionError("it was unplugged"))
 
-    async def stop(self) -> None:
-        """End."""
+    def plug(self) -> None:
+        """Bring it back."""
+        if self.plugged:
+            return
+        self.plugged = True
+        self._tell_plugged()
+
+    def _check(self) -> None:
+        if not self.plugged:
+            raise ConnectionError("it is unplugged")
 
     def send(self, frame: Frame) -> None:
         """Send a frame of a part to the robot."""
@@ -101,9 +81,7 @@ class MemoryCan(_Socket):
         for node in tuple(self._robots):
             node.deliver_soon(frame)
 
-    async def open(
-        self, received: Received, gone: Gone, interface: InterfaceOpener | None = None
-    ) -> FrameLink:
+    async def open(self, received: Received, gone: Gone) -> FrameLink:
         """Open a node of the robot.
 
         Raises:
@@ -234,78 +212,3 @@ class _MemoryNode:
     def _deliver(self, frame: Frame) -> None:
         if self._received is not None:
             self._received(frame._replace(time=clock_of(self.loop)()))
-
-
-class VirtualCan(_Socket):
-    """The parts' node on a bus of python-can's ``virtual`` interface.
-
-    Args:
-        channel: The name of the bus, the same for all nodes.
-        heard: Called with each frame that the robot sends.
-
-    Attributes:
-        lost: How many frames were not sent because the bus took none.
-    """
-
-    queue_limit = 256
-
-    def __init__(self, channel: str, heard: Callable[[Frame], None]) -> None:
-        super().__init__()
-        self.channel = channel
-        self.lost = 0
-        self._heard = heard
-        self._loop = asyncio.get_running_loop()
-        self._executor = Executor("sim_can")
-        self._link: FrameLink | None = None
-        self._queue: collections.deque[Frame] = collections.deque(
-            maxlen=self.queue_limit
-        )
-        self._sender: asyncio.Task[None] | None = None
-
-    async def start(self) -> None:
-        """Begin; twice is once."""
-        if self._link is not None:
-            return
-        opener = python_can("virtual", self.channel, executor=self._executor)
-        self._link = await opener(self._heard, lambda _error: None)
-        self._link.listen(None)
-
-    async def stop(self) -> None:
-        """End."""
-        link, self._link = self._link, None
-        self._queue.clear()
-        if self._sender is not None:
-            await asyncio.wait({self._sender})
-        if link is not None:
-            await link.close()
-        await self._executor.join(timeout=0.5)
-
-    async def open(
-        self, received: Received, gone: Gone, interface: InterfaceOpener
-    ) -> FrameLink:
-        """Open a node of the robot.
-
-        Raises:
-            ConnectionError: It is unplugged.
-        """
-        self._check()
-        node = await interface("virtual", self.channel)
-        self._users[received] = gone  # in the place of its former node, which is closed
-        return node
-
-    def send(self, frame: Frame) -> None:
-        """Send a frame of a part to the robot."""
-        if self._link is None:
-            return
-        if len(self._queue) == self.queue_limit:
-            self.lost += 1
-        self._queue.append(frame)
-        if self._sender is None or self._sender.done():
-            self._sender = spawn(self._loop, self._send_all(), name="sim can")
-
-    async def _send_all(self) -> None:
-        while self._queue and self._link is not None:
-            try:
-                await self._link.send(self._queue.popleft(), 1.0)
-            except OSError:
-                self.lost += 1

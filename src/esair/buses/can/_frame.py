@@ -83,9 +83,6 @@ FrameOpener = Callable[
 """Opens a node; gets a function for each frame, of any kind, and one for the loss of
 the bus. Both are called on the event loop."""
 
-InterfaceOpener = Callable[[str, str], Awaitable[FrameLink]]
-"""Opens an interface of python-can, by its kind and channel."""
-
 
 class CanWire(Wire, abc.ABC):
     """The far end of a CAN bus."""
@@ -95,14 +92,12 @@ class CanWire(Wire, abc.ABC):
         self,
         received: Callable[[Frame], None],
         gone: Callable[[Exception], None],
-        interface: InterfaceOpener,
     ) -> FrameLink:
         """Open a node of the robot.
 
         Args:
             received: Called with each frame.
             gone: Called once when it is lost.
-            interface: Opens a node of python-can as every one is opened.
 
         Raises:
             ConnectionError: It is not there.
