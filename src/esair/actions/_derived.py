@@ -221,14 +221,14 @@ class Derivation(ReactionRunner):
         channel.is_current = False
         self._clock.step(now)
         stepping = self._stepping
-        stepping.owner = self._owner
+        stepping.stepper = self
         try:
             value = self.reaction.react(**self.readings())
         except BaseException as error:  # contained: one component's failure
             channel.fail(error)
             return
         finally:
-            stepping.owner = None
+            stepping.stepper = None
         if value is None:
             return
         needed = [each for each in self._inputs if not each.optional]

@@ -102,11 +102,11 @@ class GuardRunner(ReactionRunner):
         first = timed.begin() if timed is not None else 0.0
         self._clock.step(began)
         stepping = self._stepping
-        stepping.owner, before = self._owner, stepping.owner
+        stepping.stepper, before = self, stepping.stepper
         try:
             passed = self.reaction.react(**self.readings(), **{self._port: command})
         finally:
-            stepping.owner = before
+            stepping.stepper = before
         if timed is None:
             return passed
         failed = timed.end(first)

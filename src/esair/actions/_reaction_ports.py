@@ -231,7 +231,7 @@ class Output:
             self.decided = True
             self.decision.add(self)
 
-    def commit(self) -> tuple[bool, Awaitable[object] | None]:
+    def commit(self, now: float) -> tuple[bool, Awaitable[object] | None]:
         """Send what was decided; return whether it left, and the rest of the work."""
         command, self.command = self.command, None
         self.decided = False
@@ -246,7 +246,7 @@ class Output:
             return True, None
         try:
             outcome = self.channel.begin(
-                self.registration, command, None, False, self.checked
+                self.registration, command, None, False, self.checked, now
             )
         except EsairError as error:
             self.reject(error)

@@ -63,7 +63,6 @@ class ReactionRunner:
         "_on_sight",
         "_on_state",
         "_outputs",
-        "_owner",
         "_polled",
         "_react",
         "_sampling",
@@ -84,6 +83,7 @@ class ReactionRunner:
         "missing",
         "on_reading",
         "overflow",
+        "owner",
         "parked",
         "reaction",
         "refused",
@@ -114,7 +114,7 @@ class ReactionRunner:
         owner: Owner | None = None,
     ) -> None:
         self.reaction = reaction
-        self._owner = owner
+        self.owner = owner
         told = reaction.reaction if isinstance(reaction, MinimalReaction) else None
         self._clock = StepClock(began, told)
         reaction.take_clock(self._clock)
@@ -409,7 +409,7 @@ class ReactionRunner:
         if clock.reaction is not None:
             clock.tell()
         stepping = self._stepping
-        stepping.owner = self._owner
+        stepping.stepper = self
         react = self._react  # by itself: see the scheduler
         try:
             values = self.values
@@ -418,7 +418,7 @@ class ReactionRunner:
             self._crash(error)
             return
         finally:
-            stepping.owner = None
+            stepping.stepper = None
         if self._until is not None and self._is_over():
             return
         output = self._single

@@ -186,15 +186,18 @@ class ActuatorChannel(HeldDevice):
         hold: float | None,
         told: bool = True,
         ready: Any = None,
+        now: float | None = None,
     ) -> Sent:
         """Check everything and send a command, without a wait if the driver has none.
 
-        What is ``ready`` is the command as `checked` has returned it in this turn.
+        What is ``ready`` is the command as `checked` has returned it in this turn,
+        ``now`` is when the turn has begun: all that decide in it share one number.
         """
         if not (registration.usable and self._accepts):
             return self._turned_away(registration, command)
-        time = self.time  # by itself: called in place it is sought as a method
-        now = time()
+        if now is None:
+            time = self.time  # by itself: called in place it is sought as a method
+            now = time()
         journal = self._journal
         if journal.heard:
             self.wanted(registration, command)
@@ -229,11 +232,12 @@ class ActuatorChannel(HeldDevice):
             seconds = now - max(self._last_write, self._told_at)
             seconds = min(seconds, self.command_timeout)
             command = self._slewed(command, seconds)
-        if holder is not registration or now >= self.until:
+        # Two numbers that others have too: their sum would be one more in memory.
+        if holder is not registration or now >= self._held_from + self._held_for:
             self.since = now
         self.holder = self._writer = registration
-        self.until = now + (hold or registration.hold or self.command_timeout)
-        self._last_write = now
+        self._held_from = self._last_write = now
+        self._held_for = hold or registration.hold or self.command_timeout
         by = None
         if self._guards:
             stop, by, command = self._pass_guards(command, now)

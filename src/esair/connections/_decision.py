@@ -29,8 +29,8 @@ class Wish(Protocol):
     def command(self) -> Any:
         """What it wants sent; None to give the actuator back."""
 
-    def commit(self) -> tuple[bool, Awaitable[object] | None]:
-        """Do it; return whether it was its turn, and the rest of the work."""
+    def commit(self, now: float) -> tuple[bool, Awaitable[object] | None]:
+        """Do it at the turn's moment; return whether it was its turn, and what is left."""
 
     def lost(self, winner: Registration) -> None:
         """Learn that somebody else was first."""
@@ -101,7 +101,7 @@ class Decision:
         else:
             self._others += (wish,)
 
-    def function(self, _now: float) -> Awaitable[object] | None:
+    def function(self, now: float) -> Awaitable[object] | None:
         """Decide. Called by the scheduler when all steps of the turn have run."""
         wish, self._wish = self._wish, None
         if self._looks:
@@ -110,7 +110,7 @@ class Decision:
         if wish is None:
             return None
         if not self._others:
-            return wish.commit()[1]
+            return wish.commit(now)[1]
         wishes, self._others = [wish, *self._others], ()
         wishes.sort(key=self._rank)
         winner: Wish | None = None
@@ -121,7 +121,7 @@ class Decision:
                 if winner is not None:
                     wish.lost(winner.registration)
                     continue
-                decided, rest = wish.commit()
+                decided, rest = wish.commit(now)
                 winner = wish if decided else None
         finally:
             self._channel.changes_hands = False

@@ -51,6 +51,8 @@ class HeldDevice(ActuatorDevice):
         "_blind_look",
         "_dead_man",
         "_guards",
+        "_held_for",
+        "_held_from",
         "_last_write",
         "_still",
         "_writer",
@@ -61,7 +63,6 @@ class HeldDevice(ActuatorDevice):
         "refusals",
         "since",
         "timeouts",
-        "until",
     )
 
     # Of the channel, which checks what is written.
@@ -75,7 +76,7 @@ class HeldDevice(ActuatorDevice):
         self.holder: Registration | None = None
         self.changes_hands = False  # who gives it back is not the last of the turn
         self.since = 0.0
-        self.until = 0.0
+        self._held_from = self._held_for = 0.0
         self.refusals = 0
         self.timeouts = 0  # how often the safe command was sent because nobody wrote
         self._writer: Registration | None = None
@@ -99,6 +100,11 @@ class HeldDevice(ActuatorDevice):
         """Take over what is safe, for protection: to stay where safe is a place to go."""
         super().configured()
         self._still = HOLD if self.actuator.safe_moves else self.actuator.safe
+
+    @property
+    def until(self) -> float:
+        """When the hold is over, on the loop's clock."""
+        return self._held_from + self._held_for
 
     @property
     def present_holder(self) -> Registration | None:
@@ -395,7 +401,8 @@ class HeldDevice(ActuatorDevice):
         self._told, self._told_safe = operation, False
         self._told_error = "it has not answered yet"
         self.holder = self._writer = operation.registration
-        self.since, self.until = self.time(), operation.until
+        self.since = self.time()
+        self._held_from, self._held_for = operation.until, 0.0
 
     def operated(self, call: Call | None) -> None:
         """An operation has its outcome: nobody knows what moves, so it is made safe."""

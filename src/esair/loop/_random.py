@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from typing import Any
+from typing import Any, Protocol
 
 from esair.loop._of_loop import OfLoop
 from esair.loop._ownership import Owner, current_owner
@@ -12,13 +12,23 @@ from esair.loop._ownership import Owner, current_owner
 _outside = random.Random()  # for code that belongs to no component
 
 
+class Stepper(Protocol):
+    """What steps for somebody."""
+
+    owner: Owner | None
+
+
 class Stepping(OfLoop):
     """Whose reaction decides now, in one event loop."""
 
-    __slots__ = ("owner",)
+    __slots__ = ("stepper",)
 
     def __init__(self, _loop: asyncio.AbstractEventLoop | None = None) -> None:
-        self.owner: Owner | None = None
+        self.stepper: Stepper | None = None
+
+    @property
+    def owner(self) -> Owner | None:
+        return None if self.stepper is None else self.stepper.owner
 
 
 class Stream:
