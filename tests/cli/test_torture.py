@@ -84,8 +84,8 @@ def test_a_file_without_sim_tables_has_its_own_mistakes(
     """Nobody is told of a simulation that was not asked for."""
     file = tmp_path / "robot.toml"
     file.write_text('[sensor.sonar]\ndriver = "json:Sonar"\n', "utf-8")
-    assert esair_command("torture", file, *BRIEFLY, "--json") == 1
-    (finding,) = json.loads(capsys.readouterr().out)["findings"]
-    assert finding["rule"] == "start"
-    assert "sensor.sonar.driver" in finding["text"]
-    assert "simulation" not in finding["text"]
+    assert esair_command("torture", file, *BRIEFLY) == 2
+    told = capsys.readouterr().err
+    assert "robot.toml:2: sensor.sonar.driver" in told
+    assert "simulation" not in told
+    assert list(tmp_path.iterdir()) == [file]

@@ -54,6 +54,7 @@ class Target:
 
         Raises:
             ConfigError: There is no such robot.
+            ExceptionGroup: A `ConfigError` for each mistake in the file.
         """
         if config.is_of_module(robot):
             target = cls._of_module(robot, own=own)
@@ -67,9 +68,9 @@ class Target:
 
     @classmethod
     def _of_file(cls, path: Path) -> Target:
-        simulated = _loads(path, simulated=True) or (
-            not _loads(path) and _has_sim_tables(path)  # the mistakes of which are told
-        )
+        simulated = _loads(path, simulated=True)
+        if not simulated and not _loads(path):  # the mistakes that are meant are raised
+            config.load(path, simulated=_has_sim_tables(path))
 
         def make() -> esair.Robot:
             made = config.build(config.load(path, simulated=simulated))
@@ -120,7 +121,7 @@ class Target:
 
 
 def _loads(path: Path, *, simulated: bool = False) -> bool:
-    """Tell whether a file describes a robot; one that does not ends the first story."""
+    """Tell whether a file describes a robot."""
     try:
         config.load(path, simulated=simulated)
     except ExceptionGroup:
