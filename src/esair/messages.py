@@ -206,14 +206,12 @@ class Why(NamedTuple):
     dies: str = ""
 
     def __str__(self) -> str:
+        held = f"held by {self.holder} ({self.rule})"
+        frees = f"freed by {self.frees}"
         if self.holder is None:
-            told = f"{self.resource} is {self.state.value}, and free: {self.rule}"
-        else:
-            told = (
-                f"{self.resource} is {self.state.value}, held by {self.holder} "
-                f"({self.rule}); freed by {self.frees}"
-            )
-        lines = [told, *self.guards, *self.writers, self.dies]
+            held, frees = f"and free: {self.rule}", ""
+        told = f"{self.resource} is {self.state.value}, {held}"
+        lines = [told, frees, *self.guards, *self.writers, self.dies]
         return "\n  ".join(line for line in lines if line)
 
 

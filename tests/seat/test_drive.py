@@ -314,4 +314,5 @@ async def test_q_gives_back_and_leaves(rover, seen):
             terminal.press(b"q")
             code = await asyncio.to_thread(terminal.process.wait, 5.0)
             assert code == 0
+            assert os.read(terminal.keys, 65536).endswith(b"wheels is released\r\n")
             await eventually(lambda: seen.commands[-1] == STILL)

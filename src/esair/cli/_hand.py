@@ -125,6 +125,15 @@ class _Wheel:
         """Go on until somebody leaves."""
         self._take()
         self._show(HOW)
+        try:
+            self._listen()
+            if self._lease is not None:
+                self._client.send("release", {"lease": self._lease["lease"]})
+            self._show(f"{self._actuator} is released")
+        finally:
+            sys.stdout.write("\n")
+
+    def _listen(self) -> None:
         last = time.monotonic()
         while True:
             ready, _, _ = select.select([sys.stdin, self._client], [], [], 0.05)
@@ -139,10 +148,8 @@ class _Wheel:
             if sys.stdin in ready:
                 keys = os.read(sys.stdin.fileno(), 256)
                 if not keys or any(keys.endswith(end) for end in END):
-                    break
+                    return
                 self._press(keys)
-        if self._lease is not None:
-            self._client.send("release", {"lease": self._lease["lease"]})
 
     def _take(self) -> None:
         fields = {"actuator": self._actuator, "seconds": self._seconds}
