@@ -144,6 +144,12 @@ async def test_it_reaches_nothing_outside_its_profile(
         assert wheels.commands == left.commands == [0.0]
 
 
+def test_a_profile_is_given_as_it_is_declared() -> None:
+    """The name alone is that of a robot.toml."""
+    with pytest.raises(esair.ConfigError, match=r"user: sonar: expected esair.reads"):
+        esair.Behavior(name="user", reads={"sonar": "front"})  # type: ignore[dict-item]
+
+
 @pytest.mark.promise("REA-2")
 async def test_its_profile_can_be_given_instead_of_declared(
     fake_sensor: Any, fake_actuator: Any

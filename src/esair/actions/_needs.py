@@ -320,6 +320,10 @@ class ProfiledAction(abc.Action):
         given: dict[str, Need] = {**(reads or {}), **(writes or {}), **(guards or {})}
         if given:
             _check_free(self.name, given)
+            for attribute, need in given.items():
+                if not isinstance(need, Reads | Writes | Guards):
+                    told = f"expected esair.reads(...) or the like, not {need!r:.80}"
+                    raise ConfigError(self.name, attribute, told)
             self._profile = {
                 attribute: attrs.evolve(need, attribute=attribute)
                 for attribute, need in given.items()

@@ -305,7 +305,8 @@ class Member(Life, Mailbox):
         if missing:
             # Not its own fault: it begins anew when everything it uses is there.
             self.state = BehaviorState.PARKED
-            self.detail = f"{', '.join(missing)} is not there"
+            verb = "is" if len(missing) == 1 else "are"
+            self.detail = f"{', '.join(missing)} {verb} not there"
             self.sight.blind(self.detail)
             self.tell(Kind.PARKED, error, self.detail)
             _log.info("%s: parked: %s", self.name, self.detail)
