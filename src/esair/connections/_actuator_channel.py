@@ -126,6 +126,7 @@ class ActuatorChannel(HeldDevice):
         return {
             "writes": self.writes,
             "refusals": self.refusals,
+            "turned_away": self._waiting.turned_away,
             "timeouts": self.timeouts,
             "abandoned": self.calls.abandoned,
             "late": self.calls.late,

@@ -140,6 +140,7 @@ class SensorChannel(SensorDevice):
             "missed": self.missed,
             "bad": self.bad,
             "dropped": self.dropped,
+            "turned_away": self._waiting.turned_away,
             "abandoned": self.calls.abandoned,
             "late": self.calls.late,
         }

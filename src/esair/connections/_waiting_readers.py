@@ -20,7 +20,15 @@ how many seconds that was."""
 class WaitingReaders:
     """Keeps readers until the answer to a question that came after theirs."""
 
-    __slots__ = ("_deadline", "_loop", "_name", "_silent", "_time", "readers")
+    __slots__ = (
+        "_deadline",
+        "_loop",
+        "_name",
+        "_silent",
+        "_time",
+        "readers",
+        "turned_away",
+    )
 
     def __init__(
         self,
@@ -35,10 +43,12 @@ class WaitingReaders:
         self._deadline = Deadlines.of(loop).idle(self._expire)
         """That of the reader whose time is over first."""
         self.readers: list[Waiter] = []  # who waits
+        self.turned_away = 0
 
     async def reading(self, need: float, timeout: float) -> Reading[Any]:
         """Wait for what transaction `need` gives, or a later one."""
         if len(self.readers) >= WAITING_LIMIT:
+            self.turned_away += 1
             raise BusyError(self._name, "number of waiting readers", WAITING_LIMIT)
         future: asyncio.Future[Reading[Any]] = self._loop.create_future()
         until = self._time() + timeout

@@ -40,12 +40,13 @@ class WaitingWrite:
 class WaitingWrites:
     """Keeps writes in order: the highest priority goes first, then the oldest."""
 
-    __slots__ = ("_loop", "_name", "_writes")
+    __slots__ = ("_loop", "_name", "_writes", "turned_away")
 
     def __init__(self, name: str, loop: asyncio.AbstractEventLoop) -> None:
         self._name = name
         self._loop = loop
         self._writes: list[WaitingWrite] = []
+        self.turned_away = 0
 
     def __bool__(self) -> bool:
         return bool(self._writes)
@@ -58,6 +59,7 @@ class WaitingWrites:
     ) -> Sent:
         """Wait until somebody has said what becomes of a write."""
         if len(self._writes) >= WAITING_LIMIT:
+            self.turned_away += 1
             raise BusyError(self._name, "number of waiting writes", WAITING_LIMIT)
         turn: asyncio.Future[Sent] = self._loop.create_future()
         write = WaitingWrite(registration, command, hold, halts, turn)

@@ -105,6 +105,7 @@ class Journal:
         self._time: Callable[[], float] = time.monotonic
         self._flushing = False
         self.ended_listeners = 0
+        self.dropped = 0  # what those who listen no more were not told
         """How many listeners were ended because they raised."""
 
     # Who listens.
@@ -143,6 +144,8 @@ class Journal:
 
     def forget(self, listener: Listener) -> None:
         """Tell a listener nothing more."""
+        if listener in self._listeners:
+            self.dropped += listener.dropped
         self._listeners = tuple(each for each in self._listeners if each != listener)
         listener.waiting.clear()
         self.heard = bool(self._listeners)
@@ -253,13 +256,14 @@ class Journal:
         The journal's own are under ``"journal"``: ``events``, ``dropped``, and how
         many listeners were ``ended``.
         """
-        found: dict[str, dict[str, int]] = {}
+        sums: dict[str, collections.Counter[str]] = {}
         for counted in self._counted.values():
             for component, counters in counted():
-                found.setdefault(component, {}).update(counters)
+                sums.setdefault(component, collections.Counter()).update(counters)
+        found = {component: dict(each) for component, each in sums.items()}
         found["journal"] = {
             "events": self.number,
-            "dropped": sum(listener.dropped for listener in self._listeners),
+            "dropped": self.dropped + sum(each.dropped for each in self._listeners),
             "ended": self.ended_listeners,
         }
         return found

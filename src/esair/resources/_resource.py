@@ -198,6 +198,14 @@ class Resource(abc.Resource):
             """
             return True
 
+    def counts(self) -> Mapping[str, int]:
+        """Return what the driver counts itself: what it could not read, or threw away.
+
+        It is asked by `Journal.counts`, in the event loop, and shown beside what is
+        counted for every sensor or actuator.
+        """
+        return {}
+
     def report_lost(self, error: BaseException | None = None) -> None:
         """Say from a driver, on any thread, that the device is gone."""
         listener = self._listener

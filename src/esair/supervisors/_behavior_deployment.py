@@ -310,6 +310,7 @@ class BehaviorDeployment:
             yield name, member.counts()
         yield "behaviors", self.mediator.counts()
         yield "behaviors", {"zombies": self.zombie_count}
+        yield "behaviors", {"turned_away": self.commands.turned_away}
 
     def _resource_changed(self, event: Event) -> None:
         if event.peer == "resource":

@@ -34,6 +34,7 @@ class CommandQueue:
         self._turn = asyncio.Lock()
         """Held by the work that has not changed the table yet."""
         self._waiting = 0
+        self.turned_away = 0  # how many commands there was no room for
         self._work: asyncio.Task[Any] | None = None
         self._undoes: dict[asyncio.Task[Any], bool] = {}
         """Every command that is not done, and whether it can be undone still."""
@@ -84,6 +85,7 @@ class CommandQueue:
             raise StoppingError(self.name, "not started yet: enter the robot first")
         self._check()
         if self._waiting >= LIMIT:
+            self.turned_away += 1
             raise BusyError(self.name, "number of waiting commands", LIMIT)
         self._waiting += 1
         try:

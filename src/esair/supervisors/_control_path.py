@@ -55,6 +55,7 @@ class ControlPath:
         self._leaving = leaving
         self._sensors = sensors
         self._actuators = actuators
+        self.turned_away = 0  # how many operations there was no room for
         self.closed = False  # the robot stops: nobody gets a right any more
 
     def grant(self, terms: Terms, *, instead_of: str | None = None) -> Registration:
@@ -135,6 +136,7 @@ class ControlPath:
         limit = operation.deadline or resource.deadline
         until = asyncio.get_running_loop().time() + limit
         if life.operations >= WAITING_LIMIT:
+            self.turned_away += 1
             raise BusyError(resource.name, "number of operations", WAITING_LIMIT)
         life.operations += 1
         try:

@@ -41,14 +41,17 @@ class Pending:
 
     def __init__(self) -> None:
         self.count = 0
+        self.turned_away = 0
         self.of_asker: dict[str, dict[Any, None]] = {}
         """Those of each asker, the oldest first."""
 
     def check(self, asker: str) -> None:
         """Pass if one more request of an asker may wait."""
         if len(self.of_asker.get(asker, ())) >= REQUESTS_PER_SENDER:
+            self.turned_away += 1
             raise BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
         if self.count >= REQUESTS:
+            self.turned_away += 1
             raise BusyError("behaviors", "number of requests", REQUESTS)
 
     def begin(self, request: Any) -> None:
@@ -88,6 +91,7 @@ class Ledger:
         return {
             "delivered": self.delivered,
             "pending": self.pending.count,
+            "turned_away": self.pending.turned_away,
             "late_answers": self.late_answers,
         }
 

@@ -81,6 +81,7 @@ class Mailbox:
         "room",
         "senders",
         "takers",
+        "turned_away",
     )
 
     def run_tasks(self) -> list[asyncio.Task[Any]]:
@@ -101,6 +102,7 @@ class Mailbox:
         self.latest: Any = NOTHING  # what everybody may get again and again
         self.outbox: list[Any] = []
         self.dropped = 0
+        self.turned_away = 0  # how many requests and offers there was no room for
         self.senders = RequestQueue(self)  # puts that wait until it can receive
         self.askers = ServedQueue(self, "provide")  # gets that wait until it can send
         self.queues: Mapping[Any, OrderQueue] = _NO_QUEUES
@@ -327,6 +329,7 @@ class Mailbox:
         assert isinstance(action, Behavior)
         if len(self.outbox) >= action.outbox_size:
             if action.outbox_policy == "reject":
+                self.turned_away += 1
                 raise BusyError(self.name, "outbox_size", action.outbox_size)
             drop = len(self.outbox) if action.outbox_policy == "latest" else 1
             del self.outbox[:drop]

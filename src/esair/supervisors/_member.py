@@ -467,6 +467,7 @@ class Member(Life, Mailbox):
     def counts(self) -> dict[str, int]:
         found = {"restarts": self.restarts.count, "inbox": len(self.inbox)}
         found["waiting"] = self.senders.count
+        found |= {"dropped": self.dropped, "turned_away": self.turned_away}
         return found | (self.runner.counts() if self.runner is not None else {})
 
     def status(self) -> BehaviorStatus:

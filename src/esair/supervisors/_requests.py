@@ -38,6 +38,7 @@ class Peer(Protocol):
     name: str
     action: Any
     owner: Owner
+    turned_away: int
 
     @property
     def state(self) -> BehaviorState: ...
@@ -243,6 +244,7 @@ class RequestQueue:
     def push(self, request: Request) -> None:
         """Let a request wait for its turn, behind those of the same asker."""
         if self.count >= self.limit:
+            self.member.turned_away += 1
             raise BusyError(self.member.name, self.bound, self.limit)
         self._add(request)
 

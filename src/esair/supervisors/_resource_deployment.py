@@ -396,5 +396,16 @@ class ResourceDeployment:
         for name, life in self.lives.items():
             yield name, life.channel.counts()
             yield name, {"losses": life.losses, "faults": life.faults}
+            yield name, _own_counts(life.resource)
+        for bound in (self.commands, self.control):
+            yield "resources", {"turned_away": bound.turned_away}
         for bus in self.buses:
             yield f"bus {bus.name}", bus.stats.counts()
+
+
+def _own_counts(resource: Resource) -> Mapping[str, int]:
+    """Return what a driver counts, whatever its code does."""
+    try:
+        return {str(name): int(count) for name, count in resource.counts().items()}
+    except Exception:
+        return {"uncountable": 1}

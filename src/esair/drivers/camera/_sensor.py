@@ -131,6 +131,10 @@ class Camera(Sensor[Any]):
 
         return np.ndarray
 
+    def counts(self) -> dict[str, int]:
+        """Return the pictures that were thrown away."""
+        return {"dropped": self.dropped}
+
     async def open(self) -> None:
         """Find the camera, open it and wait for its first picture.
 

@@ -130,6 +130,10 @@ class CanopenSensor(_Object, Sensor[Any]):
         """Whether it comes in a PDO."""
         return self.pdo
 
+    def counts(self) -> dict[str, int]:
+        """Return the PDOs that were too short."""
+        return {"bad_frames": self.bad_frames}
+
     async def open(self) -> None:
         """Open the node; find the PDO that has the object, if it is to come in one."""
         await super().open()

@@ -92,6 +92,10 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         self.velocity_factor = velocity_factor
         self.bad_frames = 0
 
+    def counts(self) -> dict[str, int]:
+        """Return the PDOs that were too short."""
+        return {"bad_frames": self.bad_frames}
+
     async def stream(self) -> AsyncIterator[DriveReading]:
         """Yield what it tells; its second PDO completes a reading."""
         first, second = 0x180 + self.node, 0x280 + self.node

@@ -104,6 +104,14 @@ class DbcSensor(Sensor[Any]):
         """How many frames gave way because nobody took them in time."""
         return self._dropped + (0 if self._inbox is None else self._inbox.dropped)
 
+    def counts(self) -> dict[str, int]:
+        """Return the frames that gave no reading, and why."""
+        return {
+            "bad_frames": self.bad_frames,
+            "repeated": self.repeated,
+            "dropped": self.dropped,
+        }
+
     @property
     def value_type(self) -> Any:
         """A dictionary of signals, or the type of the only one."""

@@ -266,6 +266,13 @@ class Gps(Sensor[Fix]):
         self.sentences = tuple(sentences)
         self.builder = FixBuilder(self.sentences)
 
+    def counts(self) -> dict[str, int]:
+        """Return the sentences that were bad, and the moments without a position."""
+        return {
+            "bad_sentences": self.builder.bad_sentences,
+            "without_fix": self.builder.without_fix,
+        }
+
     async def open(self) -> None:
         """Wait until it says anything: then the port and the baud rate are right.
 
@@ -289,7 +296,9 @@ class Gps(Sensor[Fix]):
         Raises:
             DeviceLostError: It falls silent; a receiver without a fix still speaks.
         """
-        self.builder = FixBuilder(self.sentences)
+        past, self.builder = self.builder, FixBuilder(self.sentences)
+        self.builder.bad_sentences = past.bad_sentences
+        self.builder.without_fix = past.without_fix
         with self.bus.frames(limit=256) as sentences:
             async for body in heard(self, sentences, self.deadline):
                 fix = self.builder.feed(body)

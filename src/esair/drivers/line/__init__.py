@@ -185,6 +185,10 @@ class LineSensor(_OnLine, Sensor[float]):
             self.bad_lines += 1
             raise DeviceFaultError(self.name, str(error)) from error
 
+    def counts(self) -> dict[str, int]:
+        """Return the values that were no number."""
+        return {"bad_lines": self.bad_lines}
+
     async def stream(self) -> AsyncIterator[float]:
         """Yield each value that comes; what is no number is counted and left out."""
         begin = len(self.key) + 1

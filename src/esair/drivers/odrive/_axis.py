@@ -131,6 +131,10 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
         super().__init__(**settings)
         self.bad_frames = 0
 
+    def counts(self) -> dict[str, int]:
+        """Return the frames that were too short."""
+        return {"bad_frames": self.bad_frames}
+
     async def open(self) -> None:
         """Make sure that the axis is there."""
         with self._frames(Message.HEARTBEAT, limit=4) as inbox:

@@ -289,6 +289,10 @@ class RpLidar(Sensor[Scan]):
         self.decoder = ScanDecoder()
         self.info: Info | None = None
 
+    def counts(self) -> dict[str, int]:
+        """Return the turns that had a gap."""
+        return {"bad_turns": self.decoder.bad_turns}
+
     async def open(self) -> None:
         """Stop it, and ask who and how it is.
 
@@ -324,7 +328,9 @@ class RpLidar(Sensor[Scan]):
         Raises:
             DeviceLostError: It falls silent: it has restarted, say, and scans no more.
         """
-        decoder = self.decoder = ScanDecoder()
+        past, self.decoder = self.decoder, ScanDecoder()
+        decoder = self.decoder
+        decoder.bad_turns = past.bad_turns
         with self.bus.frames(limit=1024) as chunks:
             rest = await self._ask(SCAN, SCAN_DESCRIPTOR, 0, chunks)
             for scan in decoder.feed(rest):
