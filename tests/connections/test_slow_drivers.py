@@ -195,6 +195,32 @@ async def test_an_answer_to_a_question_from_before_a_sleep_is_old(
         assert await reading == 2.0
 
 
+@pytest.mark.promise("AC-3")
+@pytest.mark.fault("T02")
+async def test_a_write_that_waits_when_the_computer_sleeps_is_refused(
+    user_of: Any,
+) -> None:
+    """Nothing from before the sleep moves the device after it."""
+    motor = FakeActuator("motor", safe=0.0, command_timeout=5.0)
+    user = user_of("user", motor=esair.writes(float))
+    loop: Any = asyncio.get_running_loop()
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        motor.slow(0.2)
+        first = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.01)
+        second = asyncio.create_task(user.motor.write(2.0))
+        await asyncio.sleep(0.01)
+        loop.suspend(3600.0)
+        Scheduler.of(loop).suspends.look()
+        assert await first
+        refused = await second
+        assert not refused
+        assert "slept" in refused.rule
+        await asyncio.sleep(1.0)
+        assert motor.commands == [0.0, 1.0, 0.0]
+        assert await user.motor.write(3.0)
+
+
 @pytest.mark.promise("CALL-2", "SUP-3")
 async def test_a_new_device_owes_nothing_to_the_one_before(user_of: Any) -> None:
     """However many safe commands that had: a slow write of its own stands."""

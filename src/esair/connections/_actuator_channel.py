@@ -154,6 +154,11 @@ class ActuatorChannel(HeldDevice):
         self._accepts = False
         self.halts += 1
 
+    def withdraw(self) -> None:
+        """Let nothing leave that was asked for until now."""
+        self.halts += 1
+        self._look()
+
     def halt(self) -> None:
         """Send the safe command, and nothing but it until `resume`."""
         self.bar()

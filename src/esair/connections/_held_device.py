@@ -186,7 +186,8 @@ class HeldDevice(ActuatorDevice):
         """Answer a write that may not even be looked at."""
         halt = self.registrations.halt
         if halt is None and halts is not None and halts != self.halts:
-            halt = Halt("it was asked for before the robot was halted", self.time())
+            told = "it was asked for before the robot was halted, or its computer slept"
+            halt = Halt(told, self.time())
         error = self.error
         if self.latched or not registration.usable:
             raise self._refusal(registration) from None

@@ -362,6 +362,7 @@ class ResourceDeployment:
         for sensor in self.sensors.channels.values():
             sensor.forget_age()
         for actuator in self.actuators.channels.values():
+            actuator.withdraw()
             if actuator.state is ResourceState.READY:
                 actuator.make_safe()
 
