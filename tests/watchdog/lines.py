@@ -4,8 +4,9 @@ import asyncio
 import os
 import signal
 import sys
+from pathlib import Path
 
-from esair.watchdog import Outlet, SafeFrames, Watchdog
+from esair.watchdog import Outlet, SafeFrames, Watchdog, _watchdog
 
 
 def run_another_program(*_: object) -> None:
@@ -14,6 +15,9 @@ def run_another_program(*_: object) -> None:
 
 async def main(lines: list[int]) -> None:
     signal.signal(signal.SIGUSR1, run_another_program)
+    if "FAILS" in os.environ:
+        os.environ["PROGRAM"] = str(_watchdog._PROGRAM)
+        _watchdog._PROGRAM = Path(__file__).with_name("failing.py")
     dog = Watchdog()
     await dog.start()
     for number, line in enumerate(lines):

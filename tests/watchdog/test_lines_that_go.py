@@ -54,7 +54,7 @@ class Robot:
     """A process that holds some lines."""
 
     def __init__(
-        self, *wires: Wire, shell: str = "", tells: int = 1, says: int = subprocess.PIPE
+        self, *wires: Wire, shell: str = "", says: int = subprocess.PIPE, **more: str
     ) -> None:
         lines = [wire.near for wire in wires]
         words = [sys.executable, str(LINES), *map(str, lines)]
@@ -64,7 +64,7 @@ class Robot:
             stderr=says,
             text=True,
             pass_fds=lines,
-            env=os.environ | {"TELLS": str(tells)},
+            env=os.environ | more,
         )
         assert self.process.stdout is not None
         assert self.process.stdout.readline() == "armed\n"
@@ -136,7 +136,7 @@ def test_a_robot_is_killed_that_has_not_heard_what_its_watchdog_said(
 @pytest.mark.fault("O04", "O15")
 def test_a_robot_without_standard_descriptors(wires: list[Wire]) -> None:
     """What the watchdog says in the end is written nowhere then, and not to a device."""
-    robot = Robot(*wires, shell="9>&1 <&- >&- 2>&-", tells=9)
+    robot = Robot(*wires, shell="9>&1 <&- >&- 2>&-", TELLS="9")
     dog = robot.dog
     assert robot.kill() == ""
     until_it_has_ended(dog)
@@ -164,6 +164,25 @@ def test_a_robot_becomes_another_program(wires: list[Wire]) -> None:
     assert [wire.heard() for wire in wires] == [b"STOP\n"] * 2
     assert robot.process.wait(PATIENCE) == -signal.SIGKILL
     assert "its robot is gone, its process is not: line 0 safe" in robot.kill()
+
+
+IN_WATCH = ["act", "is_still", "begin", "is_left", "write", "last_look"]
+
+
+@pytest.mark.fault("O04", "O12")
+@pytest.mark.parametrize("function", IN_WATCH)
+def test_what_fails_in_the_watchdog_is_done_once_more(
+    wires: list[Wire], function: str, request: pytest.FixtureRequest
+) -> None:
+    """Whichever line of it, as if there were no memory: safe is the last, everywhere."""
+    soak = request.config.getoption("--esair-soak")
+    if not soak and function != "act":
+        pytest.skip("a process for each line: --esair-soak")
+    for line in range(1, 30) if soak else [7]:
+        robot = Robot(*wires, FAILS=f"{function}:{line}")
+        said = robot.kill()
+        assert "its process died: line 0 safe, line 1 safe" in said, line
+        assert all(wire.heard().endswith(b"STOP\n") for wire in wires), line
 
 
 @pytest.mark.fault("O04", "D02")

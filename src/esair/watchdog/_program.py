@@ -21,7 +21,7 @@ from typing import Any
 
 BEATS, MOVING, LATCH, LOOKS, OVER = range(5)
 TELL_STACK = signal.SIGRTMAX
-STOP_WITHIN, SEND_WITHIN = 0.02, 0.5
+STOP_WITHIN, SEND_WITHIN, TRIES = 0.02, 0.5, 50
 I2C_TIMEOUT, I2C_RDWR, GPIO_SET_VALUES = 0x0702, 0x0707, 0xC010B40F
 
 
@@ -47,7 +47,7 @@ class Device:
 
     def begin(self) -> None:
         """Throw away the motion that still waits in the kernel."""
-        self.left = list(self.frames)
+        self.left = self.frames
         with contextlib.suppress(Exception):  # a pipe has no such queue
             os.set_blocking(self.descriptor, False)  # the robot's, too: not before
             termios.tcflush(self.descriptor, termios.TCOFLUSH)
@@ -101,9 +101,8 @@ class Watchdog:
         while not self.is_over:
             self.numbers[LOOKS] += 1
             events = dict(self.poll.poll(min(self.limit, 1e4) * 100))  # a tenth, in ms
-            if self.pidfd in events:
-                return "its process died"
-            if self.channel.fileno() in events and not self.hears():
+            heard = self.channel.fileno() in events
+            if self.pidfd in events or (heard and not self.hears()):
                 break
             for place, device in tuple(self.devices.items()):
                 if device.descriptor in events:  # gone: its number must become free
@@ -120,8 +119,11 @@ class Watchdog:
                     os.ftruncate(self.stack, 0)
                     os.lseek(self.stack, 0, os.SEEK_SET)
                     signal.pidfd_send_signal(self.pidfd, TELL_STACK)
-        why = "its robot is gone, its process is not"
-        return "" if self.is_over else self.last_look(STOP_WITHIN, why)
+        return (
+            ""
+            if self.is_over
+            else self.last_look(STOP_WITHIN, "its robot is gone, its process is not")
+        )
 
     @property
     def is_over(self) -> bool:
@@ -185,7 +187,9 @@ class Watchdog:
     def is_still(self) -> bool:
         """Whether no thread of the process runs any more."""
         states = b""
-        with contextlib.suppress(OSError):  # hidden from us; or a thread has just ended
+        with contextlib.suppress(
+            Exception
+        ):  # hidden from us; or a thread has just ended
             for task in os.listdir(tasks := f"/proc/{self.pid}/task"):
                 with open(f"{tasks}/{task}/stat", "rb") as file:
                     states += file.read().rpartition(b")")[2].split()[0]
@@ -225,14 +229,16 @@ class Watchdog:
 if __name__ == "__main__":
     for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(each, signal.SIG_IGN)
-    while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:
-        pass  # else a device could get the number to which the last line is written
-    os.close(spare)
+    for _ in range(3):  # or a device could get the number that the last line goes to
+        os.open(os.devnull, os.O_RDWR)
     dog = Watchdog(sys.argv[1:])
     try:
         reason = dog.watch()
     except Exception:
         if not (reason := dog.last_look(dog.limit)):
             raise  # a robot that lives hears of it, and makes itself safe
-    if reason and not dog.is_over:
-        dog.act(reason)
+    for _ in range(TRIES if reason else 0):  # all of it may be done once more
+        with contextlib.suppress(Exception):  # memory may be there a moment later
+            dog.act(reason)
+            break
+        time.sleep(0.001)
