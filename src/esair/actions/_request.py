@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from types import TracebackType
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from esair.exceptions import BadValueError, ConfigError
@@ -101,10 +100,7 @@ class Request(Generic[A]):
         return self
 
     async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
+        self, _: object, error: BaseException | None, *__: object
     ) -> bool:
         return self._order.leave(error)
 
@@ -112,12 +108,7 @@ class Request(Generic[A]):
         self._taken("with").enter()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> bool:
+    def __exit__(self, _: object, error: BaseException | None, *__: object) -> bool:
         return self._order.leave(error)
 
     def _taken(self, use: str) -> Order:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections.abc import Awaitable, Callable, Hashable
-from types import TracebackType
 from typing import Self
 
 from esair.buses._bus import Bus
@@ -382,22 +381,14 @@ class Exchange:
         return self
 
     async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
+        self, _: object, error: BaseException | None, *__: object
     ) -> None:
-        self.__exit__(kind, error, traceback)
+        self.__exit__(None, error)
 
     def __enter__(self) -> Self:
         return self  # its turn has come
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
         if isinstance(error, BusyError):  # nothing has left
             self.end()
         self._exchanges.end_turn(self)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextvars
-from types import TracebackType
 from typing import Any, TypeVar
 
 from esair.loop._light_task import LightTask
@@ -45,12 +44,7 @@ class Arrivals(OfLoop):
         if self._depth == 1 and asyncio.current_task(self._loop) is None:
             self.so_far = []
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
         so_far = self.so_far
         try:
             if self._depth == 1 and so_far is not None:

@@ -8,7 +8,6 @@ import os
 import signal
 import time
 from collections.abc import Iterable
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import anyio
@@ -318,10 +317,7 @@ class Robot:
         return self
 
     async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
+        self, _: object, error: BaseException | None, *__: object
     ) -> None:
         cancelled = await self._stop_for_sure(_reason_of(error))
         if self._signal is not None:
