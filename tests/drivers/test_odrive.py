@@ -24,16 +24,15 @@ from esair.drivers.odrive import (
     Message,
     OdriveAxis,
     OdriveState,
+    decode,
     decode_estimates,
     decode_heartbeat,
     decode_input,
-    decode_mode,
-    decode_state,
+    encode,
     encode_estimates,
     encode_heartbeat,
     encode_input,
     encode_mode,
-    encode_state,
     frame_id,
 )
 from esair.drivers.odrive.fake import FakeOdrive
@@ -111,7 +110,7 @@ def test_the_frames_are_those_of_the_document() -> None:
         Message.SET_INPUT_TORQUE,
         bytes.fromhex("0000003f"),
     )
-    assert encode_state(CLOSED_LOOP) == bytes.fromhex("08000000")
+    assert encode(Message.SET_AXIS_STATE, CLOSED_LOOP) == bytes.fromhex("08000000")
     assert encode_mode(ControlMode.VELOCITY) == bytes.fromhex("0200000001000000")
     assert decode_heartbeat(bytes.fromhex("0002000108000100")) == Heartbeat(
         0x01000200, CLOSED_LOOP, 0, True
@@ -133,10 +132,10 @@ def test_what_is_packed_is_unpacked_and_no_bytes_break_it(
     )
     for mode in ControlMode:
         assert decode_input(*encode_input(mode, one)) == pytest.approx(one, rel=1e-6)
-        assert decode_mode(encode_mode(mode)) == (mode, 1)
-    for decode in (decode_heartbeat, decode_estimates, decode_state, decode_mode):
+        assert decode(Message.SET_CONTROLLER_MODE, encode_mode(mode)) == (mode, 1)
+    for message in (Message.HEARTBEAT, Message.SET_AXIS_STATE, Message.SET_INPUT_POS):
         try:
-            decode(data)
+            decode(message, data)
         except FrameError:
             assert len(data) < 8
     known = decode_heartbeat(encode_heartbeat(Heartbeat(5, IDLE, 2, True)))

@@ -19,9 +19,9 @@ from esair.drivers.odrive._codec import (
     Message,
     decode_estimates,
     decode_heartbeat,
+    encode,
     encode_input,
     encode_mode,
-    encode_state,
     frame_id,
 )
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError, EsairError
@@ -235,7 +235,9 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         ]
         if self.idle:
             idle = frame_id(self.node, Message.SET_AXIS_STATE)
-            frames.append(can_frame(idle, encode_state(AxisState.IDLE)))
+            frames.append(
+                can_frame(idle, encode(Message.SET_AXIS_STATE, AxisState.IDLE))
+            )
         return SafeFrames(frames)
 
     @property
@@ -287,14 +289,12 @@ class OdriveAxis(_OnAxis, Actuator[float]):
             await self._let_go()
             if self.idle:
                 self._armed_at = None
-                await self._send(Message.SET_AXIS_STATE, encode_state(AxisState.IDLE))
+                await self._enter(AxisState.IDLE)
             return
         if self._armed_at is None:
             # With its mode: it may have started anew more quickly than is noticed.
             await self._send(Message.SET_CONTROLLER_MODE, encode_mode(self.control))
-            await self._send(
-                Message.SET_AXIS_STATE, encode_state(AxisState.CLOSED_LOOP_CONTROL)
-            )
+            await self._enter(AxisState.CLOSED_LOOP_CONTROL)
             self._armed_at = asyncio.get_running_loop().time()
             self._confirmed = self._holds = False
         await self._send(message, data)
@@ -310,6 +310,10 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         if self._holds:
             await self._send(Message.SET_CONTROLLER_MODE, encode_mode(self.control))
             self._holds = False
+
+    async def _enter(self, state: AxisState) -> None:
+        message = Message.SET_AXIS_STATE
+        await self._send(message, encode(message, state))
 
     async def _send(self, message: Message, data: bytes) -> None:
         await self.bus.send(frame_id(self.node, message), data, replaces=True)

@@ -88,13 +88,22 @@ class ControlMode(enum.IntEnum):
 PASSTHROUGH = 1
 """The input mode that takes the input as it is."""
 
-_HEARTBEAT = struct.Struct("<IBBBx")
-_ESTIMATES = struct.Struct("<ff")
-_STATE = struct.Struct("<I")
-_MODE = struct.Struct("<II")
-_POSITION = struct.Struct("<fhh")
-_VELOCITY = struct.Struct("<ff")
-_TORQUE = struct.Struct("<f")
+_LAYOUTS = {
+    Message.HEARTBEAT: struct.Struct("<IBBBx"),
+    Message.SET_AXIS_STATE: struct.Struct("<I"),
+    Message.GET_ENCODER_ESTIMATES: struct.Struct("<ff"),
+    Message.SET_CONTROLLER_MODE: struct.Struct("<II"),
+    Message.SET_INPUT_POS: struct.Struct("<fhh"),
+    Message.SET_INPUT_VEL: struct.Struct("<ff"),
+    Message.SET_INPUT_TORQUE: struct.Struct("<f"),
+}
+
+_INPUTS = {
+    ControlMode.POSITION: (Message.SET_INPUT_POS, TURN, (0, 0)),
+    ControlMode.VELOCITY: (Message.SET_INPUT_VEL, TURN, (0.0,)),
+    ControlMode.TORQUE: (Message.SET_INPUT_TORQUE, 1.0, ()),
+}
+"""How each input is told: its unit, and what is behind it, feed-forwards that are 0."""
 
 
 class FrameError(ValueError):
@@ -132,93 +141,57 @@ def frame_id(node: int, message: Message) -> int:
     return node << 5 | message
 
 
-def encode_heartbeat(heartbeat: Heartbeat) -> bytes:
-    """Pack a heartbeat, as an axis does."""
-    return _HEARTBEAT.pack(
-        heartbeat.errors,
-        heartbeat.state,
-        heartbeat.procedure_result,
-        heartbeat.trajectory_done,
-    )
+def encode(message: Message, *values: float) -> bytes:
+    """Pack what a message has, in the controller's own units."""
+    return _LAYOUTS[message].pack(*values)
 
 
-def decode_heartbeat(data: bytes) -> Heartbeat:
-    """Unpack a heartbeat.
+def decode(message: Message, data: bytes) -> tuple[Any, ...]:
+    """Unpack what a message has, in the controller's own units.
 
     Raises:
         FrameError: It is too short.
     """
-    errors, state, result, done = _unpack(_HEARTBEAT, data)
+    layout = _LAYOUTS[message]
+    if len(data) < layout.size:
+        raise FrameError(f"expected {layout.size} bytes, not {len(data)}")
+    return layout.unpack_from(data)
+
+
+def encode_heartbeat(heartbeat: Heartbeat) -> bytes:
+    """Pack a heartbeat, as an axis does."""
+    return encode(Message.HEARTBEAT, *attrs.astuple(heartbeat))
+
+
+def decode_heartbeat(data: bytes) -> Heartbeat:
+    """Unpack a heartbeat; raises as `decode`."""
+    errors, state, result, done = decode(Message.HEARTBEAT, data)
     return Heartbeat(errors, AxisState(state), result, bool(done))
 
 
 def encode_estimates(position: float, velocity: float) -> bytes:
     """Pack a position in rad and a velocity in rad/s, as an axis does."""
-    return _ESTIMATES.pack(position / TURN, velocity / TURN)
+    return encode(Message.GET_ENCODER_ESTIMATES, position / TURN, velocity / TURN)
 
 
 def decode_estimates(data: bytes) -> tuple[float, float]:
-    """Unpack a position in rad and a velocity in rad/s.
-
-    Raises:
-        FrameError: It is too short.
-    """
-    position, velocity = _unpack(_ESTIMATES, data)
+    """Unpack a position in rad and a velocity in rad/s; raises as `decode`."""
+    position, velocity = decode(Message.GET_ENCODER_ESTIMATES, data)
     return position * TURN, velocity * TURN
-
-
-def encode_state(state: AxisState) -> bytes:
-    """Pack the state that an axis is asked to enter."""
-    return _STATE.pack(state)
-
-
-def decode_state(data: bytes) -> AxisState:
-    """Unpack the state that an axis is asked to enter.
-
-    Raises:
-        FrameError: It is too short.
-    """
-    return AxisState(_unpack(_STATE, data)[0])
 
 
 def encode_mode(mode: ControlMode) -> bytes:
     """Pack what the input of an axis shall be."""
-    return _MODE.pack(mode, PASSTHROUGH)
-
-
-def decode_mode(data: bytes) -> tuple[int, int]:
-    """Unpack what the input of an axis shall be, and its input mode.
-
-    Raises:
-        FrameError: It is too short.
-    """
-    control, inputs = _unpack(_MODE, data)
-    return control, inputs
+    return encode(Message.SET_CONTROLLER_MODE, mode, PASSTHROUGH)
 
 
 def encode_input(mode: ControlMode, value: float) -> tuple[Message, bytes]:
     """Pack an input: a position in rad, a velocity in rad/s or a torque in Nm."""
-    if mode is ControlMode.POSITION:
-        return Message.SET_INPUT_POS, _POSITION.pack(value / TURN, 0, 0)
-    if mode is ControlMode.VELOCITY:
-        return Message.SET_INPUT_VEL, _VELOCITY.pack(value / TURN, 0.0)
-    return Message.SET_INPUT_TORQUE, _TORQUE.pack(value)
+    message, unit, rest = _INPUTS[mode]
+    return message, encode(message, value / unit, *rest)
 
 
 def decode_input(message: Message, data: bytes) -> float:
-    """Unpack an input: a position in rad, a velocity in rad/s or a torque in Nm.
-
-    Raises:
-        FrameError: It is too short.
-    """
-    if message is Message.SET_INPUT_POS:
-        return float(_unpack(_POSITION, data)[0]) * TURN
-    if message is Message.SET_INPUT_VEL:
-        return float(_unpack(_VELOCITY, data)[0]) * TURN
-    return float(_unpack(_TORQUE, data)[0])
-
-
-def _unpack(layout: struct.Struct, data: bytes) -> tuple[Any, ...]:
-    if len(data) < layout.size:
-        raise FrameError(f"expected {layout.size} bytes, not {len(data)}")
-    return layout.unpack_from(data)
+    """Unpack an input, in rad, rad/s or Nm; raises as `decode`."""
+    unit = 1.0 if message is Message.SET_INPUT_TORQUE else TURN
+    return float(decode(message, data)[0]) * unit

@@ -13,9 +13,8 @@ from esair.drivers.odrive import (
     FrameError,
     Heartbeat,
     Message,
+    decode,
     decode_input,
-    decode_mode,
-    decode_state,
     encode_estimates,
     encode_heartbeat,
     frame_id,
@@ -130,7 +129,7 @@ class FakeOdrive:
 
     def _obey(self, message: Message, data: bytes) -> None:
         if message is Message.SET_AXIS_STATE:
-            state = decode_state(data)
+            state = AxisState(*decode(message, data))
             self.requests.append(state)
             if state is AxisState.CLOSED_LOOP_CONTROL and (
                 self.errors or self.refuses_to_arm
@@ -140,7 +139,7 @@ class FakeOdrive:
             self._fed = self._loop.time()
             self.velocity = 0.0
         elif message is Message.SET_CONTROLLER_MODE:
-            self.mode = ControlMode(decode_mode(data)[0])
+            self.mode = ControlMode(decode(message, data)[0])
             self._go()
         elif message is Message.CLEAR_ERRORS:
             self.cleared += 1
