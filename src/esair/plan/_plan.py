@@ -17,6 +17,9 @@ from esair.resources import Actuator, Resource
 if TYPE_CHECKING:
     from esair.buses import Bus
 
+Port = tuple[str, Behavior | Reaction, str, Need]
+"""The name of an action, the action, the name of its port, and what that is for."""
+
 
 @attrs.frozen(kw_only=True, eq=False, slots=False)
 class Plan:
@@ -99,21 +102,26 @@ class Plan:
         missing = [name for name, kind in self.missing.items() if kind == "behavior"]
         return list(dict.fromkeys([*self.action_of, *missing]))
 
-    def needs(self) -> Iterator[tuple[str, Behavior | Reaction, str, Need]]:
-        """Yield each port: the action's name, the action, the port's name, its need."""
+    def needs(self) -> Iterator[Port]:
+        """Yield each port of each action."""
         for name, action in self.action_of.items():
             for attribute, need in action.needs.items():
                 yield name, action, attribute, need
 
+    @functools.cached_property
+    def needs_of(self) -> dict[str, list[Port]]:
+        """The ports by the name of what they are for."""
+        found: dict[str, list[Port]] = {}
+        for port in self.needs():
+            found.setdefault(port[-1].resource, []).append(port)
+        return found
+
     def writes_of(self, resource: str) -> dict[str, Writes[Any]]:
         """Return who writes an actuator, by name: the port of the highest priority."""
         found: dict[str, Writes[Any]] = {}
-        for name, _, _, need in self.needs():
-            if (
-                isinstance(need, Writes)
-                and need.resource == resource
-                and type(need.priority) is int  # else it is a mistake that is told
-            ):
+        for name, _, _, need in self.needs_of.get(resource, ()):
+            # A priority that is none is a mistake that is told.
+            if isinstance(need, Writes) and type(need.priority) is int:
                 known = found.get(name)
                 if known is None or need.priority > known.priority:
                     found[name] = need

@@ -154,10 +154,9 @@ def _writers(plan: Plan, resource: str) -> Iterator[Writer]:
 
 
 def _guards(plan: Plan, resource: str) -> Iterator[Guard]:
-    for name, action, _, need in plan.needs():
+    for name, action, _, need in plan.needs_of.get(resource, ()):
         if (
             isinstance(need, Guards)
-            and need.resource == resource
             and isinstance(action, Reaction)
             and type(need.priority) is int
         ):
