@@ -46,21 +46,20 @@ class Avoid(Reaction):
 
     Args:
         near: What is closer than this is turned away from, in metres.
-        clear: When nothing is closer than this the turn ends, in metres.
     """
 
     ranges = reads(Scan, max_age=0.5)
     wheels = writes(Twist, priority=10)
 
+    CLEAR = 0.38
+    """When nothing is closer than this the turn ends, in metres."""
+
     LEAVE = 14
     """For how many sweeps it goes the way that it has found free."""
 
-    def __init__(
-        self, *, near: float = 0.21, clear: float = 0.38, name: "str | None" = None
-    ) -> None:
+    def __init__(self, *, near: float = 0.21, name: "str | None" = None) -> None:
         super().__init__(name)
         self.near = near
-        self.clear = clear
         self._turn = 0.0
         self._leaving = 0
 
@@ -69,7 +68,7 @@ class Avoid(Reaction):
         ahead = math.radians(38.0)
         nearest = ranges.nearest(-ahead, ahead)
         if self._turn:
-            if nearest <= self.clear:
+            if nearest <= self.CLEAR:
                 return Twist(0.0, self._turn)
             self._turn = 0.0
             self._leaving = self.LEAVE

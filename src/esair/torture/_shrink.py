@@ -11,10 +11,12 @@ from esair.torture._story import Step, Story
 
 Shows = Callable[[Story], bool]
 
+TRIES = 400  # How many shorter stories are told at most
 
-def shrink(story: Story, shows: Shows, *, tries: int = 400) -> Story:
+
+def shrink(story: Story, shows: Shows) -> Story:
     """Leave out, shorten and simplify what the finding does not need."""
-    left = tries
+    left = TRIES
 
     def better(candidates: Iterator[Story]) -> Story | None:
         nonlocal left

@@ -20,6 +20,9 @@ from esair.drivers.odrive import (
     frame_id,
 )
 
+HEARTBEAT_PERIOD = 0.1  # Between two heartbeats, in seconds
+ESTIMATE_PERIOD = 0.01  # Between two estimates of its encoder, in seconds
+
 
 class FakeOdrive:
     """One axis. It begins to tell how it is when it is made, until `stop`.
@@ -28,8 +31,6 @@ class FakeOdrive:
         can: The bus that it is on.
         node: Its node id.
         watchdog: After how many seconds without an input it stops by itself.
-        heartbeat_period: Between two heartbeats, in seconds.
-        estimate_period: Between two estimates of its encoder, in seconds.
         boot_time: How long it is silent when it starts anew, in seconds.
 
     Attributes:
@@ -52,14 +53,10 @@ class FakeOdrive:
         *,
         node: int = 0,
         watchdog: float | None = None,
-        heartbeat_period: float = 0.1,
-        estimate_period: float = 0.01,
         boot_time: float = 1.0,
     ) -> None:
         self.node = node
         self.watchdog = watchdog
-        self.heartbeat_period = heartbeat_period
-        self.estimate_period = estimate_period
         self.boot_time = boot_time
         self.state = AxisState.IDLE
         self.mode = ControlMode.POSITION
@@ -88,10 +85,10 @@ class FakeOdrive:
         """Tell how it is from now on, as after power-up."""
         self.stop()
         self._timers["heartbeat"] = self._loop.call_later(
-            self.heartbeat_period / 2, self._beat
+            HEARTBEAT_PERIOD / 2, self._beat
         )
         self._timers["estimate"] = self._loop.call_later(
-            self.estimate_period, self._estimate
+            ESTIMATE_PERIOD, self._estimate
         )
 
     def stop(self, what: str | None = None) -> None:
@@ -163,18 +160,16 @@ class FakeOdrive:
             self.position = self._goal
 
     def _beat(self) -> None:
-        self._timers["heartbeat"] = self._loop.call_later(
-            self.heartbeat_period, self._beat
-        )
+        self._timers["heartbeat"] = self._loop.call_later(HEARTBEAT_PERIOD, self._beat)
         self._tell(
             Message.HEARTBEAT, encode_heartbeat(Heartbeat(self.errors, self.state))
         )
 
     def _estimate(self) -> None:
         self._timers["estimate"] = self._loop.call_later(
-            self.estimate_period, self._estimate
+            ESTIMATE_PERIOD, self._estimate
         )
-        self.position += self.velocity * self.estimate_period
+        self.position += self.velocity * ESTIMATE_PERIOD
         silence = self._loop.time() - self._fed
         if self.is_armed and self.watchdog is not None and silence > self.watchdog:
             self.fail(AxisError.WATCHDOG_TIMER_EXPIRED)
