@@ -375,3 +375,10 @@ async def test_only_monotonic_time_decides(
     async with esair.Robot(resources=[wheels], behaviors=[Drive()]):
         await asyncio.sleep(10.0)
         assert len(wheels.commands) == pytest.approx(201, abs=2)
+
+
+@pytest.mark.parametrize("field", ["operator", "page", "record"])
+def test_what_is_none_of_its_kind_is_named(field: str) -> None:
+    """With the field, and what was expected."""
+    with pytest.raises(esair.ConfigError, match=f"{field}: expected .*not True"):
+        esair.Robot(**{field: True})  # type: ignore[arg-type]

@@ -150,6 +150,12 @@ def test_a_profile_is_given_as_it_is_declared() -> None:
         esair.Behavior(name="user", reads={"sonar": "front"})  # type: ignore[dict-item]
 
 
+def test_a_port_hides_nothing_that_an_action_has() -> None:
+    """Its ``put`` would be a port, and its own ``put`` gone."""
+    with pytest.raises(esair.ConfigError, match="an action has a 'put' of its own"):
+        type("Puts", (esair.Behavior,), {"put": esair.writes(float)})
+
+
 @pytest.mark.promise("REA-2")
 async def test_its_profile_can_be_given_instead_of_declared(
     fake_sensor: Any, fake_actuator: Any

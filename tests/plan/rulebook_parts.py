@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import esair
 from esair.buses import CanBus, I2CBus
@@ -135,6 +135,37 @@ class Nobody(Sonar):
 
 class Repeats(Sonar):
     max_repeat = 0
+
+
+class NeverFaulty(Sonar):
+    fault_limit = 0
+
+
+class WithoutPast(Sonar):
+    history_size = 0
+
+
+class Promised(Sonar):
+    period: Any = "soon"
+
+
+class Inverted(Sonar):
+    limits = (3.0, 1.0)
+
+
+class Clamps(Wheels):
+    clamp: Any = "yes"
+
+
+class PairForAll(esair.Actuator[dict[str, float]]):
+    safe: ClassVar = {"left": 0.0}
+    limits = (-1.0, 1.0)
+
+    async def write(self, command: dict[str, float]) -> None: ...
+
+
+class OnAWord(Sonar):
+    bus = "front"
 
 
 class Chip(Sonar):

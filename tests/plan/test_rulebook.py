@@ -136,6 +136,19 @@ CASES = [
     Case(parts.Nobody, "its class has no identify to compare it with",
          "nobody", "identity"),
     Case(parts.Repeats, "expected a whole number > 0, not 0", "repeats", "max_repeat"),
+    Case(parts.NeverFaulty, "expected a whole number > 0, not 0",
+         "never_faulty", "fault_limit"),
+    Case(parts.WithoutPast, "expected a whole number > 0, not 0",
+         "without_past", "history_size"),
+    Case(parts.Promised, "expected seconds > 0 or None, not 'soon'",
+         "promised", "period"),
+    Case(parts.Inverted, "expected (least, greatest), not (3.0, 1.0)",
+         "inverted", "limits"),
+    Case(parts.Clamps, "expected True or False, not 'yes'", "clamps", "clamp"),
+    Case(parts.PairForAll, "expected a pair for each field of {'left': 0.0}, not "
+         "(-1.0, 1.0)", "pair_for_all", "limits"),
+    Case(parts.OnAWord, "expected a bus such as esair.buses.SerialBus, not 'front'",
+         "on_a_word", "bus"),
     Case(parts.Sonar, "a resource named 'sonar' is already there: choose another name=, "
          "or use replace('sonar', ...)", "", "", esair.NameTakenError),
     Case(parts.BadName, "expected a lower-case letter, then letters, digits or '_', "

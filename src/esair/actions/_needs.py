@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import (
     TYPE_CHECKING,
@@ -273,14 +274,15 @@ def guards(
     return Guards(type, name, priority, latch)
 
 
-_TAKEN = frozenset({"name", "run", "setup", "teardown", "react", "restart"})
-"""What every action is asked for itself: a port of this name would hide it."""
-
-
-def _check_free(component: str, ports: Mapping[str, Need]) -> None:
-    for attribute in sorted(_TAKEN & ports.keys()):
-        told = f"an action has a {attribute!r} of its own: say reads(..., name=...)"
-        raise ConfigError(component, attribute, f"{told}, and call the port otherwise")
+def _check_free(component: str, cls: type, ports: Mapping[str, Need]) -> None:
+    """Refuse a port that would hide what an action has: its name, its ``put``."""
+    own = [each for each in cls.__mro__ if each.__module__.startswith("esair.")]
+    for attribute, each in itertools.product(sorted(ports), own):
+        has = vars(each).get(attribute, ports[attribute])
+        if not isinstance(has, Reads | Writes | Guards):
+            told = f"an action has a {attribute!r} of its own: say reads(..., name=...)"
+            told += ", and call the port otherwise"
+            raise ConfigError(component, attribute, told)
 
 
 class ProfiledAction(abc.Action):
@@ -306,7 +308,7 @@ class ProfiledAction(abc.Action):
             for name, value in attributes_of(cls).items()
             if isinstance(value, Reads | Writes | Guards)
         }
-        _check_free(cls.__name__, cls._declared)
+        _check_free(cls.__name__, cls, cls._declared)
 
     def __init__(
         self,
@@ -319,11 +321,11 @@ class ProfiledAction(abc.Action):
         super().__init__(name=name)
         given: dict[str, Need] = {**(reads or {}), **(writes or {}), **(guards or {})}
         if given:
-            _check_free(self.name, given)
             for attribute, need in given.items():
                 if not isinstance(need, Reads | Writes | Guards):
                     told = f"expected esair.reads(...) or the like, not {need!r:.80}"
                     raise ConfigError(self.name, attribute, told)
+            _check_free(self.name, type(self), given)
             self._profile = {
                 attribute: attrs.evolve(need, attribute=attribute)
                 for attribute, need in given.items()

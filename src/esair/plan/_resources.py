@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from esair.actions import Derived
@@ -22,22 +22,18 @@ def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Find
     def wrong(field: str, told: str) -> Finding:
         return mistake("declaration", resource, field, told)
 
-    if not is_positive(resource.deadline):
-        yield wrong("deadline", f"expected seconds > 0, not {resource.deadline!r:.80}")
+    for field, told in (*_in_plain(resource), *_in_limits(resource)):
+        yield wrong(field, told)
     if resource.identity is not None and not resource.identifies:
         yield wrong("identity", "its class has no identify to compare it with")
-    if told := wrong_bus(type(resource), resource.bus):
-        yield wrong("bus", told)
+    if wrong_one := wrong_bus(type(resource), resource.bus):
+        yield wrong("bus", wrong_one)
     if isinstance(resource, Actuator):
         for field, told in _in_actuator(resource):
             yield wrong(field, told)
         if getattr(resource.write, "__func__", None) is Actuator.write:
             yield wrong("write", "an actuator must have a write method")
     else:
-        repeats = resource.max_repeat
-        if repeats is not None and (type(repeats) is not int or repeats < 1):
-            told = f"expected a whole number > 0, not {repeats!r:.80}"
-            yield wrong("max_repeat", told)
         if isinstance(resource, Derived):
             for field, told in wrong_derived(resource):
                 yield wrong(field, told)
@@ -70,21 +66,17 @@ def blocks_safe(actuator: Actuator[Any], operation: str, limit: object) -> bool:
 
 
 def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
-    timeout, own = actuator.command_timeout, actuator.own_timeout
-    sound = True
-    if not is_positive(timeout):
-        sound = False
-        yield "command_timeout", f"expected seconds > 0, not {timeout!r:.80}"
-    if own is not None and not is_positive(own):
-        sound = False
-        yield "own_timeout", f"expected seconds > 0 or None, not {own!r:.80}"
     if not hasattr(actuator, "safe"):
         yield "safe", "an actuator must declare its safe command: safe = ..."
         return
-    for field, told in (*_in_limits(actuator), *_in_slew(actuator)):
-        sound = False
-        yield field, told
-    if not sound or actuator.safe is HOLD:
+    wrong_slew = [*_in_slew(actuator)]
+    yield from wrong_slew
+    if (
+        actuator.safe is HOLD
+        or wrong_slew
+        or any(_in_plain(actuator))
+        or any(_in_limits(actuator))
+    ):
         return
     field = "safe"
     try:
@@ -103,22 +95,62 @@ def _in_slew(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
             yield f"slew.{field}".rstrip("."), told
 
 
-def _in_limits(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
-    for field, bounds in limits_by_field(actuator.limits).items():
-        moves = actuator.safe is not HOLD
+def _in_plain(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str]]:
+    for wanted, is_one, fields in _PLAIN:
+        for field in fields.split():
+            value = getattr(resource, field, _NONE_HERE)
+            if value is not _NONE_HERE and not is_one(value):
+                yield field, f"expected {wanted}, not {value!r:.80}"
+
+
+_NONE_HERE = object()
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and value > 0
+
+
+_PLAIN: tuple[tuple[str, Callable[[object], bool], str], ...] = (
+    ("seconds > 0", is_positive, "deadline set_up_period command_timeout"),
+    (
+        "seconds > 0 or None",
+        lambda value: value is None or is_positive(value),
+        "own_timeout period",
+    ),
+    ("a whole number > 0", _is_count, "fault_limit history_size"),
+    (
+        "a whole number > 0",
+        lambda value: value is None or _is_count(value),
+        "max_repeat",
+    ),
+    (
+        "True or False",
+        lambda value: type(value) is bool,
+        "required blocking clamp safe_moves",
+    ),
+)
+"""What a class, or one of its objects, may say wrongly: the test, the fields."""
+
+
+def _in_limits(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str]]:
+    safe = getattr(resource, "safe", HOLD)
+    for field, bounds in limits_by_field(resource.limits).items():
         try:
-            part = part_of(actuator.safe, field) if moves else None
+            part = None if safe is HOLD else part_of(safe, field)
         except (AttributeError, LookupError):
-            yield f"limits.{field}", f"{actuator.safe!r:.80} has no such field"
+            yield f"limits.{field}", f"{safe!r:.80} has no such field"
             continue
         try:
             low, high = bounds
-            sound = low <= high
-            fits = part is None or low <= part <= high
+            told = "" if low <= high else f"not {bounds!r:.80}"
         except (TypeError, ValueError):
-            sound = False
-        if not sound:
-            told = f"expected (least, greatest), not {bounds!r:.80}"
+            told = f"not {bounds!r:.80}"
+        if told:
+            yield f"limits.{field}".rstrip("."), f"expected (least, greatest), {told}"
+            continue
+        try:
+            if part is not None and not low <= part <= high:
+                yield "safe", f"{safe!r} is outside the limits"
+        except TypeError:
+            told = f"expected a pair for each field of {part!r:.80}, not {bounds!r:.80}"
             yield f"limits.{field}".rstrip("."), told
-        elif not fits:
-            yield "safe", f"{actuator.safe!r} is outside the limits"

@@ -248,6 +248,8 @@ def bus_kind(cls: type[Resource]) -> Any:
 def wrong_bus(cls: type, bus: object) -> str | None:
     """Say what is wrong with a bus for a class that declares one: ``bus: I2CBus``."""
     kind = bus_kind(cls)
+    if kind is Any and bus is not None and not hasattr(bus, "on_lost"):
+        return f"expected a bus such as esair.buses.SerialBus, not {bus!r:.80}"
     try:
         if kind is Any or isinstance(bus, kind):
             return None

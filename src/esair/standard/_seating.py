@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from esair.exceptions import ConfigError
 from esair.loop import outside
 from esair.messages import Operator, Page
 
@@ -18,6 +19,11 @@ class Seating:
     def __init__(
         self, name: str, *, socket: bool, page: Page | None, rights: Operator | None
     ) -> None:
+        given = (("operator", rights, Operator), ("page", page, Page))
+        for field, value, kind in given:
+            if value is not None and not isinstance(value, kind):
+                told = f"expected an esair.{kind.__name__}, not {value!r:.80}"
+                raise ConfigError(f"robot {name!r}", field, told)
         if rights is not None:
             from esair.seat import check_rights
 
