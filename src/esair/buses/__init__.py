@@ -18,7 +18,9 @@ from esair.buses._stats import BusStats
 from esair.loading import late
 
 if TYPE_CHECKING:
+    from esair.buses._awaited import Awaited
     from esair.buses._exchanges import Exchange, Exchanges
+    from esair.buses._failures import Failures
     from esair.buses._inbox import Inbox
     from esair.buses._link_bus import LinkBus
     from esair.buses._opening import open_on, shut_on
@@ -35,12 +37,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MEDIA",
+    "Awaited",
     "Bus",
     "BusStats",
     "CanBus",
     "CanState",
     "Exchange",
     "Exchanges",
+    "Failures",
     "Frame",
     "FrameKind",
     "FrameLink",
@@ -64,7 +68,9 @@ _late, _ = late(
     __name__,
     {
         "can": "CanBus CanState Frame FrameKind FrameLink python_can",
+        "_awaited": "Awaited",
         "_exchanges": "Exchange Exchanges",
+        "_failures": "Failures",
         "i2c": "I2CBus MessageLink RegisterLink",
         "_inbox": "Inbox",
         "_link_bus": "LinkBus",

@@ -9,6 +9,7 @@ import copy
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any, Generic, TypeVar
 
+from esair.buses import Awaited, Failures
 from esair.exceptions import DeviceLostError
 from esair.resources import Actuator, Resource, Sensor
 
@@ -26,9 +27,7 @@ class _Faults:
         self.silent = False
         self.go = asyncio.Event()
         self.go.set()
-        self.error: BaseException | None = None
-        self.after = 0
-        self.times: int | None = 0
+        self.failures = Failures()
         self.delay = 0.0
         self.ack = 0.0
         self.deaf = 0
@@ -40,17 +39,7 @@ class _Faults:
                 await self.go.wait()
         await self.wait(self.delay)
         self.check()
-        if self.error is None:
-            return
-        if self.after > 0:
-            self.after -= 1
-            return
-        error = self.error
-        if self.times is not None:
-            self.times -= 1
-            if self.times <= 0:
-                self.error = None
-        raise error
+        self.failures.check()
 
     async def wait(self, seconds: float) -> None:
         """Take time, and swallow as many cancellations as told."""
@@ -153,8 +142,8 @@ class _Fake(Resource):
             after: How many calls go well before.
             times: How many calls fail; None for all from then on.
         """
-        faults = self._faults
-        faults.error, faults.after, faults.times = error, after, times
+        self._faults.failures.clear()
+        self._faults.failures.add(error, after, times)
 
     def stall(self) -> None:
         """Answer no call until `resume`."""
@@ -265,16 +254,14 @@ class FakeActuator(_Fake, Actuator[T], Generic[T]):
         self.slew = slew
         self.commands: list[T] = []
         self.landed: list[float] = []
-        self._waiting: list[tuple[Callable[[T], bool], asyncio.Future[T]]] = []
+        self._awaited = Awaited[T]()
 
     async def write(self, command: T) -> None:
         """Take a command."""
         await self._faults.call()
         self.commands.append(copy.deepcopy(command))
         self.landed.append(asyncio.get_running_loop().time())
-        for matches, future in self._waiting:
-            if not future.done() and matches(command):
-                future.set_result(command)
+        self._awaited.came(command)
         await self._faults.wait(self._faults.ack)
 
     async def until(
@@ -293,18 +280,12 @@ class FakeActuator(_Fake, Actuator[T], Generic[T]):
         matches = (
             wanted if callable(wanted) else lambda command: bool(command == wanted)
         )
-        if self.commands and matches(self.commands[-1]):
-            return self.commands[-1]
-        future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-        waiter = (matches, future)
-        self._waiting.append(waiter)
-        try:
-            async with asyncio.timeout(timeout):
-                return await future
-        except TimeoutError:
-            raise TimeoutError(
+        return await self._awaited.until(
+            matches,
+            self.commands[-1:],
+            timeout,
+            lambda: (
                 f"{self.name}: {wanted!r} did not come in {timeout:g} s; "
                 f"the last commands are {self.commands[-5:]!r}"
-            ) from None
-        finally:
-            self._waiting.remove(waiter)
+            ),
+        )
