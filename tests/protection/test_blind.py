@@ -624,3 +624,29 @@ async def test_who_takes_over_above_a_hold_is_not_stopped_before() -> None:
         sonar.unplug()
         await asyncio.sleep(0.0)
         assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("PRO-2")
+@pytest.mark.parametrize("rate", [None, RATE, 7.0])
+async def test_replacing_who_moves_does_not_stop_it(rate: float | None) -> None:
+    """The new one's first decision leaves, and the old one moves nothing any more."""
+
+    class Follow(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+        speed = 0.5
+
+        def react(self, sonar: float) -> float:
+            return self.speed
+
+    Follow.rate = rate
+    old, new = Follow(), Follow()
+    new.speed = 0.7
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=0.5)
+    async with esair.Robot(resources=[ranges(), wheels], behaviors=[old]) as robot:
+        await wheels.until(0.5, timeout=1.0)
+        await asyncio.sleep(0.31)
+        await robot.behaviors.replace("follow", new)
+        assert wheels.commands[-1] == 0.7
+        await asyncio.sleep(0.31)
+        assert set(wheels.commands[1:]) == {0.5, 0.7}

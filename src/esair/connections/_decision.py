@@ -128,12 +128,14 @@ class Decision:
             self._channel.keep_still()
         return rest
 
-    def _rank(self, wish: Wish) -> tuple[bool, int, bool, str, str]:
+    def _rank(self, wish: Wish) -> tuple[bool, int, bool, str, int, str]:
         registration = wish.registration
+        holder = self._channel.present_holder
         return (
             wish.command is not None,  # who gives it back comes first
             -registration.priority,
-            registration is not self._channel.present_holder,
+            holder is None or registration.behavior != holder.behavior,
             registration.behavior,
+            -registration.number,  # who takes the place of another comes before it
             wish.name,
         )
