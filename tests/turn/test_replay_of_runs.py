@@ -9,6 +9,7 @@ import pickle
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -90,8 +91,10 @@ class Follows(esair.Reaction):
         return sonar / 2 + way
 
 
-def play(loop: TurnLoop, tape: list[Any]) -> list[tuple[Any, ...]]:
-    """Run a robot whose sensor is pulled out and comes back."""
+def play(
+    loop: TurnLoop, tape: list[Any], sleep: Callable[[], object] | None = None
+) -> list[tuple[Any, ...]]:
+    """Run a robot whose sensor is pulled out and comes back, or that falls asleep."""
     events: list[Any] = []
     sonar, motor = FakeSensor("sonar", 1.0), FakeActuator("motor", safe=0.0)
 
@@ -106,10 +109,14 @@ def play(loop: TurnLoop, tape: list[Any]) -> list[tuple[Any, ...]]:
             for value in (2.0, 3.0):
                 sonar.feed(value)
                 await asyncio.sleep(0.05)
-            sonar.unplug()
-            await asyncio.sleep(0.1)
-            sonar.plug()
-            await asyncio.sleep(1.2)
+            if sleep is None:
+                sonar.unplug()
+                await asyncio.sleep(0.1)
+                sonar.plug()
+                await asyncio.sleep(1.2)
+            else:
+                sleep()
+                await asyncio.sleep(0.3)
             sonar.feed(7.0)
             await asyncio.sleep(0.05)
         loop.keep(None)
@@ -137,6 +144,26 @@ def test_a_device_that_was_lost_and_came_back_is_repeated() -> None:
 
     assert {Kind.DOWN, Kind.SENT} <= {kind for _, kind, *_ in live}
     assert play(TurnLoop(player=Player(kept)), kept) == live
+
+
+@pytest.mark.promise("REP-2")
+@pytest.mark.fault("T02")
+def test_a_sleep_of_the_computer_is_repeated(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The clocks of the replay know nothing of it; it is told, and tells, once."""
+    real = time.clock_gettime
+    tape: list[Any] = []
+
+    def sleep() -> None:
+        monkeypatch.setattr(time, "clock_gettime", lambda clock: real(clock) + 60.0)
+
+    live = play(TurnLoop(), tape, sleep)
+    monkeypatch.setattr(time, "clock_gettime", real)
+    assert sum("slept" in each for each in caplog.messages) == 1
+    kept = pickle.loads(pickle.dumps(tape))
+
+    assert play(TurnLoop(player=Player(kept)), kept, lambda: None) == live
 
 
 def await_nothing(seconds: float) -> None:

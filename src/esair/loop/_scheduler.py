@@ -70,7 +70,7 @@ class Scheduler(OfLoop):
         self._decided_later: list[Callee] = []
         self._derived_later: list[DerivedJob] = []
         self._time = clock_of(loop)
-        self.suspends = SuspendWatch(loop)
+        self.suspends = SuspendWatch.of(loop)
         """Looked at each time the scheduler begins to turn after a sleep."""
         self.turns = 0  # how many turns have begun: the number of this one
         self.polled_in = 0

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 
 from esair.loop._door import Door
+from esair.loop._of_loop import OfLoop
 from esair.loop._tape import TapeWriter
 
 JUMP = 0.1  # from how many seconds of sleep on everything that is known counts as old
@@ -20,7 +21,7 @@ _TAG = ("computer", "slept")
 _log = logging.getLogger("esair")
 
 
-class SuspendWatch:
+class SuspendWatch(OfLoop):
     """Tells who listens when the computer was suspended, and for how long.
 
     It compares the clock that goes on while the computer sleeps with the one that
