@@ -14,10 +14,20 @@ from esair.testing import FakeActuator, FakeSensor
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("TURN-5")]
 
 NONE_OF_A_SENSOR = dict.fromkeys(
-    ("readings", "transactions", "missed", "bad", "dropped", "abandoned", "late"), 0
+    (
+        "readings",
+        "transactions",
+        "missed",
+        "bad",
+        "dropped",
+        "abandoned",
+        "late",
+        "turned_away",
+    ),
+    0,
 )
 NONE_OF_AN_ACTUATOR = dict.fromkeys(
-    ("writes", "refusals", "timeouts", "abandoned", "late"), 0
+    ("writes", "refusals", "timeouts", "abandoned", "late", "turned_away"), 0
 )
 
 

@@ -54,9 +54,12 @@ class Counter(esair.Sensor[float]):
 
 async def test_they_are_called_in_the_loop_from_open_to_close(user_of: Any) -> None:
     """No thread is made for them, and safe is the last command on the wire."""
-    register, user = Register(), user_of("user", register=esair.writes(float))
+    register, user = (
+        Register(),
+        user_of("user", cell=esair.writes(float, name="register")),
+    )
     async with esair.Robot(resources=[register], behaviors=[user]):
-        assert await user.register.write(0.5)
+        assert await user.cell.write(0.5)
         assert not [each for each in threading.enumerate() if "register" in each.name]
     assert register.log[:3] == ["open", 0.0, 0.5]
     assert register.log[-2:] == [0.0, "close"]
@@ -76,27 +79,30 @@ async def test_a_reading_is_there_without_a_turn_of_the_loop(user_of: Any) -> No
 async def test_what_is_checked_for_others_is_checked_for_them(user_of: Any) -> None:
     """Limits, NaN, priority, and the time without a write."""
     register = Register()
-    user = user_of("user", register=esair.writes(float))
-    strong = user_of("strong", register=esair.writes(float, priority=5))
+    user = user_of("user", cell=esair.writes(float, name="register"))
+    strong = user_of("strong", cell=esair.writes(float, name="register", priority=5))
     async with esair.Robot(resources=[register], behaviors=[user, strong]):
         for bad in (math.nan, 2.0, "0.5"):
             with pytest.raises(esair.BadValueError):
-                await user.register.write(bad)
-        assert await strong.register.write(0.5)
-        assert not await user.register.write(0.1)
+                await user.cell.write(bad)
+        assert await strong.cell.write(0.5)
+        assert not await user.cell.write(0.1)
         await asyncio.sleep(1.0)
         assert register.log == ["open", 0.0, 0.5, 0.0]
 
 
 async def test_what_they_raise_is_a_fault_of_the_device(user_of: Any) -> None:
     """With the cause; what leaves next is what is asked next."""
-    register, user = Register(), user_of("user", register=esair.writes(float))
+    register, user = (
+        Register(),
+        user_of("user", cell=esair.writes(float, name="register")),
+    )
     async with esair.Robot(resources=[register], behaviors=[user]):
         register.fails = True
         with pytest.raises(esair.DeviceFaultError, match="no acknowledge"):
-            await user.register.write(0.5)
+            await user.cell.write(0.5)
         register.fails = False
-        assert await user.register.write(0.4)
+        assert await user.cell.write(0.4)
         assert register.log[-1] == 0.4
 
 
@@ -113,10 +119,10 @@ async def test_what_they_return_is_awaited_if_it_can_be(user_of: Any) -> None:
 
     register, user = (
         Handed(name="register"),
-        user_of("user", register=esair.writes(float)),
+        user_of("user", cell=esair.writes(float, name="register")),
     )
     async with esair.Robot(resources=[register], behaviors=[user]):
-        written = await user.register.write(0.5)
+        written = await user.cell.write(0.5)
         assert written
         assert register.log[-1] == 0.5
 
