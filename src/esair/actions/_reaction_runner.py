@@ -254,9 +254,16 @@ class ReactionRunner:
         names = [each.name for each in polled] or [name]
         phase = max(map(scheduler.phase, names))
         self.job = scheduler.every(1.0 / rate, self._turn, name=name, phase=phase)
+        self.job.near = self._near()
         moved = self.moved
         self._sampling = Sampling(scheduler, polled, moved, self._turn, name, rate)
         self.job.waits = self._sampling.waits
+
+    def _near(self) -> tuple[object, ...]:
+        near = [self, self._clock, self._react, self.reaction, self.values]
+        for each in self._outputs.values():
+            near += (each, each.registration, each.channel, each.decision)
+        return tuple(near)
 
     def stop(self) -> None:
         """Never step again, and follow nothing. What it wrote is the caller's to undo."""

@@ -276,6 +276,11 @@ class SensorChannel(SensorDevice):
                 name=self.name,
                 phase=self._scheduler.phase(self.name),
             )
+            calls, read = self.calls, self._read
+            self._poll.near = (
+                *(self, self.sensor, self._check_value, self._history),
+                *(calls, calls.alive, calls.context, read, read.function),
+            )
             self._poll.soon()
 
     def _stop_polling(self) -> None:
