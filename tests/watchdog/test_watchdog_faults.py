@@ -334,6 +334,28 @@ async def test_a_robot_whose_watchdog_cannot_be_started(
     assert ("halted by the watchdog" in caplog.text) == (policy == "stop")
 
 
+class Odd(BaseException):
+    """What a driver may raise as well."""
+
+
+@pytest.mark.promise("GRD-2")
+@pytest.mark.fault("D25")
+async def test_whatever_is_raised_instead_of_frames_is_told(
+    line: Line, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The actuator is not watched; the robot starts."""
+
+    class Odder(Wheels):
+        def safe_frames(self) -> SafeFrames:
+            raise Odd
+
+    bus = SerialBus(name="front", port=line.port)
+    robot = esair.Robot(resources=[Odder(name="wheels", bus=bus)], watchdog=True)
+    async with asyncio.timeout(20.0), robot:
+        await until(lambda: ready(robot))
+    assert "wheels: UNWATCHED: its safe_frames raised Odd" in caplog.text
+
+
 @pytest.mark.promise("GRD-1")
 @pytest.mark.fault("O05")
 async def test_a_robot_that_is_continued_is_halted(line: Line) -> None:

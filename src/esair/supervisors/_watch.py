@@ -35,7 +35,7 @@ class Watch:
         actuator = self.actuator
         try:
             frames, outlet = actuator.safe_frames(), actuator.outlet
-        except Exception as error:  # it is the driver's own code
+        except BaseException as error:  # it is the driver's own code
             return f"its safe_frames raised {describe(error)}"
         if frames is None:
             return "its driver cannot say its safe command as bytes"
