@@ -73,3 +73,31 @@ async def test_what_was_pressed_before_a_gap_moves_nothing_after_it(gap: str) ->
         assert await press(hand.newest)
         assert wheels.commands[-1] == 1.0
         leases.close()
+
+
+@pytest.mark.promise("OPS-4", "ROB-4")
+async def test_what_waited_for_a_slow_device_is_not_sent_after_a_halt() -> None:
+    """Resume is the start button: nothing from before leaves, however soon it comes."""
+    hand, wheels = Hand(), FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels]) as robot:
+        leases = Console(robot).leases
+        lease = leases.take("wheels", 2.0, hand)
+        await asyncio.sleep(0.11)
+        wheels.slow(0.1)
+
+        async def press(speed: float) -> object:
+            return await leases.drive(
+                lease.number, hand, hand.newest, lambda _wheels: speed
+            )
+
+        first = asyncio.create_task(press(1.0))
+        await asyncio.sleep(0.01)
+        second = asyncio.create_task(press(2.0))
+        await asyncio.sleep(0.05)
+        robot.halt("a cat")
+        robot.resume()
+        await asyncio.sleep(1.0)
+        assert 2.0 not in wheels.commands
+        assert not second.result()
+        assert first.result()
+        leases.close()

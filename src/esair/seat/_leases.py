@@ -73,9 +73,8 @@ class Lease:
     owner: Driver
     until: float  # When it lapses unless input renews it; on the loop's clock
     channel: ActuatorChannel
-    fence: int = (
-        0  # Of the actuator when the last input came: who is later made it safe
-    )
+    fence: int = 0  # Of the actuator when the last input came: it was not safe since
+    halts: int = 0  # Of the actuator then: nothing from before a halt leaves after it
     command: Any = None  # What it was told last; None before that
     timer: asyncio.TimerHandle | None = None
     repeats: Job | None = None
@@ -158,7 +157,7 @@ class Leases:
         lease.command = command(resource)
         lease.until = max(lease.until, sent + lease.seconds)
         lease.channel = self._actuators.channel(lease.actuator)
-        lease.fence = lease.channel.fence
+        lease.fence, lease.halts = lease.channel.fence, lease.channel.halts
         if lease.repeats is None:
             pause = lease.channel.command_timeout / 3
             lease.repeats = Scheduler.of(self._loop).every(
@@ -253,6 +252,8 @@ class Leases:
             lease.writing = False
 
     async def _send(self, lease: Lease, command: Any) -> Written[Any] | Refused:
+        if lease.halts != lease.channel.halts:
+            return _superseded(lease, self._time(), "the robot was halted meanwhile")
         hold = max(lease.until - self._time(), 0.001)
         return await self._actuators.write(lease.registration, command, hold=hold)
 
@@ -262,8 +263,11 @@ def _settle(waiting: asyncio.Future[Any], answer: Any) -> None:
         waiting.set_result(answer)
 
 
-def _superseded(lease: Lease, now: float) -> Refused:
-    told = "newer input came before the device was ready for this one"
+def _superseded(
+    lease: Lease,
+    now: float,
+    told: str = "newer input came before the device was ready for this one",
+) -> Refused:
     me = lease.registration
     return Refused(me.behavior, me.priority, told, now, now)
 
