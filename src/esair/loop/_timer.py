@@ -68,9 +68,11 @@ class DescriptorTimer:
             self._fd = -1
 
     def _expired(self) -> None:
-        with contextlib.suppress(BlockingIOError):  # set again in the meantime
+        try:
             os.read(self._fd, 8)
-            self._function()
+        except BlockingIOError:  # set again in the meantime
+            return
+        self._function()
 
 
 def clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
