@@ -86,7 +86,9 @@ async def test_configure_needs_the_right() -> None:
     sensor, me = Gain(), user(configure=False)
 
     async with esair.Robot(resources=[sensor], behaviors=[me]) as robot:
-        with pytest.raises(esair.AccessDeniedError, match="registered to READ only"):
+        with pytest.raises(
+            esair.AccessDeniedError, match="READ only: declare configure=True"
+        ):
             await me.gain.configure(gain=3)
         registration = me.gain.registration
         robot.resources.revoke(registration)

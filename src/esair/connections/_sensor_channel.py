@@ -232,7 +232,7 @@ class SensorChannel(SensorDevice):
             raise self.registrations.refusal(registration)
         if not passes_as(count, int) or count < 0:
             raise BadValueError(
-                self.name, "history", f"expected a whole number, not {count!r:.80}"
+                self.name, "history", f"expected 0 or more, not {count!r:.80}"
             )
         return list(self._history)[-count:] if count > 0 else []
 

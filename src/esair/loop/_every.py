@@ -102,6 +102,7 @@ def every(period: float) -> Every:
 
     Raises:
         BadValueError: The period is not a number of seconds above 0.
+        ConfigError: A plain ``for`` would hold up the event loop.
 
     Example:
         >>> async def run(self):

@@ -173,7 +173,7 @@ class ControlPath:
                 registration.behavior,
                 registration.resource,
                 str(Access.CONFIGURE),
-                f"it is registered to {registration.access} only",
+                f"it is registered to {registration.access} only: declare configure=True",
             )
         life = self._lives[registration.resource]
         if life.channel.state is not ResourceState.READY:
