@@ -468,6 +468,25 @@ def test_a_disk_that_is_full_from_some_byte_on(tmp_path: Path):
 
 @pytest.mark.promise("REC-4")
 @pytest.mark.fault("P02")
+@pytest.mark.promise("REC-4")
+async def test_pictures_that_wait_are_bounded_by_their_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Few events of many bytes are too many; nothing was written yet."""
+    monkeypatch.setattr("esair.recording._recorder.HELD", 5000)
+    journal = Journal()
+    recorder = Recorder(esair.Recording(tmp_path / "run.mcap"), journal)
+    journal.start(asyncio.get_running_loop())
+    for _ in range(20):
+        journal.publish(Kind.PUT, "guest", "host", bytes(1000))
+    await asyncio.sleep(0.01)
+    assert recorder.counts()["dropped"] == 15
+    recorder.start(0.0)
+    assert await asyncio.to_thread(recorder.close, 10.0)
+    journal.close()
+
+
+@pytest.mark.fault("P02")
 @pytest.mark.real_clock
 async def test_a_slow_disk_costs_events_and_no_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

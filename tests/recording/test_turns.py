@@ -101,3 +101,20 @@ def test_a_missing_part_is_noticed(missing: int) -> None:
     else:
         kept = turns_of(HERE, chunks)
         assert kept == ([0.0], "a part of it is missing")
+
+
+@pytest.mark.promise("REC-4")
+@pytest.mark.parametrize(("limit", "held"), [(5, 1 << 20), (100, 5000)])
+def test_a_disk_that_is_stuck_takes_no_memory(
+    monkeypatch: pytest.MonkeyPatch, limit: int, held: int
+) -> None:
+    """What waits is bounded before anybody writes; what was kept says that it ended."""
+    monkeypatch.setattr("esair.recording._turns.LIMIT", limit)
+    monkeypatch.setattr("esair.recording._turns.HELD", held)
+    turns = Turns()
+    turns.tape.turn(0.0)
+    for _ in range(20):
+        turns.tape.arrived(("camera", "news"), (bytes(1000), None))
+    kept = turns_of(HERE, list(iter(turns.chunk, b"")))
+    assert len(kept.items) <= 6
+    assert "fast enough" in str(kept.spoiled)

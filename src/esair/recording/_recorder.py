@@ -25,10 +25,13 @@ from esair.recording._messages import seen_as, size_of
 from esair.recording._plain import plain
 from esair.recording._reading import TURNS
 from esair.recording._recover import left_cut
-from esair.recording._turns import TOPIC, Turns
+from esair.recording._turns import HELD, TOPIC, Turns, bulk_of
 
 BACKLOG = 65_536
-"""How many events may wait to be written; the oldest are dropped, and counted."""
+"""How many events may wait to be written; those that come then are dropped, and counted.
+
+`HELD` bounds the bytes of pictures among them.
+"""
 
 FLUSH = 0.2  # How often what was written is made to survive the process, in seconds
 SYNC = 1.0  # How often it is made to survive the loss of power, in seconds
@@ -79,6 +82,7 @@ class Recorder:
         self._segments: collections.deque[Path] = collections.deque()
         self._number = 0
         self._waiting: collections.deque[Event] = collections.deque()
+        self._came = self._went = 0  # Bytes of pictures: one thread adds to each
         self._told_once: set[str] = set()
         self._offset = 0.0
         self._turns: Turns | None = None
@@ -129,9 +133,11 @@ class Recorder:
     # In the loop.
 
     def _hear(self, event: Event) -> None:
-        if len(self._waiting) >= BACKLOG:
+        size = bulk_of(event.value)
+        if len(self._waiting) >= BACKLOG or self._came - self._went + size > HELD:
             self.dropped += 1
         else:
+            self._came += size
             self._waiting.append(event)
 
     # In the thread.
@@ -198,6 +204,7 @@ class Recorder:
         return count
 
     def _write(self, event: Event) -> None:
+        self._went += bulk_of(event.value)
         try:
             self._segment.write(
                 *seen_as(event, self._offset, lambda value: self._bounded(event, value))

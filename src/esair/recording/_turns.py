@@ -28,6 +28,9 @@ AT_ONCE = 64  # How many items are encoded at once: it holds up the loop meanwhi
 LIMIT = 500_000
 """How many items may wait to be written; then the turns are kept no longer."""
 
+HELD = 128 << 20
+"""How many bytes of large values may wait: a slow disk must not take the memory."""
+
 
 class Turns:
     """Takes the turns of a run in the loop, and gives them to the recorder's thread."""
@@ -35,24 +38,57 @@ class Turns:
     def __init__(self) -> None:
         self._waiting: collections.deque[Any] = collections.deque()
         self._numbers = itertools.count()
-        self.tape = TapeWriter(self._waiting.append)  # What the loop writes on
+        self._came = self._went = 0  # Bytes: one thread adds to each
+        self.tape = TapeWriter(self._put)  # What the loop writes on
+
+    def _put(self, item: Any) -> None:
+        """Keep an item, in the loop: the thread that writes may be stuck in the disk."""
+        self._came += _bulk_of_item(item)
+        if len(self._waiting) < LIMIT and self._came - self._went <= HELD:
+            self._waiting.append(item)
+        else:
+            self.tape.close()
+            why = "it could not be written fast enough"
+            self._waiting.append((SPOILED, 0, why))
 
     def chunk(self) -> bytes:
         """Return the next items as bytes; empty if there are none."""
         waiting = self._waiting
         if not waiting:
             return b""
-        if len(waiting) > LIMIT:
-            self.tape.close()
-            waiting.clear()
-            waiting.append((SPOILED, 0, "it could not be written fast enough"))
         count = min(AT_ONCE, len(waiting))
         items = [waiting.popleft() for _ in range(count)]
+        self._went += sum(map(_bulk_of_item, items))
         number = next(self._numbers)
         try:
             return _pickled((number, items))
         except Exception:  # a value may be an object of any class
             return _pickled((number, [each for it in items for each in _kept(it)]))
+
+
+def bulk_of(value: Any) -> int:
+    """Return about how many bytes a value takes that is large, as a picture is.
+
+    It is asked in the loop for each value: nothing of the value's own code runs.
+    """
+    kind = type(value)
+    if kind is float:
+        return 0
+    if kind is tuple or kind is list:
+        return 32 * len(value)
+    if kind is bytes or kind is bytearray:
+        return len(value)
+    is_array = kind is memoryview or kind.__module__ == "numpy"
+    return getattr(value, "nbytes", 0) if is_array else 0
+
+
+def _bulk_of_item(item: Any) -> int:
+    """Return that of what an item of the tape has brought: with an error, or alone."""
+    if type(item) is float:  # the moment of a turn
+        return 0
+    brought = item[-1]
+    is_end = type(brought) is First or (type(brought) is tuple and len(brought) == 2)
+    return bulk_of(brought[-2] if is_end else brought)
 
 
 def _kept(item: Any) -> Iterator[Any]:
