@@ -356,6 +356,25 @@ async def test_whatever_is_raised_instead_of_frames_is_told(
     assert "wheels: UNWATCHED: its safe_frames raised Odd" in caplog.text
 
 
+@pytest.mark.promise("GRD-3", "ROB-2")
+@pytest.mark.fault("D25")
+async def test_a_bus_that_wants_to_end_the_program_does_not_end_the_stop(
+    line: Line, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is told; no watchdog is left behind."""
+
+    class Odd(SerialBus):
+        async def close(self) -> None:
+            await super().close()
+            raise SystemExit
+
+    bus = Odd(name="front", port=line.port)
+    async with esair.Robot(resources=[Wheels(bus=bus)], watchdog=True):
+        pass
+    assert "bus front: close: RuntimeError: a task raised SystemExit" in caplog.text
+    assert dogs_of(os.getpid()) == []
+
+
 @pytest.mark.promise("GRD-1")
 @pytest.mark.fault("O05")
 async def test_a_robot_that_is_continued_is_halted(line: Line) -> None:

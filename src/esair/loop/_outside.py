@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from esair.loop._door import Door
 from esair.loop._futures import settle
+from esair.loop._ownership import Contained
 from esair.loop._tape import WAITS, First, Player, Tag, TapeWriter
 
 T = TypeVar("T")
@@ -37,7 +38,8 @@ async def outside(tag: Tag, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
     loop = asyncio.get_running_loop()
     door = Door.of(loop)
     if not door.has_border:
-        return await work()
+        done: T = await Contained(work())
+        return done
     tape = door.tape
     outcome: asyncio.Future[T] = loop.create_future()
     number = 0
@@ -60,7 +62,7 @@ async def outside(tag: Tag, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
         number = tape.first(tag, WAITS)
     # A context of nobody: what it starts is no part of the robot.
     task = asyncio.Task(
-        work(), loop=loop, name=" ".join(tag), context=contextvars.Context()
+        Contained(work()), loop=loop, name=" ".join(tag), context=contextvars.Context()
     )
     task.add_done_callback(lambda done: door.end(tag, over, _end_of(done)))
     try:

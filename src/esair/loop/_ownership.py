@@ -140,7 +140,10 @@ class Contained(Coroutine[Any, Any, Any]):
         return getattr(self._inner, name)
 
     def __await__(self) -> Generator[Any, Any, Any]:
-        return self._inner.__await__()
+        try:
+            return (yield from self._inner.__await__())
+        except (SystemExit, KeyboardInterrupt) as error:
+            raise RuntimeError(f"a task raised {type(error).__name__}") from error
 
 
 class OwnedTasks(OfLoop):
