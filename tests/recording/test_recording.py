@@ -199,6 +199,18 @@ async def test_whatever_lies_beside_it_ends_no_recording(kind: str, tmp_path: Pa
     assert [event.value for event in events_of(path)] == [1.0]
 
 
+def test_a_pipe_is_no_recording(tmp_path: Path):
+    """It can be read once, a recording is read twice: the error says what to do."""
+    pipe = tmp_path / "run.mcap"
+    os.mkfifo(pipe)
+    holder = os.open(pipe, os.O_RDWR)
+    try:
+        with pytest.raises(esair.RecordingBrokenError, match=r"run\.mcap.*save it"):
+            list(events_of(pipe))
+    finally:
+        os.close(holder)
+
+
 def test_a_path_is_no_recording(tmp_path: Path):
     """Bounds belong to it: the message says what to write."""
     path: Any = tmp_path / "run.mcap"

@@ -58,6 +58,8 @@ def records_of(path: Path) -> Iterator[Any]:
     from mcap.stream_reader import StreamReader, breakup_chunk
 
     with path.open("rb") as file:
+        if not file.seekable():  # it is read more than once
+            raise RecordingBrokenError(str(path), "it is a pipe: save it to a file")
         if file.read(len(_MAGIC)) != _MAGIC:
             return
         file.seek(0)
