@@ -145,9 +145,13 @@ TIDY = """
 @pytest.mark.promise("ROB-6")
 async def test_what_is_interrupted_may_end_in_peace(tmp_path: Path) -> None:
     """It is interrupted once, not again and again in what it does to end."""
-    returned, told, errors, _ = await live(tmp_path / "log", signal.SIGTERM, stuck=TIDY)
+    for _ in range(3):  # a busy computer may hold it up for longer than it is spared
+        log = tmp_path / "log"
+        returned, told, errors, _ = await live(log, signal.SIGTERM, stuck=TIDY)
+        assert returned == 143, errors
+        if "tidy" in told:
+            break
 
-    assert returned == 143, errors
     assert told.count("tidy") == 1, errors
     assert told[-1] == "wheels=0.0"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import queue
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -90,6 +91,8 @@ def test_what_really_blocks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     ):
         run(main())
     arm.go.set()
+    # Its robot was stopped when its runner had ended already.
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_a_function_in_a_thread_of_asyncio_is_named_too(

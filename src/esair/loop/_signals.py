@@ -17,6 +17,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 
 # Each component that is added is watched; the public getsignal makes an enum of a
 # handler, or else prints it, task and all, into an error that nobody sees.
@@ -193,6 +194,8 @@ class SignalDesk:
     def _uninstall(self) -> None:
         for number, handler in self._before.items():
             if signal.getsignal(number) == self._handle:
+                if handler is self._runner and not _in_a_runner():
+                    handler = signal.default_int_handler  # as the runner had put back
                 signal.signal(number, handler)
         if self._before:
             current = signal.set_wakeup_fd(self._wake_before)
@@ -314,6 +317,12 @@ class _Again:
 def _is_of_a_runner(handler: Any) -> bool:
     owner = getattr(getattr(handler, "func", None), "__self__", None)
     return isinstance(owner, asyncio.Runner)
+
+
+def _in_a_runner() -> bool:
+    """Whether asyncio's runner still runs its program: its end closes what is left."""
+    frames = traceback.walk_stack(None)
+    return any(each.f_code is asyncio.Runner.run.__code__ for each, _ in frames)
 
 
 def _hear_no_more() -> None:
