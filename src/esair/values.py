@@ -204,6 +204,24 @@ def check_choice(component: str, field: str, value: object, choices: Iterable[T]
     )
 
 
+def is_whole(value: object, least: int, most: int) -> bool:
+    """Tell whether a value is a whole number within bounds, which count."""
+    return passes_as(value, int) and least <= typing.cast("int", value) <= most
+
+
+def check_bytes(component: str, field: str, data: Any) -> bytes:
+    """Return bytes as they are now: whoever gave them may change them later.
+
+    Raises:
+        BadValueError: There are no bytes in it.
+    """
+    if type(data) is bytes:
+        return data
+    with contextlib.suppress(TypeError, ValueError):
+        return bytes(data if isinstance(data, list | tuple) else memoryview(data))
+    raise BadValueError(component, field, f"expected bytes, not {data!r:.80}")
+
+
 def check_whole(
     component: str, field: str, value: object, least: int, most: int | None = None
 ) -> int:

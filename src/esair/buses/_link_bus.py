@@ -20,7 +20,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.values import check_seconds
+from esair.values import check_duration, check_seconds
 
 T = TypeVar("T")
 
@@ -176,7 +176,9 @@ class LinkBus(Bus, Generic[L]):
         repeated: frozenset[int] = frozenset(),
     ) -> T:
         """Make a transfer in its turn; again, with growing pauses, after some errors."""
-        left = self.timeout if timeout is None else timeout
+        left = self.timeout
+        if timeout is not None:
+            left = check_duration(self.name, "timeout", timeout)
         loop = asyncio.get_running_loop()
         until = loop.time() + left
         attempt = 0

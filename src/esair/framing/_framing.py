@@ -6,7 +6,7 @@ import abc
 from typing import Any, Self
 
 from esair.exceptions import BadValueError
-from esair.values import check_whole
+from esair.values import check_bytes, check_whole
 
 
 class Framing(abc.ABC):
@@ -66,12 +66,7 @@ class Framing(abc.ABC):
         self._buffer.clear()
 
     def _checked(self, payload: bytes, least: int = 0) -> bytes:
-        if type(payload) is not bytes:
-            if not isinstance(payload, (bytes, bytearray, memoryview)):
-                raise BadValueError(
-                    "framing", "payload", f"expected bytes, not {payload!r:.80}"
-                )
-            payload = bytes(payload)
+        payload = check_bytes("framing", "payload", payload)
         if not least <= len(payload) <= self.max_length:
             told = f"at most {self.max_length}"
             if len(payload) < least:

@@ -24,7 +24,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.values import check_choice
+from esair.values import check_choice, check_duration
 from esair.watchdog import Outlet
 
 _LOST_WHEN: Final = {
@@ -195,10 +195,11 @@ class CanBus(Bus):
         link = self._connected()
         key = key_of(self.name, id, extended=extended)
         if type(data) is not bytes or len(data) > 8:
-            check_data(self.name, data, fd=self.fd)
-            data = bytes(data)
+            data = check_data(self.name, data, fd=self.fd)
         frame = Frame(id, data, extended)
-        seconds = self.send_timeout if timeout is None else timeout
+        seconds = self.send_timeout
+        if timeout is not None:
+            seconds = check_duration(self.name, "timeout", timeout)
         heard = self.stats.received
         try:
             if not await self._outbox.send(key, frame, seconds, replaces):

@@ -11,6 +11,7 @@ from esair.buses._bus import Wire
 from esair.buses.can._errors import CanState
 from esair.buses.can._ids import Filter
 from esair.exceptions import BadValueError
+from esair.values import check_bytes
 
 FD_SIZES: Final = frozenset({*range(9), 12, 16, 20, 24, 32, 48, 64})
 """How many bytes a CAN FD frame can have."""
@@ -104,10 +105,9 @@ class CanWire(Wire, abc.ABC):
         """
 
 
-def check_data(owner: str, data: bytes, *, fd: bool) -> None:
-    """Check that bytes fit into one frame."""
-    if not isinstance(data, bytes | bytearray | memoryview):
-        raise BadValueError(owner, "data", f"expected bytes, not {data!r:.80}")
+def check_data(owner: str, data: bytes, *, fd: bool) -> bytes:
+    """Return bytes as they are now, if they fit into one frame."""
+    data = check_bytes(owner, "data", data)
     if len(data) > 8 and not fd:
         raise BadValueError(
             owner,
@@ -121,3 +121,4 @@ def check_data(owner: str, data: bytes, *, fd: bool) -> None:
             "expected 0 to 8, 12, 16, 20, 24, 32, 48 or 64 bytes (CAN FD), "
             f"not {len(data)}",
         )
+    return data

@@ -24,6 +24,7 @@ from esair.exceptions import (
     DeviceFaultError,
     EsairError,
 )
+from esair.values import check_bytes, is_whole
 from esair.watchdog import Outlet
 
 T = TypeVar("T")
@@ -140,6 +141,7 @@ class I2CBus(LinkBus[RegisterLink]):
 
         Args and errors are those of `read`, for up to 32 bytes of data.
         """
+        data = check_bytes(self.name, "data", data)
         self._check(address, register, len(data))
 
         def transfer(link: RegisterLink) -> None:
@@ -185,8 +187,9 @@ class I2CBus(LinkBus[RegisterLink]):
             DriverStuckError: It took too long, or the bus is stuck.
         """
         self._check_address(address)
+        write = check_bytes(self.name, "write", write)
         for field, count in (("write", len(write)), ("read", read)):
-            if not 0 <= count <= wire.LIMIT:
+            if not is_whole(count, 0, wire.LIMIT):
                 raise BadValueError(
                     self.name, field, f"expected 0 to {wire.LIMIT} bytes, not {count!r}"
                 )
@@ -308,18 +311,18 @@ class I2CBus(LinkBus[RegisterLink]):
         self.stats.received += bool(read)
 
     def _check_address(self, address: int) -> None:
-        if not 0x03 <= address <= 0x77:
+        if not is_whole(address, 0x03, 0x77):
             raise BadValueError(
                 self.name, "address", f"expected 0x03 to 0x77, not {address!r:.80}"
             )
 
     def _check(self, address: int, register: int, length: int) -> None:
         self._check_address(address)
-        if not 0 <= register <= 0xFF:
+        if not is_whole(register, 0, 0xFF):
             raise BadValueError(
                 self.name, "register", f"expected 0 to 255, not {register!r:.80}"
             )
-        if not 1 <= length <= wire.SMBUS_LIMIT:
+        if not is_whole(length, 1, wire.SMBUS_LIMIT):
             raise BadValueError(
                 self.name,
                 "length",

@@ -25,7 +25,7 @@ from esair.exceptions import (
 )
 from esair.framing import Framing
 from esair.loop import Arrivals
-from esair.values import check_seconds, check_whole
+from esair.values import check_bytes, check_duration, check_seconds, check_whole
 from esair.watchdog import Outlet
 
 ASK_LIMIT = 32
@@ -168,9 +168,15 @@ class SerialBus(Bus):
                 waited are thrown away, so that none of them comes late. The same
                 happens if the writer is cancelled and nobody else waits.
         """
-        size = self._put(data)
+        seconds = self._seconds(timeout)
+        size = self._put(check_bytes(self.name, "data", data))
         if size:
-            await self._sent(size, self.write_timeout if timeout is None else timeout)
+            await self._sent(size, seconds)
+
+    def _seconds(self, timeout: float | None) -> float:
+        if timeout is None:
+            return self.write_timeout
+        return check_duration(self.name, "timeout", timeout)
 
     def _put(self, data: bytes, request: Exchange | None = None) -> int:
         """Send bytes; returns how many, if the line has not taken all of them at once."""
@@ -226,7 +232,7 @@ class SerialBus(Bus):
             DriverStuckError: No answer in time, or the device took no bytes.
         """
         self._connected()
-        seconds = self.write_timeout if timeout is None else timeout
+        seconds = self._seconds(timeout)
         kinds = prefix if isinstance(prefix, tuple) else (prefix,)
         exchanges = self._exchanges
         exchange = Exchange(exchanges, kinds, seconds, answers)

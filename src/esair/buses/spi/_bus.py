@@ -13,7 +13,7 @@ from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
 )
-from esair.values import check_whole
+from esair.values import check_bytes, check_whole, is_whole
 
 T = TypeVar("T")
 
@@ -82,10 +82,11 @@ class SpiBus(LinkBus[SpiLink]):
         """
         hertz = self.speed if speed is None else speed
         phase = self.mode if mode is None else mode
+        data = check_bytes(self.name, "data", data)
         self._check(chip, len(data), hertz, phase)
 
         def make(link: SpiLink) -> bytes:
-            back = link.exchange(chip, bytes(data), hertz, phase)
+            back = link.exchange(chip, data, hertz, phase)
             self.stats.sent += 1
             return back
 
@@ -108,12 +109,12 @@ class SpiBus(LinkBus[SpiLink]):
         Returns:
             The bytes that were read.
         """
-        if type(read) is not int or read < 0:
-            raise BadValueError(
-                self.name, "read", f"expected a number of bytes, not {read!r:.80}"
-            )
+        write = check_bytes(self.name, "write", write)
+        if not is_whole(read, 0, LIMIT):
+            told = f"expected 0 to {LIMIT} bytes, not {read!r:.80}"
+            raise BadValueError(self.name, "read", told)
         back = await self.exchange(
-            chip, bytes(write) + bytes(read), speed=speed, mode=mode, timeout=timeout
+            chip, write + bytes(read), speed=speed, mode=mode, timeout=timeout
         )
         if len(back) != len(write) + read:
             raise self.failed(
@@ -161,7 +162,7 @@ class SpiBus(LinkBus[SpiLink]):
             ("speed", speed, 1, 2**32, " Hz"),
             ("mode", mode, 0, 3, ""),
         ):
-            if type(value) is not int or not least <= value <= most:
+            if not is_whole(value, least, most):
                 told = f"expected {least} to {most}{what}, not {value!r:.80}"
                 raise BadValueError(self.name, field, told)
 
