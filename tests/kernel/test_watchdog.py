@@ -86,12 +86,13 @@ def all_heard(can: socket.socket, robot: Robot, quiet: float = 1.0) -> list[byte
     heard: list[bytes] = []
     end, last = time.monotonic() + PATIENCE, time.monotonic()
     while time.monotonic() < end:
+        dead = robot.process.poll() is not None  # before the look: safe came first
         if select.select([can], [], [], 0.05)[0]:
             last = time.monotonic()
             identifier, _, data = FRAME.unpack(can.recv(16))
             if identifier == COMMAND:
                 heard.append(data)
-        elif robot.process.poll() is not None and time.monotonic() - last > quiet:
+        elif dead and time.monotonic() - last > quiet:
             break
     return heard
 
