@@ -36,10 +36,11 @@ def run(way: str, seconds: float = 30.0) -> tuple[bytes, str, int | None]:
     data, end, quiet = b"", time.monotonic() + seconds, time.monotonic()
     try:
         while time.monotonic() < end:
+            dead = process.poll() is not None  # before the look: safe came first
             if select.select([far], [], [], 0.02)[0]:
                 data += os.read(far, 4096)
                 quiet = time.monotonic()
-            elif process.poll() is not None and time.monotonic() - quiet > 0.4:
+            elif dead and time.monotonic() - quiet > 0.4:
                 break
     finally:
         with contextlib.suppress(ProcessLookupError):

@@ -58,7 +58,7 @@ class Run:
                 self.died = time.monotonic()
             if self.far in ready:
                 last = self.read()
-            elif self.process.poll() is not None and time.monotonic() - last > quiet:
+            elif not pidfds and time.monotonic() - last > quiet:  # dead before it
                 return
 
     def read(self) -> float:
