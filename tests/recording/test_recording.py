@@ -246,6 +246,7 @@ async def test_what_is_not_named_mcap_is_a_folder(
     assert all(is_whole(file) and file.suffix == ".mcap" for file in files)
 
 
+@pytest.mark.long
 @pytest.mark.promise("REC-4")
 async def test_the_oldest_segment_goes(fake_sensor, fake_actuator, tmp_path: Path):
     """There are never more bytes than allowed, but for the segment being written."""

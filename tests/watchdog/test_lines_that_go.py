@@ -143,6 +143,7 @@ def test_a_robot_without_standard_descriptors(wires: list[Wire]) -> None:
     assert [wire.heard() for wire in wires] == [b"STOP\n"] * 2
 
 
+@pytest.mark.long
 @pytest.mark.fault("O04", "O15")
 def test_nobody_reads_what_the_watchdog_says(wires: list[Wire]) -> None:
     """It ends all the same: a port that it held would be nobody else's."""

@@ -160,6 +160,7 @@ FORK = """
     for number"""
 
 
+@pytest.mark.long
 @pytest.mark.fault("O14")
 def test_a_child_that_holds_everything_open_hides_no_death() -> None:
     """The pidfd tells, not the end of a pipe; and its good-bye is not the robot's."""

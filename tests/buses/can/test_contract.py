@@ -123,6 +123,7 @@ class OnVirtualCan(CanBus):
         self.silent = False
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 class TestPythonCan(Asked, BusContract):
     """With a thread that reads and an executor that sends, in real time."""
