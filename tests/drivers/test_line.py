@@ -74,6 +74,7 @@ class TestConfirmed(TestTold):
     ack = is_heard = True
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 class TestConfirmedOnATerminal(TestConfirmed):
     """The same, through the kernel."""
