@@ -59,7 +59,6 @@ class TestGps(Powered, SensorContract):
     keeps_nothing = "it is told nothing"
 
 
-@pytest.mark.long
 @pytest.mark.real_clock
 class TestGpsOnATerminal(TestGps):
     """The same, through the kernel."""

@@ -74,7 +74,6 @@ class TestConfirmed(TestTold):
     ack = is_heard = True
 
 
-@pytest.mark.long
 @pytest.mark.real_clock
 class TestConfirmedOnATerminal(TestConfirmed):
     """The same, through the kernel."""

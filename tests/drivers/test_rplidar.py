@@ -62,7 +62,6 @@ class TestRpLidar(Powered, SensorContract):
     keeps_nothing = "a lidar that does not scan is silent: it is lost, and told to scan"
 
 
-@pytest.mark.long
 @pytest.mark.real_clock
 class TestRpLidarOnATerminal(TestRpLidar):
     """The same, through the kernel."""
