@@ -110,12 +110,12 @@ def test_types_go_round_inside_of_what_is_one_thing_only() -> None:
     assert circle_of(arrows - ONE_CIRCLE - owners) == []
 
 
-def test_no_file_is_longer_than_500_lines() -> None:
-    """A longer one has two ideas."""
+def test_no_file_is_longer_than_800_lines() -> None:
+    """A longer one holds two ideas; one idea is one file, however long until then."""
     lengths = {
         str(file.relative_to(ROOT)): len(file.read_text(encoding="utf-8").splitlines())
         for file in ROOT.rglob("*.py")
         if file.name != "minimal.py"  # one file, copied to a board as it is
     }
 
-    assert {name: n for name, n in lengths.items() if n > 500} == {}
+    assert {name: n for name, n in lengths.items() if n > 800} == {}
