@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -113,6 +114,27 @@ def test_a_function_in_a_thread_of_asyncio_is_named_too(
 
     with pytest.raises(BlockedError, match=r"asyncio_0"):
         run(released())
+
+
+@pytest.mark.parametrize("file", ["esair/loop/arm.py", "esair/loop/my_threading.py"])
+def test_a_path_that_looks_like_a_library_is_named_too(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What counts is where the packages lie."""
+    monkeypatch.setattr("esair.testing._threads.BLOCKED", 0.15)
+    names: dict[str, Any] = {}
+    code = compile("def read(go): go.wait()", str(tmp_path / file), "exec")
+    exec(code, names)
+    go = threading.Event()
+
+    async def main() -> None:
+        try:
+            await asyncio.to_thread(names["read"], go)
+        finally:
+            go.set()
+
+    with pytest.raises(BlockedError, match=rf"{file}:1 in read"):
+        run(main())
 
 
 def test_what_computes_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

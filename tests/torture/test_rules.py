@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from esair.connections import ActuatorChannel
 from esair.testing import VirtualLoop
 from esair.torture import Outcome, Step, Story, Target, World, torture
 from esair.torture._kinds import KINDS, cast_of
-from esair.torture._patience import HeldError, Patience
+from esair.torture._patience import HeldError, Patience, _held_in
 from esair.torture._teller import random_story
 
 HERE = Path(__file__).parent
@@ -303,13 +304,39 @@ print(*violation.key, violation.text)
 """
 
 
-def test_what_holds_the_loop_is_ended_and_named() -> None:
-    """Virtual time stands still for ever: real time does not."""
-    code = HELD.format(robot=f"{HERE / 'planted.py'}:endless")
+def test_what_holds_the_loop_is_ended_and_named(tmp_path: Path) -> None:
+    """Virtual time stands still for ever: real time does not; in any folder."""
+    folder = tmp_path / "esair" / "lib" / "python"
+    folder.mkdir(parents=True)
+    robot = shutil.copy(HERE / "planted.py", folder)
+    code = HELD.format(robot=f"{robot}:endless")
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert done.stdout.startswith("holds run Endless.run at "), done
+
+
+@pytest.mark.parametrize(
+    ("file", "own"),
+    [
+        ("/home/me/esair/rover.py", True),
+        ("/home/me/esair/src/esair/rover.py", True),
+        ("/srv/lib/python3/rover.py", True),
+        (str(HERE / "rover.py"), True),
+        (esair.__file__, False),
+        (esair.loop.__file__, False),
+        (signal.__file__, False),
+        (pytest.__file__, False),
+    ],
+)
+def test_whose_code_holds_the_loop_is_told_by_where_packages_lie(
+    file: str, own: bool
+) -> None:
+    """A path that looks like one of a library is none."""
+    names: dict[str, Any] = {"held": _held_in, "frame": sys._getframe}
+    exec(compile("def run():\n    return held(frame(), 1.0)", file, "exec"), names)
+    held = names["run"]()
+    assert held.component.startswith("run" if own else "test_whose_code")
 
 
 def test_a_story_that_goes_on_may_take_long() -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import threading
 import time
 import traceback
 from pathlib import Path
 
+import esair.loop
 from esair.loop import Door
 
 LOOK = 0.02
@@ -21,6 +23,9 @@ BLOCKED = 10.0
 
 ENDLESS = 60.0
 """After how long a thread that computes is stuck, if nothing else happens meanwhile."""
+
+_ITS_WAY = (threading.__file__, os.path.join(os.path.dirname(esair.loop.__file__), ""))
+"""Where the code lies through which each function comes into a thread."""
 
 
 class BlockedError(RuntimeError):
@@ -107,7 +112,6 @@ def _where(thread: threading.Thread) -> str:
     if frame is None:
         return "it has ended"
     stack = traceback.extract_stack(frame)
-    own = [each for each in stack if "/esair/loop/" not in each.filename]
-    own = [each for each in own if not each.filename.endswith("threading.py")]
+    own = [each for each in stack if not each.filename.startswith(_ITS_WAY)]
     line = (own or stack)[-1]
     return f"{line.filename}:{line.lineno} in {line.name}: {line.line}"

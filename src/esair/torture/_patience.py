@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import signal
 import sys
 import threading
@@ -12,11 +13,20 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
+import anyio
+
+import esair
 from esair.loop import Door
 from esair.testing import VirtualLoop
 
 PATIENCE = 10.0
 """How long virtual time may stand still at most, in seconds of real time."""
+
+_LIBRARIES = tuple(
+    os.path.join(os.path.dirname(each), "")
+    for each in (os.__file__, os.path.dirname(anyio.__file__), esair.__file__)
+)
+"""The folders of the code that is nobody's own: Python's, the packages', esair's."""
 
 
 class HeldError(BaseException):
@@ -79,7 +89,7 @@ def _held_in(frame: FrameType | None, seconds: float) -> HeldError:
     for each in [frame, *(running.get(thread.ident or 0) for thread in threads)]:
         while each is not None:
             file = each.f_code.co_filename
-            if "/esair/" not in file and "/lib/python" not in file:
+            if not file.startswith(("<frozen ", *_LIBRARIES)):
                 what = f"{each.f_code.co_qualname} at {file}:{each.f_lineno}"
                 text = f"{what} does not end: {seconds:g} s of real time have passed"
                 return HeldError(each.f_code.co_name, text)
