@@ -281,11 +281,19 @@ class BehaviorDeployment:
 
     async def stop(self) -> None:
         """End every behavior, the last one first; all share one grace period."""
+        until = asyncio.get_running_loop().time() + self.grace + MARGIN
         await self.commands.close()
         self.mediator.close()
-        members = list(reversed(self.members.values()))
-        members += [each for each in self.ending if each not in members]
-        await asyncio.gather(*(self.end(member) for member in members))
+        # What the user is taking away goes its own way.
+        leaving = set(self.ending)
+        members = [m for m in reversed(self.members.values()) if m not in leaving]
+        await asyncio.gather(
+            self.commands.finish(until), *(self.end(member) for member in members)
+        )
+        rest = dict.fromkeys([*self.members.values(), *self.ending])
+        await asyncio.gather(
+            *(self.end(m) for m in rest if m.state is not BehaviorState.REMOVED)
+        )
         wake(self._all_ended)
 
     # Inside.

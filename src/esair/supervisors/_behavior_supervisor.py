@@ -234,7 +234,9 @@ class BehaviorSupervisor(abc.Supervisor):
             self._deployment.ended()
             return [data for _, data in member.inbox]
 
-        return await self._commands.run(work, name=f"remove {name}", undo=False)
+        return await self._commands.run(
+            work, name=f"remove {name}", undo=False, lasts=True
+        )
 
     async def replace(
         self, name: str, behavior: Behavior | Reaction | minimal.Reaction

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
@@ -38,6 +37,8 @@ class CommandQueue:
         self._work: asyncio.Task[Any] | None = None
         self._undoes: dict[asyncio.Task[Any], bool] = {}
         """Every command that is not done, and whether it can be undone still."""
+        self._lasting: set[asyncio.Task[Any]] = set()
+        """Those of them that the stop of the robot lets end."""
 
     @property
     def phase(self) -> SupervisorPhase:
@@ -48,9 +49,22 @@ class CommandQueue:
         return self._phase
 
     async def run(
-        self, work: Callable[[], Coroutine[Any, Any, T]], *, name: str, undo: bool
+        self,
+        work: Callable[[], Coroutine[Any, Any, T]],
+        *,
+        name: str,
+        undo: bool,
+        lasts: bool = False,
     ) -> T:
-        """Do a command of the user when its turn has come."""
+        """Do a command of the user when its turn has come.
+
+        Args:
+            work: What to do.
+            name: What its task is called.
+            undo: Whether it is given up if whoever gave it is cancelled.
+            lasts: Whether it takes something away, which the stop of the robot does not
+                interrupt; any other ends there by a `StoppingError`.
+        """
         await Budget.spend(VERB_COST)
         loop = asyncio.get_running_loop()
         await self._have_turn()
@@ -59,6 +73,8 @@ class CommandQueue:
         before = me.cancelling()
         task = self._work = spawn(loop, work(), name=name)
         self._undoes[task] = undo
+        if lasts:
+            self._lasting.add(task)
         task.add_done_callback(self._done)
         try:
             return await asyncio.shield(task)
@@ -75,6 +91,7 @@ class CommandQueue:
         me = asyncio.current_task()
         if me in self._undoes:
             self._undoes[me] = False
+            self._lasting.add(me)
 
     def changed(self) -> None:
         """The work that runs has changed the table: the next command may begin."""
@@ -105,6 +122,7 @@ class CommandQueue:
 
     def _done(self, task: asyncio.Task[Any]) -> None:
         del self._undoes[task]
+        self._lasting.discard(task)
         look_at(task)
         self._end_turn_of(task)
 
@@ -123,14 +141,31 @@ class CommandQueue:
             self._phase = SupervisorPhase.WAIT_REQUEST
             self._begins.set()
 
-    async def close(self, until: float = math.inf) -> None:
-        """Refuse every further command, and end those that run, until a moment."""
+    @property
+    def is_closed(self) -> bool:
+        """Whether the robot stops: nothing new may come."""
+        return self._phase is SupervisorPhase.STOPPED
+
+    def refuse(self) -> None:
+        """Refuse every further command, and give up those that can be given up."""
+        if self.is_closed:
+            return
         self._phase = SupervisorPhase.STOPPED
         self._begins.set()
         self._end_turn_of(self._work)  # whoever waits hears of it at once
-        running = set(self._undoes)
-        for task in running:
+        for task in set(self._undoes) - self._lasting:
             task.cancel()
-        if running:
-            left = max(0.0, until - asyncio.get_running_loop().time())
-            await asyncio.wait(running, timeout=None if left == math.inf else left)
+
+    async def close(self) -> None:
+        """Refuse every further command, and wait for those that were given up."""
+        self.refuse()
+        if given_up := set(self._undoes) - self._lasting:
+            await asyncio.wait(given_up)
+
+    async def finish(self, until: float) -> None:
+        """Wait for the commands that are left, until a moment; then they are given up."""
+        left = max(0.0, until - asyncio.get_running_loop().time())
+        if self._undoes:
+            await asyncio.wait(set(self._undoes), timeout=left)
+        for task in self._undoes:
+            task.cancel()

@@ -237,6 +237,8 @@ class ResourceDeployment:
                 channel.removed()
             await life.stop(until)
             await self._let_go(life, until, resource)
+            if self.commands.is_closed:
+                raise StoppingError("resources", self.commands.phase.value)
             if keep:
                 channel.attach(resource)  # type: ignore[arg-type]
                 new = self.deploy(resource, channel)
@@ -349,6 +351,7 @@ class ResourceDeployment:
 
     def latch(self) -> None:
         """The robot stops: let nothing but safe commands leave, and revoke all rights."""
+        self.commands.refuse()
         self._stops_since = asyncio.get_running_loop().time()
         for registration in self.registrations:
             self.registrations.revoke(
@@ -384,8 +387,14 @@ class ResourceDeployment:
         self.actuators.protections.close()
         # Deadlines do not add up: what comes last has what is left.
         until = min(self.deadline(), self._stops_since + self._grace + STOP_WITHIN)
-        await self.commands.close(until)
+        await self.commands.close()
+        # What the user is taking away goes its own way.
+        stay = [name for name in self.lives if name not in self._departures]
         closed = ResourceState.CLOSED
+        await asyncio.gather(
+            self.commands.finish(until),
+            *(self._undeploy(name, closed, until) for name in stay),
+        )
         await asyncio.gather(
             *(self._undeploy(name, closed, until) for name in tuple(self.lives))
         )

@@ -158,7 +158,7 @@ class ResourceSupervisor(abc.Supervisor):
             self._deployment.life(name)
             await self._deployment.remove(name, until)
 
-        await self._commands.run(work, name=f"remove {name}", undo=False)
+        await self._commands.run(work, name=f"remove {name}", undo=False, lasts=True)
 
     async def restart(self, name: str) -> None:
         """Close a device and open it again, also one that has failed for good.
@@ -206,7 +206,9 @@ class ResourceSupervisor(abc.Supervisor):
             keep = same_kind and same_type(added.value_type, old.value_type)
             return await self._deployment.replace(name, added, keep=keep, until=until)
 
-        life = await self._commands.run(work, name=f"replace {name}", undo=False)
+        life = await self._commands.run(
+            work, name=f"replace {name}", undo=False, lasts=True
+        )
         await asyncio.shield(life.tried)
 
     # What behaviors may ask for.
