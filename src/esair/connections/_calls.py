@@ -10,11 +10,12 @@ from typing import Any
 
 from esair.connections._call import Apply, Call, End
 from esair.connections._driver import Driver, Guard, Method
-from esair.exceptions import DeviceFaultError, DriverStuckError, describe
+from esair.exceptions import DeviceFaultError, DriverStuckError, EsairError, describe
 from esair.loop import (
     ENDED,
     REACHED,
     WAITS,
+    CallRefused,
     Deadlines,
     Door,
     First,
@@ -59,6 +60,7 @@ class Calls:
         "context",
         "driver",
         "late",
+        "lost",
         "number",
         "on_late_open",
         "opening",
@@ -82,6 +84,10 @@ class Calls:
         """The calls whose driver's code has not ended, by number."""
         self.abandoned = 0  # how many calls have had their outcome before they ended
         self.late = 0  # how many of them have ended since, without an effect
+        self.lost: EsairError | None = None
+        """What each call of this opening meets, from when the device was told to be lost
+        until that takes effect at the border of a turn. It is an outcome of the calls,
+        which a replay can repeat; a state that changes amid a turn is not."""
         self.on_late_open: Callable[[Call], None] | None = None
         """Told of an opening that has ended after it was given up."""
         self._loop = loop
@@ -116,6 +122,8 @@ class Calls:
         tape = self._door.tape
         if tape is not None:
             return self._begin_taped(tape, kind, method, args, limit, guard)
+        if self.lost is not None:
+            self._check_lost(kind)
         if method.is_plain:
             try:
                 value = self.context.run(method.function, *args)
@@ -163,6 +171,7 @@ class Calls:
         guard: Guard | None,
     ) -> Any:
         """Call a method of the driver, whether or not the run is kept."""
+        self._check_lost(kind)
         if method.executor is not None:
             call = self._track(kind, args, limit)
             threaded = ThreadedCall(self, call, method, guard)
@@ -310,6 +319,7 @@ class Calls:
     def next_opening(self, error: BaseException) -> None:
         """Fence every call that is alive: they belong to an opening that is over."""
         self.opening += 1
+        self.lost = None
         for call in tuple(self.alive.values()):
             if call.outcome is None:
                 self._abandon(call, error)
@@ -394,6 +404,10 @@ class Calls:
         fault.__cause__ = error
         return fault
 
+    def _check_lost(self, kind: str) -> None:
+        if self.lost is not None and kind != "close":
+            raise self.lost.with_traceback(None)
+
     def _check_abandoned(self, kind: str) -> None:
         if kind in {"safe", "close"}:
             return
@@ -420,11 +434,13 @@ class ThreadedCall:
         self._rest: LightTask | None = None
 
     def submit(self, loop: asyncio.AbstractEventLoop) -> None:
-        guard = None if self._guard is None else self._may_begin
-        self.executor.submit(loop, self, self._function, *self._call.args, guard=guard)
+        args, guard = self._call.args, self._may_begin
+        self.executor.submit(loop, self, self._function, *args, guard=guard)
 
     def _may_begin(self) -> bool:
-        return self._wanted and (self._guard is None or self._guard())
+        if self._calls.lost is not None and self._call.kind != "close":
+            return False
+        return self._guard is None or (self._wanted and self._guard())
 
     def cancel(self) -> None:
         self._wanted = False
@@ -456,6 +472,8 @@ class ThreadedCall:
             self._calls.ended(self._call, End(value, None))
 
     def set_exception(self, error: BaseException, /) -> None:
+        if isinstance(error, CallRefused):
+            error = self._calls.lost or error
         self._calls.ended(self._call, End(None, error))
 
 

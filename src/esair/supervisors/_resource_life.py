@@ -271,12 +271,22 @@ class ResourceLife(Life):
             spawn(self._loop, self._close(), name=f"{self.name} close")
 
     def _told(self, error: BaseException | None) -> None:
-        """Hear from a driver or a bus, on any thread."""
-        self._told_of.tell(self._calls.opening, error)
+        """Hear from a driver or a bus, on any thread.
+
+        It takes effect at the border of a turn; until then no call reaches the driver.
+        """
+        calls = self._calls
+        opening = calls.opening
+        if error is not None and self.channel.state is not ResourceState.LOST:
+            calls.lost = self._cause(error)
+        self._told_of.tell(opening, error)
 
     def _hear_of(self, opening: int, error: BaseException | None) -> None:
-        if error is None or opening == self._calls.opening:
+        if error is None:
+            self._hear(None)
+        elif opening == self._calls.opening:
             self._hear(error)  # the loss of an earlier opening is no news
+            self._calls.lost = None
 
     def _hear(self, error: BaseException | None) -> None:
         if self.is_over:
@@ -426,11 +436,7 @@ class ResourceLife(Life):
             return
         before = self.channel.error
         first = before is None
-        cause = translate(self.name, error)
-        if not isinstance(error, EsairError) and not isinstance(cause, DeviceLostError):
-            # Whatever it was: the device is closed now, and nobody can use it.
-            cause = DeviceLostError(self.name, describe(error))
-            cause.__cause__ = error
+        cause = self._cause(error)
         self.channel.down(ResourceState.LOST, cause)
         if first:
             self.losses += 1
@@ -438,6 +444,15 @@ class ResourceLife(Life):
             _log.warning("%s: lost: %s", self.name, describe(error))
         elif type(error) is AnotherDeviceError and type(before) is not type(error):
             _log.warning("%s: still lost: %s", self.name, describe(error))
+
+    def _cause(self, error: BaseException) -> EsairError:
+        """Make what those meet who use the device after a loss."""
+        cause = translate(self.name, error)
+        if not isinstance(error, EsairError) and not isinstance(cause, DeviceLostError):
+            # Whatever it was: the device is closed now, and nobody can use it.
+            cause = DeviceLostError(self.name, describe(error))
+            cause.__cause__ = error
+        return cause
 
     async def _close(self, limit: float | None = None) -> None:
         if not self._is_open:
