@@ -10,9 +10,9 @@ import math
 
 import attrs
 from odometry import Odometry, Pose
-from pid import Pid
 
 import esair
+from esair.control import Pid
 
 
 @attrs.frozen
@@ -33,12 +33,12 @@ class Steer(esair.Reaction):
     def __init__(self, x: float, y: float) -> None:
         super().__init__()
         self.goal = x, y
-        self.pid = Pid(2.5, 0.2, 0.1, limit=1.5)
+        self.pid = Pid(2.5, 0.2, 0.1, low=-1.5, high=1.5, wrap=2 * math.pi)
 
     def react(self, odometry: Pose) -> Twist:
         distance, turn = odometry.to(*self.goal)
         ahead = min(0.4, distance) * max(0.0, math.cos(turn))
-        return Twist(ahead, self.pid.step(turn, 1 / 20.0))
+        return Twist(ahead, self.pid.step(0.0, -turn, self.elapsed_ms))
 
 
 class Bumped(esair.Reaction):

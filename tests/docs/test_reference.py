@@ -23,6 +23,7 @@ REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
 BESIDE = [
     "esair.buses",
     "esair.config",
+    "esair.control",
     "esair.discovery",
     "esair.firmware",
     "esair.framing",

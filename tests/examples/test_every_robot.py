@@ -12,7 +12,7 @@ import esair
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
-ROBOTS = [path for path in SCRIPTS if path.stem not in {"odometry", "pid", "yard"}]
+ROBOTS = [path for path in SCRIPTS if path.stem not in {"odometry", "yard"}]
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
