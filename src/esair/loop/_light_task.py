@@ -250,12 +250,15 @@ class LightTask(asyncio.Future[None]):
             self._running_on.call_soon(self._step, error, context=self._context)
 
     def _wake_up(self, future: asyncio.Future[Any]) -> None:
-        try:
-            future.result()
-        except BaseException as error:  # the coroutine's to see
-            self._step(error)
-        else:
-            self._step()
+        self._step(_error_of(future))
+
+
+def _error_of(future: asyncio.Future[Any]) -> BaseException | None:
+    """Return what a future ended with; its waiter's step is no part of handling it."""
+    try:
+        return future.exception()
+    except asyncio.CancelledError as error:
+        return error
 
 
 class FirstSteps(OfLoop):

@@ -156,7 +156,8 @@ class OwnedTasks(OfLoop):
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._users = 0
-        self._factory: Any = None
+        self._factory: _Factory | None = None
+        self._installed: Any = None
         self.numbers = itertools.count()
         """Of the tasks with an owner, as they are made."""
         self.script = contextvars.Context()
@@ -167,17 +168,17 @@ class OwnedTasks(OfLoop):
         if self._users == 1:
             self.script = script_context()
             self._factory = _Factory(self._loop.get_task_factory(), self.numbers)
-            self._loop.set_task_factory(self._factory)
+            self._installed = self._factory.as_installed()
+            self._loop.set_task_factory(self._installed)
 
     def uninstall(self) -> None:
         """Put the factory from before back, unless somebody set another since."""
         self._users -= 1
         if self._users == 0 and self._factory is not None:
-            current: Any = self._loop.get_task_factory()
-            if current is self._factory:
+            if self._loop.get_task_factory() is self._installed:
                 self._loop.set_task_factory(self._factory.before)
             self._factory.over = True
-            self._factory = None
+            self._factory = self._installed = None
 
 
 class Task(asyncio.Task[Any]):
@@ -200,12 +201,24 @@ class Task(asyncio.Task[Any]):
 class _Factory:
     """Makes tasks as the factory before it does, and tells their owners."""
 
-    __slots__ = ("_numbers", "before", "over")
+    __slots__ = ("_construct", "_numbers", "before", "over")
 
     def __init__(self, before: Any, numbers: Iterator[int]) -> None:
         self.before = before
+        self._construct = _eager_constructor(before)
         self._numbers = numbers
         self.over = False  # it was left in the factory of a stranger: it only hands on
+
+    def as_installed(self) -> Any:
+        """Return what the loop gets: where tasks were eager, a factory of asyncio.
+
+        Libraries know it by its code, and take from it how a task is made that shall
+        not begin before they have written it down.
+        """
+        if self._construct is None:
+            return self
+        make_factory = asyncio.create_eager_task_factory  # type: ignore[attr-defined]
+        return make_factory(self._make_eager)
 
     def __call__(
         self,
@@ -213,10 +226,7 @@ class _Factory:
         coroutine: Coroutine[Any, Any, Any],
         **options: Any,
     ) -> asyncio.Task[Any]:
-        owner = None
-        if not self.over:
-            context = options.get("context")
-            owner = _owner.get() if context is None else context.get(_owner)
+        owner = self._owner_in(options)
         if owner is not None:
             coroutine = Contained(coroutine)
         task: asyncio.Task[Any]
@@ -226,6 +236,35 @@ class _Factory:
             task = asyncio.Task(coroutine, loop=loop, **options)
         else:
             task = Task(next(self._numbers), coroutine, loop=loop, **options)
-        if owner is not None and not task.done():
-            owner.adopt(task)
-        return task
+        return _adopted(task, owner)
+
+    def _make_eager(
+        self, coroutine: Coroutine[Any, Any, Any], **options: Any
+    ) -> asyncio.Task[Any]:
+        """Make a task that begins at once, or, for those who say so, later."""
+        assert self._construct is not None
+        owner = self._owner_in(options)
+        if owner is not None:
+            coroutine = Contained(coroutine)
+        return _adopted(self._construct(coroutine, **options), owner)
+
+    def _owner_in(self, options: dict[str, Any]) -> Owner | None:
+        if self.over:
+            return None
+        context = options.get("context")
+        return _owner.get() if context is None else context.get(_owner)
+
+
+def _eager_constructor(factory: Any) -> Callable[..., asyncio.Task[Any]] | None:
+    """Return what makes the tasks of asyncio's eager factory; None of any other."""
+    known = getattr(asyncio, "eager_task_factory", None)  # since Python 3.12
+    if known is None or getattr(factory, "__code__", None) is not known.__code__:
+        return None
+    made: Callable[..., asyncio.Task[Any]] = factory.__closure__[0].cell_contents
+    return made
+
+
+def _adopted(task: asyncio.Task[Any], owner: Owner | None) -> asyncio.Task[Any]:
+    if owner is not None and not task.done():
+        owner.adopt(task)
+    return task
