@@ -17,7 +17,7 @@ TESTS = Path(__file__).parent
 PROMISE_GROUPS = {
     "ROB": 7, "SUP": 5, "BS": 11, "RS": 8, "SC": 4, "AC": 5, "BEH": 6, "REA": 4,
     "TURN": 6, "CALL": 3, "PRO": 14, "RES": 4, "BUS": 4, "GRD": 3, "REC": 6, "REP": 3,
-    "OPS": 5, "SEC": 1, "MIN": 5,
+    "OPS": 5, "SEC": 2, "MIN": 5,
 }  # fmt: skip
 """How many promises each group of the contract has."""
 
@@ -80,9 +80,9 @@ def files() -> list[Path]:
 
 
 def test_the_catalogue_is_whole() -> None:
-    """There are 193 faults in 14 groups, and 104 promises in 19."""
+    """There are 193 faults in 14 groups, and 105 promises in 19."""
     assert len(FAULTS) == 193
-    assert len(PROMISES) == 104
+    assert len(PROMISES) == 105
     assert NOT_YET.keys() < PROMISES
 
 
