@@ -16,8 +16,9 @@ TESTS = Path(__file__).parent
 
 PROMISE_GROUPS = {
     "ROB": 7, "SUP": 5, "BS": 11, "RS": 8, "SC": 4, "AC": 5, "BEH": 6, "REA": 4,
-    "TURN": 6, "CALL": 3, "PRO": 14, "RES": 4, "BUS": 4, "GRD": 3, "REC": 6, "REP": 3,
-    "OPS": 5, "SEC": 2, "MIN": 5,
+    "TURN": 7, "CALL": 4, "PRO": 14, "MODE": 3, "CTL": 1, "PLC": 7, "NET": 6, "ROS": 3,
+    "RES": 4, "BUS": 5, "GRD": 4, "REC": 6, "REP": 3, "OPS": 5, "SEC": 2, "TOR": 1,
+    "MIN": 7,
 }  # fmt: skip
 """How many promises each group of the contract has."""
 
@@ -28,7 +29,35 @@ PROMISES = {
 }
 """What the library promises."""
 
-NOT_YET: dict[str, str] = {}
+NOT_YET: dict[str, str] = dict.fromkeys(
+    [
+        "BUS-5",
+        "GRD-4",
+        "MIN-6",
+        "MIN-7",
+        "MODE-1",
+        "MODE-2",
+        "MODE-3",
+        "NET-1",
+        "NET-2",
+        "NET-3",
+        "NET-4",
+        "NET-5",
+        "NET-6",
+        "PLC-1",
+        "PLC-2",
+        "PLC-3",
+        "PLC-4",
+        "PLC-5",
+        "PLC-6",
+        "PLC-7",
+        "ROS-1",
+        "ROS-2",
+        "ROS-3",
+        "TOR-1",
+    ],
+    "of the third edition, being built",
+)
 """Promises without a test, and why."""
 
 GROUPS = {
@@ -80,9 +109,9 @@ def files() -> list[Path]:
 
 
 def test_the_catalogue_is_whole() -> None:
-    """There are 193 faults in 14 groups, and 105 promises in 19."""
+    """There are 193 faults in 14 groups, and 132 promises in 25."""
     assert len(FAULTS) == 193
-    assert len(PROMISES) == 105
+    assert len(PROMISES) == 132
     assert NOT_YET.keys() < PROMISES
 
 
