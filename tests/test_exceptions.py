@@ -30,6 +30,7 @@ FAMILY: dict[str, tuple[type[Exception], tuple[Any, ...]]] = {
     "BusyError": (esair.EsairError, ("mapper", "inbox_size", 16)),
     "StoppingError": (esair.EsairError, ("behaviors", "stopped")),
     "HaltedError": (PermissionError, ("arm", "somebody is in the cell")),
+    "WrongLoopError": (RuntimeError, ("wander", "wheels")),
     "RefusedError": (esair.EsairError, ("the battery is full", "docking")),
     "RecordingError": (OSError, ("day.mcap", "the disk is full")),
     "RecordingBrokenError": (ValueError, ("day.mcap", "it is no recording")),

@@ -12,7 +12,8 @@ import pytest
 
 import esair
 from esair import BehaviorState, Refused
-from esair.testing import FakeActuator, FakeSensor
+from esair.loop import TurnLoop
+from esair.testing import FakeActuator, FakeSensor, VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -497,3 +498,65 @@ async def test_resume_lets_nothing_reach_a_device_that_is_lost() -> None:
         with pytest.raises(esair.DeviceLostError):
             await user.wheels.write(1.0)
         assert 1.0 not in wheels.told
+
+
+class Arm(esair.Actuator[float]):
+    """To be safe it has to go somewhere; its driver needs time for each command."""
+
+    safe = 0.0
+    safe_moves = True
+    deadline = 1.0
+    command_timeout = 10.0
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.took: list[object] = []
+        self.moved = asyncio.Event()
+
+    async def write(self, command: float) -> None:
+        await asyncio.sleep(0.05)
+        self.took.append(command)
+        if command == 1.0:
+            self.moved.set()
+
+
+@pytest.mark.promise("ROB-4", "PRO-12")
+@pytest.mark.parametrize("shipped", [False, True])
+@pytest.mark.parametrize("pause", [0.0, 0.01, 0.04, 0.06])
+def test_a_halt_while_it_is_told_to_stay_sends_safe(
+    shipped: bool, pause: float
+) -> None:
+    """Whenever the halt comes: what was told to stay, and has answered, is told safe."""
+    arm = Arm()
+
+    class See(esair.Reaction):
+        sonar = esair.reads(float, max_age=0.5)
+        arm = esair.writes(float, priority=10)
+
+        def react(self, sonar: float) -> None:
+            return None
+
+    class Reach(esair.Behavior):
+        arm = esair.writes(float)
+
+        async def run(self) -> None:
+            await self.arm.write(1.0)
+            await asyncio.Event().wait()
+
+    async def main() -> None:
+        sonar = FakeSensor("sonar", 1.0, type=float, rate=50.0)
+        robot = esair.Robot(resources=[arm, sonar], behaviors=[See(), Reach()])
+        async with robot:
+            await arm.moved.wait()
+            sonar.unplug()  # See is blind: the arm is told to stay
+            for _ in range(4):
+                await asyncio.sleep(0)
+            assert robot.behaviors.query("see").detail
+            await asyncio.sleep(pause)
+            told = await robot.halt("look")
+            assert [(each.safe, each.answered) for each in told] == [(True, True)]
+            assert arm.took[-1] == 0.0
+
+    factory = TurnLoop if shipped else VirtualLoop
+    with asyncio.Runner(loop_factory=factory) as runner:
+        runner.run(main())

@@ -39,6 +39,7 @@ from esair.exceptions import (
     StaleReadingError,
     StoppingError,
     UnknownNameError,
+    WrongLoopError,
 )
 from esair.loop import ComponentRandom, every, now
 from esair.messages import (
@@ -123,6 +124,7 @@ __all__ = [
     "UnknownNameError",
     "Why",
     "Written",
+    "WrongLoopError",
     "answers",
     "every",
     "guards",

@@ -23,6 +23,7 @@ it broadly (``except TimeoutError``) or exactly (``except esair.StaleReadingErro
     ├── BusyError                                 a bound is reached
     ├── StoppingError                             the robot starts or stops
     ├── HaltedError              PermissionError  the robot is halted
+    ├── WrongLoopError           RuntimeError     used from a foreign event loop
     ├── RecordingError           OSError          a recording cannot be written
     └── RecordingBrokenError     ValueError       a recording cannot be read
 """
@@ -304,6 +305,24 @@ class HaltedError(EsairError, PermissionError):
         )
         self.resource = resource
         self.reason = reason
+
+
+class WrongLoopError(EsairError, RuntimeError):
+    """A port was used from another event loop than its robot's; nothing was done.
+
+    Attributes:
+        behavior: Whose port it is.
+        resource: What was to be used.
+    """
+
+    def __init__(self, behavior: str, resource: str) -> None:
+        super().__init__(
+            f"{behavior!r} uses {resource!r} outside of its robot's event loop: in a "
+            "thread use the ports of an esair.ThreadBehavior, or "
+            "asyncio.run_coroutine_threadsafe(..., the robot's loop)"
+        )
+        self.behavior = behavior
+        self.resource = resource
 
 
 class RecordingError(EsairError, OSError):

@@ -27,6 +27,7 @@ ERRORS = [
     esair.ConfigError("robot.toml", "actuator.wheels.safe", "expected a command"),
     esair.StoppingError("robot 'rover'", "stopping"),
     esair.HaltedError("wheels", "hand in the gripper"),
+    esair.WrongLoopError("wander", "wheels"),
     esair.RecordingError("run.mcap", "the disk is full"),
     esair.RecordingBrokenError("run.mcap", "it is cut"),
 ]

@@ -281,12 +281,9 @@ async def test_a_change_is_logged_not_each_refusal(caplog: Any) -> None:
 
 
 async def test_a_hold_is_below_the_operator_a_guard_above() -> None:
-    """And a hold of a behavior is not against the behavior itself."""
+    """And each says whose it is, and up to which priority it bars the actuator."""
     assert (hold(1000).priority, guard(1000).priority) == (999, 1000)
-    own = Protection("drive", "wheels", 5, is_own=True)
-    assert not own.is_against("drive")
-    assert own.is_against("other")
-    assert hold(5).is_against("hold_5")
+    own = Protection("drive", "wheels", 5)
     assert own.label == "drive"
     assert hold(5, label="step turn of drive").label == "step turn of drive"
     assert "up to priority 5; now: drive is blind" in own.describe()

@@ -208,11 +208,8 @@ class ActuatorChannel(HeldDevice):
         if journal.heard:
             self.wanted(registration, command)
         blind = self._blind
-        if (
-            blind is not None
-            and registration.priority <= blind.priority
-            and blind.is_against(registration.behavior)
-        ):
+        barred = blind is not None and registration.priority <= blind.priority
+        if barred and blind is not None and not self.is_still(command):
             return self._refuse(registration, blind.refusal())
         holder = self.holder
         if (
@@ -233,17 +230,19 @@ class ActuatorChannel(HeldDevice):
             return self._when_idle(registration, command, hold)
         if self.watch is not None and not self.watch.may_move():
             raise StoppingError(self.name, "made safe by the watchdog")
-        if self._slews:
+        if self._slews and not barred:  # safe is at once
             # After a pause it starts from the safe command, not with a jump.
             seconds = now - max(self._last_write, self._told_at)
             seconds = min(seconds, self.command_timeout)
             command = self._slewed(command, seconds)
-        # Two numbers that others have too: their sum would be one more in memory.
-        if holder is not registration or now >= self._held_from + self._held_for:
-            self.since = now
-        self.holder = self._writer = registration
-        self._held_from = self._last_write = now
-        self._held_for = hold or registration.hold or self.command_timeout
+        # What is safe passes a blind hold, and holds nothing then.
+        if not barred:
+            # Two numbers that others have too: their sum would be one more in memory.
+            if holder is not registration or now >= self._held_from + self._held_for:
+                self.since = now
+            self.holder = self._writer = registration
+            self._held_from = self._last_write = now
+            self._held_for = hold or registration.hold or self.command_timeout
         by = None
         if self._guards:
             stop, by, command = self._pass_guards(command, now)
@@ -255,7 +254,7 @@ class ActuatorChannel(HeldDevice):
         self._told_safe = False
         if blind is not None:
             self.keep_still()  # when this one holds it no longer
-        if not self._dead_man.armed:
+        if not (self._dead_man.armed or barred):
             self._dead_man.arm()
         self._busy = True
         if journal.heard:

@@ -88,7 +88,7 @@ class ActuatorDevice(Device):
         """Given each command that was applied, if somebody reads that."""
         super().__init__(actuator, robot)
         for call in self._motions_left():  # of one of this name, which was removed
-            over: asyncio.Future[None] = self._loop.create_future()
+            over: asyncio.Future[None] = self.loop.create_future()
             over.add_done_callback(lambda _: self._repeat_safe())
             call.waiters.append(over)
 
@@ -225,11 +225,13 @@ class ActuatorDevice(Device):
         """Send the safe command, before anything else."""
         task = self._safe_task
         stay = stay and self.actuator.safe_moves
+        if task is not None and self._stays and not stay:
+            self._again = True  # to stay may be on its way: safe comes after it
         self._stays = stay and (task is None or self._stays)
         if task is None:
             self._busy = True
             task = self._safe_task = spawn(
-                self._loop, self._send_safe(), name=f"{self.name} safe"
+                self.loop, self._send_safe(), name=f"{self.name} safe"
             )
             # A task that is cancelled before its first step runs none of its code.
             task.add_done_callback(self._safe_over)
@@ -245,9 +247,9 @@ class ActuatorDevice(Device):
             seconds = give_up - self.time()
             if seconds <= REACHED:
                 return
-            pulse: asyncio.Future[None] = self._loop.create_future()
+            pulse: asyncio.Future[None] = self.loop.create_future()
             self._pulses.append(pulse)
-            await Deadlines.of(self._loop).wait(pulse, seconds)
+            await Deadlines.of(self.loop).wait(pulse, seconds)
 
     @property
     def _turn_within(self) -> float:
@@ -272,7 +274,7 @@ class ActuatorDevice(Device):
         self._again = True
         safe = self.calls.alive.get(self._safe_number)
         if safe is not None:  # its answer may be long in coming
-            Deadlines.of(self._loop).after(self._turn_within, self._overtake, safe)
+            Deadlines.of(self.loop).after(self._turn_within, self._overtake, safe)
 
     def _overtake(self, safe: Call) -> None:
         """Send safe beside one that has no answer: a motion may have undone that."""

@@ -88,7 +88,7 @@ class Calls:
         """What each call of this opening meets, from when the device was told to be lost
         until that takes effect at the border of a turn. It is an outcome of the calls,
         which a replay can repeat; a state that changes amid a turn is not."""
-        self.on_late_open: Callable[[Call], None] | None = None
+        self.on_late_open: Apply | None = None
         """Told of an opening that has ended after it was given up."""
         self._loop = loop
         self._time = clock_of(loop)
@@ -306,8 +306,8 @@ class Calls:
             self._left.discard(call)
             if call.kind != "stream":
                 self.late += 1
-            if call.kind == "open" and end.error is None and self.on_late_open:
-                self.on_late_open(call)
+            if call.kind == "open" and self.on_late_open:
+                self.on_late_open(call, end)
             self._on_late(call)
             call.wake()
             return

@@ -42,11 +42,11 @@ class Device:
     __slots__ = (
         "_journal",
         "_left",
-        "_loop",
         "_on_error",
         "calls",
         "driver",
         "error",
+        "loop",
         "name",
         "operations",
         "registrations",
@@ -71,7 +71,7 @@ class Device:
         self.error: EsairError | None = None
         self.registrations, self._on_error, self._left = robot
         self._journal = self.registrations.journal
-        self._loop = loop = asyncio.get_running_loop()
+        self.loop = loop = asyncio.get_running_loop()
         self.time = clock_of(loop)
         self.operations = Operations(self, loop, self._on_error)
         self.attach(resource)
@@ -81,7 +81,7 @@ class Device:
         self.driver = Driver(resource)
         self.calls = Calls(
             self.driver,
-            self._loop,
+            self.loop,
             on_late=self._late,
             on_stuck=lambda call: self._on_error(given_up(call)),
             left=self._left,

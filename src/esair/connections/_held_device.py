@@ -87,7 +87,7 @@ class HeldDevice(ActuatorDevice):
         self.fence = 0
         """Grows when it is made safe, or is gone: what was begun before leaves no more."""
         self._blind: Protection | None = None
-        """The hold in force of those that cannot see, the highest of several."""
+        """The highest hold in force of those that cannot see: it refuses what any does."""
         self._guards: tuple[Protection, ...] = ()
         self._blind_look: OneShot | None = None
         super().__init__(actuator, robot)
@@ -248,7 +248,12 @@ class HeldDevice(ActuatorDevice):
             and not self._told_safe
             and self._told is not HOLD
             and self._safe_task is None
+            and not self.is_still(self._told)
         )
+
+    def is_still(self, command: Any) -> bool:
+        """Tell whether a command asks for what protection would send: it moves nothing."""
+        return is_same(command, self._still)
 
     def keep_still(self) -> None:
         """Make it safe because somebody is blind, unless a higher priority moves it."""
@@ -260,13 +265,11 @@ class HeldDevice(ActuatorDevice):
             mover is not None
             and mover is self._writer
             and self.time() - _EARLY < self.until
-            and (
-                mover.priority > blind.priority or not blind.is_against(mover.behavior)
-            )
+            and mover.priority > blind.priority
         ):
             self._look_no_more()  # that was when another one's hold ends
             # A hair later: who sees again at that very moment, sees.
-            self._blind_look = Scheduler.of(self._loop).at(
+            self._blind_look = Scheduler.of(self.loop).at(
                 self.until + _GRACE, self._look_at_blind, order=Order.STALE
             )
             return
@@ -278,7 +281,7 @@ class HeldDevice(ActuatorDevice):
 
     def _look_no_more(self) -> None:
         if self._blind_look is not None:
-            Scheduler.of(self._loop).cancel(self._blind_look)
+            Scheduler.of(self.loop).cancel(self._blind_look)
             self._blind_look = None
 
     def _pass_guards(
@@ -368,11 +371,7 @@ class HeldDevice(ActuatorDevice):
             raise StoppingError(self.name, "stopping")
         rule = ""
         holder, blind = self.holder, self._blind
-        if (
-            blind is not None
-            and right.priority <= blind.priority
-            and blind.is_against(right.behavior)
-        ):
+        if blind is not None and right.priority <= blind.priority:
             rule = blind.rule
         elif (stop := next((g for g in self._guards if g.stops), None)) is not None:
             rule = stop.rule

@@ -10,11 +10,18 @@ from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._registrations import Registration, run_ended
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
-from esair.exceptions import EsairError, NotRegisteredError, UnknownNameError
+from esair.exceptions import (
+    EsairError,
+    NotRegisteredError,
+    UnknownNameError,
+    WrongLoopError,
+)
 from esair.loop import WRITE_COST, Budget, current_owner, fail, speaks_for_nobody
 from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
 from esair.resources import Operation
 from esair.values import check_duration
+
+running_loop = asyncio._get_running_loop  # noqa: SLF001 - it does not raise
 
 T = TypeVar("T")
 C = TypeVar("C", SensorChannel, ActuatorChannel)
@@ -39,7 +46,7 @@ class Port(Generic[T]):
         registration: The right to use it.
     """
 
-    __slots__ = ("_budget", "_channel", "_control", "registration")
+    __slots__ = ("_budget", "_channel", "_control", "_loop", "registration")
 
     _channel: SensorChannel | ActuatorChannel
 
@@ -52,12 +59,18 @@ class Port(Generic[T]):
         self._channel = channel
         self.registration: Registration = registration
         self._control = control
-        self._budget = Budget.of(asyncio.get_running_loop())
+        self._loop = channel.loop
+        self._budget = Budget.of(channel.loop)
 
     def revive(self, channel: Any, registration: Registration) -> None:
         """Live again, with a device that has come back under the same name."""
         self._channel = channel
         self.registration = registration
+
+    def _check_loop(self) -> None:
+        """Pass in the event loop of the robot, in no other one."""
+        if running_loop() is not self._loop:
+            raise WrongLoopError(self.registration.behavior, self.resource)
 
     @property
     def resource(self) -> str:
@@ -71,6 +84,7 @@ class Port(Generic[T]):
             AccessDeniedError: The port was not declared with ``configure=True``.
             BadValueError: A setting is unknown, or a value is not allowed.
         """
+        self._check_loop()
         if speaks_for_nobody():
             raise run_ended(self.registration.behavior, self.resource)
         await self._control.configure(self.registration, **settings)
@@ -95,6 +109,7 @@ class Port(Generic[T]):
             DeviceFaultError: The device answered wrongly.
             DriverStuckError: It did not end within its deadline.
         """
+        self._check_loop()
         if speaks_for_nobody():
             raise run_ended(self.registration.behavior, self.resource)
         return await self._control.operate(self.registration, name, **parameters)
@@ -169,7 +184,10 @@ class SensorPort(Port[T]):
             DeviceFaultError: The device answered wrongly.
             ResourceRemovedError: The user took the sensor away.
             NotRegisteredError: The registration was revoked.
+            WrongLoopError: It is called in another event loop than the robot's.
         """
+        if running_loop() is not self._loop:  # `_check_loop` in its place
+            self._check_loop()
         budget = self._budget
         budget.left -= 1
         if budget.left < 0:
@@ -199,6 +217,7 @@ class SensorPort(Port[T]):
         timeout: float | None = None,
     ) -> Reading[T]:
         """Return what `read` does, with its time and sequence number."""
+        self._check_loop()
         budget = self._budget
         budget.left -= 1
         if budget.left < 0:
@@ -231,6 +250,7 @@ class SensorPort(Port[T]):
         return self._values()
 
     async def _values(self) -> AsyncGenerator[T, None]:
+        self._check_loop()
         await Budget.spend()  # whoever begins again and again has lost its sensor
         stream = _Stream(self)
         self._channel.cached(self.registration, 0.0)  # checks the registration
@@ -335,7 +355,10 @@ class ActuatorPort(Port[T]):
             DriverStuckError: The driver did not return in time.
             ResourceRemovedError: The user took the actuator away.
             NotRegisteredError: The registration was revoked.
+            WrongLoopError: It is called in another event loop than the robot's.
         """
+        if running_loop() is not self._loop:  # `_check_loop` in its place
+            self._check_loop()
         budget = self._budget
         budget.left -= WRITE_COST
         if budget.left < 0:
@@ -355,6 +378,7 @@ class ActuatorPort(Port[T]):
 
         It is done when this returns; it may be awaited, like the other verbs of a port.
         """
+        self._check_loop()
         self._channel.release(self.registration)
         return _DONE
 

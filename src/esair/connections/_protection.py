@@ -71,7 +71,6 @@ class Protection:
         label: str | None = None,
         guards: bool = False,
         latch: bool = False,
-        is_own: bool = False,
         fallback: Judge | None = None,
     ) -> None:
         self.component = component
@@ -80,8 +79,6 @@ class Protection:
         self.label = label or component
         self.guards = guards
         self.latch = latch
-        self.is_own = is_own
-        """Whether it is a behavior's, which is not against the behavior itself."""
         self.reason = UNDECIDED
         self.since = 0.0
         self.latched = ""
@@ -128,10 +125,6 @@ class Protection:
         if asyncio.get_running_loop().time() < self.muted_until:
             return False
         return bool(self.latched or self.reason or self.stopping)
-
-    def is_against(self, behavior: str) -> bool:
-        """Tell whether a hold refuses the writes of a behavior, priorities apart."""
-        return not (self.is_own and behavior == self.component)
 
     def inherit(self, before: Protection) -> None:
         """Keep what only the user may end: the latch of what it takes the place of."""

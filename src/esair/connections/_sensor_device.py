@@ -77,7 +77,7 @@ class SensorDevice(Device):
             and self._asks is None
             and self.state is READY
         ):
-            self._asks = self._loop.call_soon(
+            self._asks = self.loop.call_soon(
                 self._ask_now, context=contextvars.Context()
             )
 

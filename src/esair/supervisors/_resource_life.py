@@ -53,6 +53,8 @@ LAST_CLOSE = 0.05
 
 MAX_DELAY = 5.0  # the longest pause between two tries, in seconds
 
+_THERE = {ResourceState.OPENING, ResourceState.READY}
+
 _log = logging.getLogger("esair")
 
 
@@ -97,6 +99,7 @@ class ResourceLife(Life):
         self._driver = channel.driver
         self._calls = channel.calls
         self._calls.on_late_open = self._opened_late
+        self._newest_open = 0  # the number of the driver's newest call of ``open``
         self._identity: Any = resource.identity
         """What the device answered when it was asked for the first time who it is."""
         self._task: asyncio.Task[object]
@@ -264,11 +267,19 @@ class ResourceLife(Life):
     def _left(self, until: float) -> float:
         return until - self._loop.time()
 
-    def _opened_late(self, _call: Call) -> None:
-        """An opening has ended that was given up: the device must not stay open."""
-        self._is_open = True
+    def _opened_late(self, call: Call, end: End) -> None:
+        """An opening has ended that was given up: the device must not stay open.
+
+        One that ends after a newer one has begun may have set the device up anew, or
+        half of it: whatever came of it, that is a device that has restarted.
+        """
+        self._is_open = self._is_open or end.error is None
         if self.is_over:
             spawn(self._loop, self._close(), name=f"{self.name} close")
+        elif call.number < self._newest_open and self.channel.state in _THERE:
+            told = "an earlier open has ended late: its set-up is unknown"
+            self._hear(DeviceLostError(self.name, told))
+            self._arrived = True
 
     def _told(self, error: BaseException | None) -> None:
         """Hear from a driver or a bus, on any thread.
@@ -379,7 +390,9 @@ class ResourceLife(Life):
         await self._calls.quiet(self._loop.time() + resource.deadline + 0.1)
         if resource.bus is not None:
             await self._run("open the bus", Method(resource.bus.open, None))
+        await self._close()  # what has opened late meanwhile
         self._is_open = True
+        self._newest_open = self._calls.number + 1
         await self._call("open")
         if resource.identifies:
             self._identify(await self._call("identify"))

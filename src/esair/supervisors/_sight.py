@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 
-from esair.actions import Behavior, Guards, Need
+from esair.actions import Guards, Need
 from esair.actions import ProfiledAction as Action
 from esair.connections import UNDECIDED, Protection, Protections
 from esair.exceptions import AccessDeniedError, BadValueError
@@ -131,5 +131,4 @@ def _entry(action: Action, need: Need, component: str, label: str) -> Protection
         label=label,
         guards=guards,
         latch=isinstance(need, Guards) and need.latch,
-        is_own=not guards and isinstance(action, Behavior),
     )
