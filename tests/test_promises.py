@@ -32,7 +32,6 @@ PROMISES = {
 NOT_YET: dict[str, str] = dict.fromkeys(
     [
         "BUS-5",
-        "GRD-4",
         "MIN-6",
         "MIN-7",
         "MODE-1",

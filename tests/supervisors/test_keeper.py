@@ -10,6 +10,7 @@ import pytest
 
 import esair
 import esair.watchdog
+from esair.supervisors import _keeper
 from esair.supervisors._keeper import STARTS
 from esair.testing import FakeActuator
 
@@ -31,6 +32,10 @@ class FakeWatchdog:
         self.told: list[Any] = []
         self.latched = False
         self.armed = asyncio.Event()
+        self.answers: Any = asyncio.Event()
+        self.answers.set()
+        self.refusal = ""
+        self.watched: set[str] = set()
 
     async def start(self) -> None:
         if self.missing:
@@ -40,9 +45,18 @@ class FakeWatchdog:
     async def arm(self, name: str, _frames: object, _outlet: object) -> str:
         self.told.append(("arm", name))
         self.armed.set()
-        return ""
+        await self.answers.wait()
+        if self.missing:
+            return "there is no watchdog process"
+        if not self.refusal:
+            self.watched.add(name)
+        return self.refusal
 
-    async def drop(self, name: str) -> None:
+    def watches(self, name: str) -> bool:
+        return name in self.watched
+
+    async def drop(self, name: str, within: float = 1.0) -> None:
+        self.watched.discard(name)
         self.told.append(("drop", name))
 
     def moving(self, name: str, moves: bool) -> None:
@@ -204,10 +218,152 @@ async def test_without_it_a_robot_starts_halted(
     async with robot:
         answer = await user.motor.write(1.0)
         assert bool(answer) is (policy == "alarm")
+        robot.resume()
+        answer = await user.motor.write(1.0)
+        assert bool(answer) is (policy == "alarm")
         if policy == "stop":
-            assert "cannot be started" in answer.rule
+            assert "motor is not watched" in answer.rule
+            assert 'watchdog_death="alarm"' in answer.rule
+
+
+def state_of(robot: esair.Robot) -> esair.ResourceState:
+    return robot.resources.query("motor").state
+
+
+@pytest.mark.promise("GRD-4")
+@pytest.mark.parametrize("policy", ["stop", "alarm"])
+async def test_what_is_not_armed_yet_is_not_ready(
+    fake: type[FakeWatchdog], policy: Any
+) -> None:
+    """However late the answer is; then it is watched, and ready, and may be written."""
+    robot, motor, user = robot_with(watchdog_death=policy)
+    async with robot:
+        (dog,) = fake.made
+        for late in (0.0, 0.3):
+            dog.answers.clear()
+            motor.unplug()
+            await asyncio.sleep(0.02)
+            motor.plug()
+            dog.armed.clear()
+            robot.resources.query("motor")
+            await asyncio.wait_for(dog.armed.wait(), 10.0)
+            await asyncio.sleep(late)
+            assert state_of(robot) is esair.ResourceState.OPENING
+            with pytest.raises(esair.DeviceLostError):
+                await user.motor.write(1.0)
+            dog.answers.set()
+            while state_of(robot) is not esair.ResourceState.READY:  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+            assert not robot.halted
+            assert await user.motor.write(1.0)
+        assert motor.commands.count(1.0) == 2
+
+
+@pytest.mark.promise("GRD-4")
+async def test_the_start_waits_for_a_slow_watchdog(fake: type[FakeWatchdog]) -> None:
+    """No behavior runs before what it drives is watched; and it can be stopped then."""
+    robot, motor, _ = robot_with()
+    keeper: Any = robot._keeper
+    keeper.watchdog.answers.clear()
+    entering = asyncio.create_task(robot.__aenter__())
+    await keeper.watchdog.armed.wait()
+    await asyncio.sleep(0.05)
+    assert not entering.done()
+    assert motor.commands == [0.0]
+    await robot.stop("the test is over")
+    with pytest.raises(esair.StoppingError):
+        await entering
+    assert keeper.watchdog.told[-1] == "close"
+
+
+@pytest.mark.promise("GRD-4")
+@pytest.mark.parametrize("policy", ["stop", "alarm"])
+async def test_what_cannot_be_armed_halts(
+    fake: type[FakeWatchdog], policy: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """And keeps the robot halted until it can; with "alarm" it is said and moves."""
+    robot, _, user = robot_with(watchdog_death=policy)
+    keeper: Any = robot._keeper
+    keeper.watchdog.refusal = "no such chip"
+    async with robot:
+        assert "motor: UNWATCHED: no such chip" in caplog.text
+        assert bool(robot.halted) == (policy == "stop")
+        robot.resume()
+        assert bool(robot.halted) == (policy == "stop")
+        assert bool(await user.motor.write(1.0)) == (policy == "alarm")
+        keeper.watchdog.refusal = ""
+        await robot.resources.restart("motor")
+        while state_of(robot) is not esair.ResourceState.READY:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+        assert bool(robot.halted) == (policy == "stop")
         robot.resume()
         assert await user.motor.write(1.0)
+
+
+@pytest.mark.promise("GRD-4")
+async def test_what_is_removed_keeps_nobody_still(fake: type[FakeWatchdog]) -> None:
+    """Nor does what is not open."""
+    robot, motor, _ = robot_with()
+    keeper: Any = robot._keeper
+    keeper.watchdog.refusal = "no such chip"
+    async with robot:
+        robot.resume()
+        assert robot.halted
+        motor.unplug()
+        motor.report_lost()
+        await asyncio.sleep(0.05)
+        robot.resume()
+        assert not robot.halted
+
+
+@pytest.mark.promise("GRD-4")
+async def test_a_rearming_that_fails_keeps_the_old_watch(
+    fake: type[FakeWatchdog], caplog: pytest.LogCaptureFixture
+) -> None:
+    """A change of settings does not unwatch what drives; it is said."""
+    robot, _, user = robot_with()
+    async with robot:
+        (dog,) = fake.made
+        mine = await robot.resources.register("u", "motor", esair.Access.CONFIGURE)
+        assert await user.motor.write(1.0)
+        dog.refusal = "no answer"
+        await robot.resources.configure(mine, rest=1.0)
+        assert dog.watches("motor")
+        assert not robot.halted
+        assert "motor: its watchdog has its safe frames of before: no answer" in (
+            caplog.text
+        )
+        assert "sends its safe command" in robot.resources.why("motor").dies
+
+
+@pytest.mark.promise("GRD-4")
+async def test_one_that_dies_often_is_started_less_often(
+    fake: type[FakeWatchdog], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But for ever: it halts the robot until it is there and has answered."""
+    monkeypatch.setattr(_keeper, "STARTS", 1)
+    robot, _, user = robot_with()
+    async with robot:
+        (dog,) = fake.made
+        for deaths in (1, 2):
+            dog.watched.clear()
+            dog.answers.clear()
+            dog.armed.clear()
+            began = asyncio.get_running_loop().time()
+            dog.die()
+            await asyncio.sleep(0.01)
+            robot.resume()
+            assert robot.halted
+            await asyncio.wait_for(dog.armed.wait(), 10.0)
+            robot.resume()
+            assert "the watchdog process died" in (robot.halted or "")
+            waited = asyncio.get_running_loop().time() - began
+            assert (waited >= 1.0) == (deaths == 2)
+            dog.answers.set()
+            await asyncio.sleep(0.05)
+            robot.resume()
+            assert not robot.halted
+            assert await user.motor.write(1.0)
 
 
 async def test_a_robot_that_ends_does_not_wait_for_a_new_watchdog(

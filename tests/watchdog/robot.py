@@ -1,13 +1,18 @@
-"""A robot that drives, until it dies or hangs: ``robot.py TTY WAY``."""
+"""A robot that drives, until it dies or hangs: ``robot.py TTY WAY [POLICY]``.
+
+``DOG`` in the environment is what starts its watchdog, in the place of Python.
+"""
 
 import asyncio
 import glob
+import itertools
 import logging
 import os
 import signal
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import esair
 from esair.buses import SerialBus
@@ -43,10 +48,11 @@ class Wander(esair.Behavior):
     wheels = esair.writes(float)
 
     async def run(self) -> None:
-        for number in range(80):
+        way = sys.argv[2]
+        for number in itertools.count() if way == "drive" else range(80):
             await self.wheels.write(1.0)
             if number == 40:
-                self.die(sys.argv[2])
+                self.die(way)
             await asyncio.sleep(0.01)
 
     def die(self, way: str) -> None:
@@ -68,7 +74,12 @@ class Wander(esair.Behavior):
 if __name__ == "__main__":
     logging.basicConfig(format="%(message)s", level=logging.INFO)
     bus = SerialBus(name="front", port=sys.argv[1])
+    sys.executable = os.environ.get("DOG", sys.executable)
+    policy: Any = (sys.argv[3:] or ["stop"])[0]
     robot = esair.Robot(
-        resources=[Wheels(bus=bus), Dumb()], behaviors=[Wander()], watchdog=True
+        resources=[Wheels(bus=bus), Dumb()],
+        behaviors=[Wander()],
+        watchdog=True,
+        watchdog_death=policy,
     )
     esair.run(robot)

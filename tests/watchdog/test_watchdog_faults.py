@@ -97,6 +97,10 @@ def pid_of(dog: Watchdog) -> int:
     return dog._process.pid
 
 
+def looks_of(dog: Watchdog) -> int:
+    return dog._numbers[_watchdog._LOOKS]
+
+
 def lines_of(dog: Watchdog) -> list[str]:
     """Return which terminals it holds open."""
     held = [os.readlink(each) for each in Path(f"/proc/{pid_of(dog)}/fd").iterdir()]
@@ -121,6 +125,7 @@ async def test_a_watchdog_that_is_stopped_is_ended(
     dog: Watchdog, deaths: Deaths
 ) -> None:
     """It does not look any more: it is as good as dead, and is told as that."""
+    await until(lambda: looks_of(dog))
     os.kill(pid_of(dog), signal.SIGSTOP)
 
     def noticed() -> int:
@@ -159,19 +164,140 @@ async def test_a_line_that_hangs_up_is_let_go(dog: Watchdog, line: Line) -> None
     assert port not in lines_of(dog)
 
 
-@pytest.mark.promise("GRD-2")
-async def test_what_is_armed_too_late_is_let_go(
-    dog: Watchdog, line: Line, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It was told as not watched: the watchdog must not keep its port."""
-    monkeypatch.setattr(_watchdog, "ANSWER_WITHIN", 0.1)
+@pytest.mark.promise("GRD-4")
+@pytest.mark.parametrize("late", [0.0, 0.7, 1.4])
+async def test_a_late_answer_arms(dog: Watchdog, line: Line, late: float) -> None:
+    """It is waited for; nothing is told as watched before."""
     outlet = Outlet("serial", descriptor=line.near)
     os.kill(pid_of(dog), signal.SIGSTOP)
-    assert "has not answered" in await dog.arm("wheels", SAFE, outlet)
-    monkeypatch.undo()
+    arming = asyncio.create_task(dog.arm("wheels", SAFE, outlet))
+    await asyncio.sleep(late)
+    assert not arming.done()
+    assert not dog.watches("wheels")
+    os.kill(pid_of(dog), signal.SIGCONT)
+    assert not await arming
+    assert dog.watches("wheels")
+    assert lines_of(dog) == [line.port]
+
+
+@pytest.mark.promise("GRD-4")
+@pytest.mark.parametrize("gives_up", [True, False])
+async def test_who_waits_no_more_for_an_answer(
+    dog: Watchdog, line: Line, gives_up: bool
+) -> None:
+    """A wait that is given up changes nothing; a device that is closed is let go."""
+    outlet = Outlet("serial", descriptor=line.near)
+    os.kill(pid_of(dog), signal.SIGSTOP)
+    arming = asyncio.create_task(dog.arm("wheels", SAFE, outlet))
+    await asyncio.sleep(0.05)
+    if gives_up:
+        arming.cancel()
+    else:
+        await dog.drop("wheels", within=0.05)
     os.kill(pid_of(dog), signal.SIGCONT)
     assert not await dog.arm("lamp", SAFE, outlet)
+    assert dog.watches("wheels") == gives_up
+    assert len(lines_of(dog)) == 1 + gives_up
+    await asyncio.gather(arming, return_exceptions=True)
+
+
+@pytest.mark.promise("GRD-4")
+async def test_a_watch_stays_until_the_next_one_stands(
+    dog: Watchdog, line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Refused, or without an answer, a re-arming keeps it; a late answer renews it."""
+    monkeypatch.setattr(_watchdog, "ANSWER_WITHIN", 0.1)
+    outlet = Outlet("serial", descriptor=line.near)
+    nowhere = Outlet("i2c", target={"path": "/nowhere"})
+    assert not await dog.arm("wheels", SAFE, outlet)
+    assert os.strerror(errno.ENOENT) in await dog.arm("wheels", SAFE, nowhere)
+    assert dog.watches("wheels")
+    before = dog._places["wheels"]
+    os.kill(pid_of(dog), signal.SIGSTOP)
+    assert "has not answered" in await dog.arm("wheels", SAFE, outlet)
+    assert dog._places["wheels"] == before
+    os.kill(pid_of(dog), signal.SIGCONT)
+    await until(lambda: dog._places["wheels"] > before)
+    await until(lambda: lines_of(dog) == [line.port])
+
+
+@pytest.mark.promise("GRD-4")
+async def test_more_than_its_channel_takes_waits_in_order(
+    dog: Watchdog, line: Line
+) -> None:
+    """Nothing that was asked of one that stands still is lost, nor is a descriptor."""
+    outlet = Outlet("serial", descriptor=line.near)
+    frames = SafeFrames([b"\0" * 5000])
+    os.kill(pid_of(dog), signal.SIGSTOP)
+    mine = len(os.listdir("/proc/self/fd"))
+    asked = [asyncio.create_task(dog.arm(f"w{n}", frames, outlet)) for n in range(60)]
+    await asyncio.sleep(0.05)
+    assert len(os.listdir("/proc/self/fd")) > mine  # kept, for those that wait
+    gone = [asyncio.create_task(dog.drop(f"w{n}")) for n in range(60)]
+    os.kill(pid_of(dog), signal.SIGCONT)
+    assert await asyncio.gather(*asked) == ["it was closed"] * 60
+    await asyncio.gather(*gone)
+    assert not await dog.arm("wheels", SAFE, outlet)
     assert lines_of(dog) == [line.port]
+    assert len(os.listdir("/proc/self/fd")) == mine
+
+
+@pytest.mark.promise("GRD-4")
+async def test_one_that_never_looks_is_replaced(
+    monkeypatch: pytest.MonkeyPatch, deaths: Deaths
+) -> None:
+    """A start may be slow, but not for ever."""
+    monkeypatch.setattr(_watchdog, "START_WITHIN", 0.3)
+    dog = Watchdog(limit=0.1, on_death=deaths)
+    await dog.start()
+    os.kill(pid_of(dog), signal.SIGSTOP)
+    began = time.monotonic()
+
+    def noticed() -> int:
+        dog.beat()
+        return deaths.count
+
+    await until(noticed)
+    assert time.monotonic() - began >= 0.3
+    await dog.close()
+    assert dogs_of(os.getpid()) == []
+
+
+@pytest.mark.promise("GRD-4")
+async def test_a_silent_one_is_noticed_sooner_while_something_moves(
+    dog: Watchdog, deaths: Deaths, line: Line
+) -> None:
+    """Within two limits; until then, and a moment longer, a death wakes it."""
+    assert not await dog.arm("w", SAFE, Outlet("serial", descriptor=line.near))
+    dog.moving("w", True)
+    dog.beat()
+    pid = pid_of(dog)
+    os.kill(pid, signal.SIGSTOP)
+    began = time.monotonic()
+    while not deaths.count and time.monotonic() < began + 5.0:
+        dog.beat()
+        await asyncio.sleep(0.02)
+    assert 0.1 < time.monotonic() - began < 5.0
+    assert not dog.watches("w")
+    os.kill(pid, 0)  # it is there still, and is told of no motion
+    await until(lambda: dogs_of(os.getpid()) == [])
+
+
+@pytest.mark.promise("GRD-4")
+async def test_a_fork_of_the_robot_gives_no_sign_of_life(dog: Watchdog) -> None:
+    """What it counts, and what it tells of motions, is its own."""
+    dog.moving("wheels", True)
+    beats = dog._numbers[_watchdog._BEATS]
+    child = os.fork()
+    if child == 0:
+        dog.moving("wheels", False)
+        for _ in range(10):
+            dog.beat()
+        os._exit(0)
+    os.waitpid(child, 0)  # noqa: ASYNC222 - it ends at once
+    assert dog._numbers[_watchdog._MOVING] == 1
+    assert dog._numbers[_watchdog._BEATS] == beats
+    dog.moving("wheels", False)
 
 
 async def test_too_many_descriptors_are_told(dog: Watchdog, line: Line) -> None:
@@ -385,7 +511,7 @@ async def test_a_robot_that_is_continued_is_halted(line: Line) -> None:
     )
     async with robot:
         assert robot._keeper is not None
-        dog = robot._keeper._watchdog
+        dog = robot._keeper.watchdog
         dog._numbers[_watchdog._LATCH] = 1  # it was made safe, and then continued
         os.kill(pid_of(dog), signal.SIGKILL)
         await until(lambda: robot.halted)

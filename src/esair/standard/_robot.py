@@ -186,6 +186,7 @@ class Robot:
                 on_death=watchdog_death,
                 halt=self._halts.halt,
             )
+            self._halts.keeps_still = self._keeper.keeps_still
         if seed is not None and type(seed) is not int:
             told = f"expected a whole number, not {seed!r:.80}"
             raise ConfigError(self._title, "seed", told)

@@ -54,6 +54,8 @@ class Halts:
         self._from_threads: dict[int, tuple[Halting, threading.Event]] = {}
         self._numbers = itertools.count()
         self._last: tuple[LastCommand, ...] = ()
+        self.keeps_still: Callable[[], str] = lambda: ""
+        """Says why the robot must not be resumed yet; empty if it may be."""
 
     @property
     def reason(self) -> str | None:
@@ -145,6 +147,9 @@ class Halts:
 
     def _let_go(self) -> None:
         if self._registrations.halt is None:
+            return
+        if why := self.keeps_still():
+            self._take_effect(why, "the watchdog", Halting())
             return
         self._registrations.halt = None
         for channel in self._channels.values():

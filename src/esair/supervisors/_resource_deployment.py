@@ -41,7 +41,7 @@ from esair.supervisors._rules import Declared, Rules
 
 if TYPE_CHECKING:
     from esair.buses import Bus
-    from esair.watchdog import Watchdog
+    from esair.supervisors._watch import Armory, Watch
 
 STOP_WITHIN = 1.8
 """How long a stop may take beside the grace period until all is closed, in seconds:
@@ -87,7 +87,7 @@ class ResourceDeployment:
         self.seed = 0
         """What the random numbers of its components begin with; set by the robot."""
         self.began = 0.0  # when the robot has started, in seconds of the loop's clock
-        self.watchdog: Watchdog | None = None
+        self.armory: Armory | None = None
         """The second process that makes safe what this one cannot; the robot's."""
         self.buses: list[Bus] = []
         """Every bus that a resource of this robot is or was on."""
@@ -166,7 +166,7 @@ class ResourceDeployment:
             life = DerivedLife(resource, channel, policy, self)
             self._derived[resource.name] = life
         else:
-            life = ResourceLife(resource, channel, policy, self.watchdog)
+            life = ResourceLife(resource, channel, policy, self.armory)
         self.lives[resource.name] = life
         life.start()
         return life
@@ -374,6 +374,11 @@ class ResourceDeployment:
         for life in tuple(self.lives.values()):
             if life.watch is not None and life.channel.state is ResourceState.READY:
                 await life.watch.arm()
+
+    def watches(self) -> list[Watch]:
+        """Return the eyes of the watchdog, one on each actuator."""
+        lives = self.lives.values()
+        return [life.watch for life in lives if life.watch is not None]
 
     async def make_safe(self) -> list[LastCommand]:
         """Send every actuator its safe command, whatever was sent before."""

@@ -33,11 +33,10 @@ from esair.messages import ResourceState, ResourceStatus, Restart
 from esair.resources import Resource, settings_of, shown
 from esair.supervisors._absence import AnotherDeviceError, is_absence, is_silence
 from esair.supervisors._life import Life, RestartBudget
-from esair.supervisors._watch import Watch
+from esair.supervisors._watch import Armory, Watch
 
 if TYPE_CHECKING:
     from esair.buses import Bus
-    from esair.watchdog import Watchdog
 
 FIRST_DELAY = 0.1
 """The pause before a lost device is tried again, in seconds; it doubles each time."""
@@ -66,7 +65,7 @@ class ResourceLife(Life):
         resource: Resource,
         channel: SensorChannel | ActuatorChannel,
         restart: Restart,
-        watchdog: Watchdog | None = None,
+        armory: Armory | None = None,
     ) -> None:
         self.resource = resource
         self.name = resource.name
@@ -74,8 +73,8 @@ class ResourceLife(Life):
         self.journal = channel.registrations.journal
         self.watch: Watch | None = None
         """The watchdog's eye on it, if it is an actuator and there is a watchdog."""
-        if isinstance(channel, ActuatorChannel) and watchdog is not None:
-            self.watch = Watch(channel.actuator, watchdog)
+        if isinstance(channel, ActuatorChannel) and armory is not None:
+            self.watch = Watch(channel.actuator, armory)
         self.channel = channel
         self.losses = 0
         self.faults = 0
@@ -321,6 +320,8 @@ class ResourceLife(Life):
             await self._close()  # what was opened late
             self._lost, self._arrived = None, False
             error = await self._try_to_open()
+            if error is None and self.watch is not None:
+                await self.watch.open()  # nothing moves before it has answered
             absent = is_absence(error)
             error = error or self._lost
             if error is None:
@@ -406,8 +407,6 @@ class ResourceLife(Life):
         if isinstance(self.channel, ActuatorChannel):
             await self.channel.open_safe()
             self.channel.watch = self.watch
-            if self.watch is not None:
-                await self.watch.arm()
 
     def _identify(self, answer: Any) -> None:
         """Remember who the device is, or refuse another one in its place."""
@@ -472,7 +471,7 @@ class ResourceLife(Life):
             return
         self._is_open = False
         if self.watch is not None:
-            await self.watch.drop()
+            await self.watch.drop(limit)
         try:
             await self._run("close", self._driver.method("close"), limit)
         except Exception as error:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
+
+import attrs
 
 from esair.exceptions import describe
 from esair.loop import outside
@@ -13,41 +16,102 @@ from esair.resources import Actuator
 if TYPE_CHECKING:
     from esair.watchdog import Watchdog
 
+_WATCHED, _AS_BEFORE, _UNARMED, _BY_DESIGN = range(4)
+
 _log = logging.getLogger("esair")
 
 
-class Watch:
-    """Arms an actuator after each opening, and says when it moves."""
+@attrs.define
+class Armory:
+    """What all watches of a robot share.
 
-    def __init__(self, actuator: Actuator[Any], watchdog: Watchdog) -> None:
+    Attributes:
+        watchdog: What watches.
+        cannot_arm: Told the name of an actuator that is open, could be watched and is
+            not, and why.
+        number: Which process it is: how often one was started.
+    """
+
+    watchdog: Watchdog
+    cannot_arm: Callable[[str, str], None]
+    number: int = 0
+
+
+class Watch:
+    """Arms an actuator after each opening, and says when it moves.
+
+    An actuator by design unwatched, whose driver has no safe frames or whose bus the
+    watchdog cannot reach, is said to be so and moves. Any other waits for its watchdog.
+    """
+
+    def __init__(self, actuator: Actuator[Any], armory: Armory) -> None:
         self.actuator = actuator
-        self._watchdog = watchdog
+        self._armory = armory
+        self._watchdog = armory.watchdog
+        self._is_open = False
         self.why = "it is not open"  # why it is not watched; empty if it is
+        self.unarmed = ""
+        """Why it is not watched though it is open and could be; empty if it is."""
+
+    async def open(self) -> None:
+        """Have it watched, before it is READY; returns when the watchdog has answered.
+
+        However late that is: what cannot be armed is told to the armory.
+        """
+        self._is_open = True
+        await self.arm()
 
     async def arm(self) -> None:
-        """Hand its safe frames to the watchdog; returns when it has answered."""
+        """Hand its safe frames to the watchdog; what is watched stays so if that fails."""
         name = self.actuator.name
-        before, self.why = self.why, await outside((name, "arm"), self._arm)
-        if self.why and self.why != before:
-            _log.warning("%s: %s: %s", self.actuator.name, UNWATCHED, self.why)
+        while self._is_open:
+            number = self._armory.number
+            how, why = await outside((name, "arm"), self._arm)
+            if how != _UNARMED or number == self._armory.number:
+                break  # else another watchdog has come meanwhile
+        else:
+            return
+        if how == _AS_BEFORE:
+            _log.warning(
+                "%s: its watchdog has its safe frames of before: %s", name, why
+            )
+            return
+        before, self.why = self.why, why
+        self.unarmed = why if how == _UNARMED and self._is_open else ""
+        if why and why != before:
+            _log.warning("%s: %s: %s", name, UNWATCHED, why)
+        if self.unarmed:
+            self._armory.cannot_arm(name, why)
 
-    async def _arm(self) -> str:
+    async def _arm(self) -> tuple[int, str]:
+        """Return how it is watched now, and what was wrong with that."""
         actuator = self.actuator
         try:
             frames, outlet = actuator.safe_frames(), actuator.outlet
         except BaseException as error:  # it is the driver's own code
-            return f"its safe_frames raised {describe(error)}"
-        if frames is None:
-            return "its driver cannot say its safe command as bytes"
-        if outlet is None:
-            return "the watchdog cannot reach its bus"
-        return await self._watchdog.arm(actuator.name, frames, outlet)
+            why = f"its safe_frames raised {describe(error)}"
+        else:
+            if frames is None:
+                return _BY_DESIGN, "its driver cannot say its safe command as bytes"
+            if outlet is None:
+                return _BY_DESIGN, "the watchdog cannot reach its bus"
+            why = await self._watchdog.arm(actuator.name, frames, outlet)
+        if not why:
+            return _WATCHED, ""
+        return _AS_BEFORE if self._watchdog.watches(actuator.name) else _UNARMED, why
 
-    async def drop(self) -> None:
+    def lost(self, why: str) -> None:
+        """Its watchdog has died."""
+        if self._is_open and not self.why:
+            self.why = self.unarmed = why
+
+    async def drop(self, within: float | None = None) -> None:
         """Have it watched no more, before its device is closed."""
-        self.why = "it is not open"
+        self._is_open = False
+        self.why, self.unarmed = "it is not open", ""
         name = self.actuator.name
-        await outside((name, "drop"), lambda: self._watchdog.drop(name))
+        options = {} if within is None else {"within": within}
+        await outside((name, "drop"), lambda: self._watchdog.drop(name, **options))
 
     def may_move(self) -> bool:
         """Say that it is about to move; tells whether it may.

@@ -6,6 +6,7 @@ writes only while the robot's process is stopped or dead.
 """
 
 import contextlib
+import ctypes
 import fcntl
 import json
 import mmap
@@ -20,7 +21,7 @@ import time
 from typing import Any
 
 BEATS, MOVING, LATCH, LOOKS, OVER = range(5)
-TELL_STACK = signal.SIGRTMAX
+TELL_STACK, PR_SET_PDEATHSIG = signal.SIGRTMAX, 1
 STOP_WITHIN, SEND_WITHIN, TRIES = 0.02, 0.5, 50
 I2C_TIMEOUT, I2C_RDWR, GPIO_SET_VALUES = 0x0702, 0x0707, 0xC010B40F
 
@@ -68,8 +69,6 @@ class Device:
         if self.wire == "gpio":
             fcntl.ioctl(self.descriptor, GPIO_SET_VALUES, frame)
         elif self.wire == "i2c":
-            import ctypes  # where there is such a device
-
             data = ctypes.create_string_buffer(frame, len(frame))
             place, size = ctypes.addressof(data), len(frame)
             message = struct.pack("@HHHP", self.target["address"], 0, size, place)
@@ -156,7 +155,7 @@ class Watchdog:
             return False
         told = json.loads(data)
         if told["op"] == "drop":
-            self.drop(told["place"])
+            self.drop(told.get("of", 0))
         else:
             try:
                 device = Device(told, descriptors)
@@ -231,6 +230,9 @@ if __name__ == "__main__":
         signal.signal(each, signal.SIG_IGN)
     for _ in range(3):  # or a device could get the number that the last line goes to
         os.open(os.devnull, os.O_RDWR)
+    # One that was stopped goes on when its robot dies: there is nobody else then.
+    with contextlib.suppress(Exception):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGCONT, 0, 0, 0)
     dog = Watchdog(sys.argv[1:])
     try:
         reason = dog.watch()

@@ -3,36 +3,56 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import logging
 import mmap
 import os
-import socket
-import subprocess
-import sys
+import time
+import weakref
 from collections.abc import Callable
-from pathlib import Path
 from typing import Literal
+
+import attrs
 
 from esair.watchdog._frames import Outlet, SafeFrames
 from esair.watchdog._limit import LIMIT
-from esair.watchdog._stack import stack_file
+from esair.watchdog._process import Process
 
-ANSWER_WITHIN = 1.0  # How long the watchdog may take to answer, in seconds
+ANSWER_WITHIN = 1.0  # How long an answer is waited for that changes nothing, in seconds
 GONE_WITHIN = 0.1  # How long it may take to end after an orderly stop, in seconds
 
-STUCK_AFTER = 40
-"""After how many beats of the robot without a look a watchdog is killed."""
+START_WITHIN = 10.0
+"""How long it may take to look for the first time, or to arm a robot at rest, in s."""
+
+SILENT_AFTER = 1.5
+"""After how many limits without a look it is replaced while something moves."""
+
+SILENT_AT_REST = 8.0
+"""And after how many while nothing moves."""
+
+LINGER = 1.0
+"""How long a silent one is still there for the death of the robot, in seconds."""
 
 AT_ONCE = 64
 """How much may be asked at the same time: more words, or answers, may not find room."""
 
-_PROGRAM = Path(__file__).with_name("_program.py")
 _PAGE = mmap.PAGESIZE
 _BEATS, _MOVING, _LATCH, _LOOKS, _OVER = range(5)
+_NO_PROCESS = "there is no watchdog process"
 
 _log = logging.getLogger("esair")
+
+
+@attrs.define(eq=False)
+class _Asked:
+    """What was asked of the process and has no answer yet."""
+
+    answer: asyncio.Future[str]
+    name: str = ""  # of the device that it arms
+
+    def settle(self, why: str) -> None:
+        if not self.answer.done():
+            self.answer.set_result(why)
 
 
 class Watchdog:
@@ -42,7 +62,8 @@ class Watchdog:
         limit: How long the scheduler may stand still while something moves, in seconds.
         policy: What becomes of a process that was stopped: ``"kill"`` ends it,
             ``"freeze"`` leaves it stopped.
-        on_death: Called when the watchdog's process has died by itself.
+        on_death: Called when the watchdog's process has died by itself, or was ended
+            because it did not look any more.
     """
 
     def __init__(
@@ -56,17 +77,16 @@ class Watchdog:
         self.policy = policy
         self._on_death = on_death
         self._moving: set[str] = set()
-        self._places: dict[str, int] = {}
-        self._answers: dict[int, asyncio.Future[str]] = {}
+        self._places: dict[str, int] = {}  # what is watched
+        self._asked: dict[int, _Asked] = {}
         self._last = 0
-        self._beats = self._looks = self._looked = 0
+        self._beats = self._looks = self._vain = 0
+        self._looked = 0.0
         self._room = asyncio.Semaphore(AT_ONCE)
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._process: subprocess.Popen[bytes] | None = None
-        self._channel: socket.socket | None = None
-        self._pidfd = -1
-        self._page: mmap.mmap | None = None
+        self._process: Process | None = None
+        self._dying: dict[Process, None] = {}
         self._numbers = memoryview(bytearray(_PAGE)).cast("Q")
+        _in_this_process.add(self)
 
     # Its process.
 
@@ -76,102 +96,71 @@ class Watchdog:
         Raises:
             OSError: It cannot be started.
         """
-        loop = self._loop = asyncio.get_running_loop()
         if os.getpid() == 1:
             told = (
                 "process 1 of a container takes its watchdog with it: give it an init"
             )
             raise OSError(f"{told} (docker run --init)")
-        self._spawn()
-        assert self._channel is not None
-        loop.add_reader(self._channel, self._hear)
-        loop.add_reader(self._pidfd, self._died)
-
-    def _spawn(self) -> None:
-        """Start it without a turn in between: one that nobody knows would not end."""
-        with contextlib.ExitStack() as here, contextlib.ExitStack() as failed:
-            mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            here.callback(its.close)
-            failed.callback(mine.close)
-            mine.setblocking(False)
-            shared = os.memfd_create("esair-watchdog")
-            here.callback(os.close, shared)
-            me = os.pidfd_open(os.getpid())
-            here.callback(os.close, me)
-            stack = stack_file.open()
-            failed.callback(stack_file.close)
-            os.ftruncate(shared, _PAGE)
-            self._share(mmap.mmap(shared, _PAGE))
-            failed.callback(self._share, None)
-            descriptors = (its.fileno(), me, shared, stack)
-            arguments = [*descriptors, os.getpid(), self.limit, self.policy]
-            self._process = subprocess.Popen(
-                [sys.executable, "-I", "-S", str(_PROGRAM), *map(str, arguments)],
-                stdin=subprocess.DEVNULL,
-                pass_fds=descriptors,
-                start_new_session=True,
-            )
-            failed.pop_all()
-        self._channel = mine
-        self._pidfd = os.pidfd_open(self._process.pid)
+        self._process = Process(self.limit, self.policy, self._hear, self._ended)
+        self._share(self._process.page)
 
     def _share(self, page: mmap.mmap | None) -> None:
         """Count in a page that the process sees; in one's own if it is None."""
         numbers = memoryview(page or bytearray(_PAGE)).cast("Q")
         numbers[_MOVING], numbers[_LATCH] = len(self._moving), self._numbers[_LATCH]
-        self._numbers.release()
-        if self._page is not None:
-            self._page.close()
-        self._page, self._numbers = page, numbers
+        numbers[_BEATS] = self._beats
+        self._looks, self._vain, self._looked = 0, 0, time.monotonic()
+        self._numbers = numbers
 
     @property
     def runs(self) -> bool:
         """Whether its process is there."""
-        return self._channel is not None
+        return self._process is not None
 
     async def close(self) -> None:
         """Say good-bye, after every actuator is safe; nothing is left behind."""
         process = self._process
-        if process is None:
-            return
-        self._numbers[_OVER] = os.getpid()  # a fork of the robot cannot say this
-        self._forget()
-        try:
-            await asyncio.to_thread(process.wait, GONE_WITHIN)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            await asyncio.to_thread(process.wait)
-        self._over()
+        if process is not None:
+            self._numbers[_OVER] = os.getpid()  # a fork of the robot cannot say this
+            process.let_go()
+            self._forget()
+            await process.gone(GONE_WITHIN)
+        self._end_silent()
+        for each in tuple(self._dying):
+            await each.gone(GONE_WITHIN)
 
     def _forget(self) -> None:
-        loop = self._loop
-        assert loop is not None
-        if self._channel is not None:
-            loop.remove_reader(self._channel)
-            self._channel.close()
-            self._channel = None
-        if self._pidfd >= 0:
-            loop.remove_reader(self._pidfd)
-            os.close(self._pidfd)
-            self._pidfd = -1
-        self._places.clear()
-        for answer in self._answers.values():
-            if not answer.done():
-                answer.set_result("the watchdog has ended")
-        self._answers.clear()
-
-    def _over(self) -> None:
+        """Have no process any more: nothing is watched."""
         self._process = None
+        self._places.clear()
+        for asked in self._asked.values():
+            asked.settle("the watchdog has ended")
+        self._asked.clear()
         self._share(None)
-        stack_file.close()
 
-    def _died(self) -> None:
-        process = self._process
-        assert process is not None
+    def _ended(self, process: Process) -> None:
+        self._dying.pop(process, None)
+        if process is self._process:
+            self._die(f"its process died ({process.code})")
+
+    def _replace(self, process: Process, why: str) -> None:
+        """Give a silent one up; should the robot die now, it is still all there is.
+
+        Nothing that moves is told to it any more, so that it acts on a death alone.
+        """
+        self._numbers[_MOVING] = 0
+        self._dying[process] = None
+        asyncio.get_running_loop().call_later(LINGER, self._end_silent)
+        self._die(why)
+
+    def _end_silent(self) -> None:
+        for each in self._dying:
+            each.kill()
+            each.let_go()
+
+    def _die(self, why: str) -> None:
         self._forget()
-        process.wait()  # it is over: the descriptor says so
-        self._over()
-        _log.critical("watchdog: its process died (%s)", process.returncode)
+        _log.critical("watchdog: %s", why)
         self._on_death()
 
     # Devices.
@@ -179,101 +168,119 @@ class Watchdog:
     async def arm(self, name: str, frames: SafeFrames, outlet: Outlet) -> str:
         """Have a device watched; it may be told to move only after the answer.
 
+        One that is watched already stays so until the new watch stands, and if that
+        fails: then the answer is waited for no longer than `ANSWER_WITHIN`, and takes
+        effect when it comes. Else it is waited for as long as the process lives.
+
         Returns:
-            Why it is not watched, in words; empty if it is.
+            Why it is not watched like that, in words; empty if it is.
         """
-        before = self._places.get(name)
-        self._last += 1
-        place = self._last
         sent = list(frames.frames) * frames.repeat
         if sent and frames.resync:
             sent[0] = frames.resync + sent[0]
-        told = {
+        told: dict[str, object] = {
             "op": "arm",
-            "place": place,
             "name": name,
             "wire": outlet.kind,
             "frames": [frame.hex() for frame in sent],
             "target": dict(outlet.target) | {"address": frames.address},
         }
-        self._places[name] = place
-        why = await self._ask(place, told, outlet.descriptor)
-        if why:
-            self._places.pop(name, None)  # yet it may still do what it was told
-        for each in (before, place if why else None):
-            if each is not None:  # there was no moment in which neither was watched
-                with contextlib.suppress(OSError):
-                    self._send({"op": "drop", "place": each})
-        return why
+        async with self._room:
+            patience = ANSWER_WITHIN if name in self._places else None
+            try:
+                asked = self._ask(told, name, outlet.descriptor)
+            except OSError as error:
+                return f"the watchdog cannot be told: {error}"
+            await asyncio.wait({asked.answer}, timeout=patience)
+        if asked.answer.done():
+            return asked.answer.result()
+        return f"the watchdog has not answered for {ANSWER_WITHIN:g} s"
 
-    async def drop(self, name: str) -> None:
-        """Have a device watched no more, before its descriptor is closed."""
-        place = self._places.pop(name, None)
+    async def drop(self, name: str, within: float = ANSWER_WITHIN) -> None:
+        """Have a device watched no more, before its descriptor is closed.
+
+        Args:
+            name: The device; an answer to `arm` that is still to come is not wanted.
+            within: How long the answer is waited for, in seconds.
+        """
         self.moving(name, False)
-        if place is not None:
-            await self._ask(place, {"op": "drop", "place": place}, None)
+        places = [place for place, each in self._asked.items() if each.name == name]
+        for place in places:
+            self._asked.pop(place).settle("it was closed")
+        if name in self._places:
+            places.append(self._places.pop(name))
+        self._end_silent()  # it may still have that device open
+        waits = [self._drop(place) for place in places]
+        if waits:
+            await asyncio.wait({each.answer for each in waits}, timeout=within)
+
+    def _drop(self, place: int) -> _Asked:
+        try:
+            return self._ask({"op": "drop", "of": place})
+        except OSError as error:  # it is over, and so is the watch
+            asked = _Asked(asyncio.get_running_loop().create_future())
+            asked.settle(str(error))
+            return asked
 
     def watches(self, name: str) -> bool:
         """Tell whether a device is watched now."""
         return name in self._places
 
-    async def _ask(
-        self, place: int, told: dict[str, object], descriptor: int | None
-    ) -> str:
-        if self._channel is None or self._loop is None:
-            return "there is no watchdog process"
-        async with self._room:
-            answer: asyncio.Future[str] = self._loop.create_future()
-            self._answers[place] = answer
-            try:
-                self._send(told, descriptor)
-                return await asyncio.wait_for(answer, ANSWER_WITHIN)
-            except TimeoutError:
-                return f"the watchdog has not answered for {ANSWER_WITHIN:g} s"
-            except OSError as error:
-                return f"the watchdog cannot be told: {error}"
-            finally:
-                self._answers.pop(place, None)
+    def _ask(
+        self, told: dict[str, object], name: str = "", descriptor: int | None = None
+    ) -> _Asked:
+        asked = _Asked(asyncio.get_running_loop().create_future(), name)
+        if self._process is None:
+            asked.settle(_NO_PROCESS)
+            return asked
+        self._last += 1
+        self._process.send({"place": self._last, **told}, descriptor)
+        self._asked[self._last] = asked
+        return asked
 
-    def _send(self, told: dict[str, object], descriptor: int | None = None) -> None:
-        data = json.dumps(told).encode()
-        if self._channel is None:
-            return
-        if descriptor is None:
-            self._channel.send(data)
-        else:
-            socket.send_fds(self._channel, [data], [descriptor])
+    def _send(self, told: dict[str, object]) -> None:
+        if self._process is not None:
+            self._process.send(told)
 
-    def _hear(self) -> None:
-        assert self._channel is not None
-        try:
-            data = self._channel.recv(65536)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            return  # the pidfd tells
+    def _hear(self, data: bytes) -> None:
         what, place, why = json.loads(data)
-        answer = self._answers.get(place)
         if what == "hung up":
             self._places = {n: p for n, p in self._places.items() if p != place}
-        elif answer is not None and not answer.done():
-            answer.set_result(str(why) if what == "refused" else "")
+            return
+        asked = self._asked.pop(place, None)
+        if asked is None:
+            return
+        if asked.name and what == "done":  # in no moment neither watch has stood
+            before = self._places.get(asked.name)
+            self._places[asked.name] = place
+            if before is not None:
+                self._drop(before)
+        asked.settle(str(why) if what == "refused" else "")
 
     # Signs of life.
 
     def beat(self) -> None:
-        """Tell that the scheduler turns; end a watchdog that does not look any more."""
+        """Tell that the scheduler turns; replace a watchdog that looks no more."""
         self._beats += 1
         self._numbers[_BEATS] = self._beats
-        looks = self._numbers[_LOOKS]
-        if looks != self._looks or self._process is None:
-            self._looks, self._looked = looks, self._beats
-        elif self._beats - self._looked > STUCK_AFTER:
-            _log.critical("watchdog: it has not looked for %d beats", STUCK_AFTER)
-            self._looked = self._beats
-            self._process.kill()
+        looks, process = self._numbers[_LOOKS], self._process
+        if looks != self._looks or process is None:
+            self._looks, self._vain, self._looked = looks, 0, time.monotonic()
+            return
+        self._vain += 1
+        silent = time.monotonic() - self._looked
+        # The first in vain says nothing: both may have been paused until now.
+        if self._vain > 1 and silent >= self._patience():
+            self._replace(process, f"it has not looked for {silent:.3f} s: it is ended")
+
+    def _patience(self) -> float:
+        """How long the process may be silent now, in seconds."""
+        if not self._looks:
+            return START_WITHIN
+        if self._moving:
+            return SILENT_AFTER * self.limit
+        rest = SILENT_AT_REST * self.limit
+        return max(rest, START_WITHIN) if self._asked else rest
 
     def moving(self, name: str, moves: bool) -> None:
         """Tell whether an actuator was told a motion; before it leaves."""
@@ -287,3 +294,18 @@ class Watchdog:
     def latched(self) -> bool:
         """Whether the watchdog has stopped this process: nothing may move any more."""
         return bool(self._numbers[_LATCH])
+
+    def _is_of_a_fork(self) -> None:
+        """What a fork of the robot does is no sign of life, and moves nothing."""
+        self._numbers = memoryview(bytearray(_PAGE)).cast("Q")
+
+
+_in_this_process: weakref.WeakSet[Watchdog] = weakref.WeakSet()
+
+
+def _forked() -> None:
+    for each in tuple(_in_this_process):
+        each._is_of_a_fork()  # noqa: SLF001 - the same module
+
+
+os.register_at_fork(after_in_child=_forked)
