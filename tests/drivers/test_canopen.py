@@ -32,7 +32,13 @@ from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
 )
-from esair.testing import ActuatorContract, BusContract, FakeCan, SensorContract
+from esair.testing import (
+    ActuatorContract,
+    BusContract,
+    FakeCan,
+    GatewayContract,
+    SensorContract,
+)
 
 MOTOR = Path(__file__).parent / "motor.eds"
 PATIENCE = 10.0  # s; the node answers at once, on a machine that may be busy
@@ -74,7 +80,7 @@ def actuator(wire: Any, object_: Any = "Target velocity", **keywords: Any) -> An
     )
 
 
-class Wired:
+class Wired(GatewayContract):
     @pytest.fixture(autouse=True)
     def _rig(self, rig: Callable[[], Any]) -> None:
         self.rig = rig
@@ -92,7 +98,13 @@ class Wired:
 
     async def speak(self, device: Any) -> None:
         device.sdo_timeout = PATIENCE
+        self.node.refuse(0x1000, 0, 0)
         self.node.boot()
+
+    async def silence_by_proxy(self, _device: Any) -> None:
+        """A gateway to its network has waited for it in vain."""
+        self.node.refuse(0x1000, 0, 0x05040000)
+        self.node.local.nmt.stop_heartbeat()
 
     async def power_cycle(self, _device: Any) -> None:
         self.node.power_cycle()

@@ -15,9 +15,15 @@ import pytest
 from hypothesis import strategies as st
 
 from esair.buses import SerialBus
-from esair.exceptions import DeviceFaultError, DriverStuckError
+from esair.exceptions import DeviceFaultError, DeviceLostError, DriverStuckError
 from esair.framing import ModbusRtu, ModbusTcp
-from esair.testing import ActuatorContract, BusContract, FakeSerial, SensorContract
+from esair.testing import (
+    ActuatorContract,
+    BusContract,
+    FakeSerial,
+    GatewayContract,
+    SensorContract,
+)
 
 pytest.importorskip("pymodbus", reason="the extra 'modbus' is not installed")
 
@@ -44,12 +50,21 @@ def make(framing: str = RTU) -> tuple[FakeSerial, FakeModbus]:
     return line, unit
 
 
-class OnUnit(Powered):
+class OnUnit(Powered, GatewayContract):
     framing = RTU
 
     def wire(self) -> FakeSerial:
         line, self.far = make(self.framing)
         return line
+
+    async def silence_by_proxy(self, _device: Any) -> None:
+        """A gateway answers: no way to it, no answer of it, busy, in turn."""
+        codes = itertools.cycle((11, 10, 5, 6))
+        self.far.refuse = lambda _function, _address: next(codes)
+
+    async def speak(self, device: Any) -> None:
+        await super().speak(device)
+        self.far.refuse = lambda _function, _address: 0
 
     keeps_nothing = "each request says all that the unit needs"
 
@@ -155,8 +170,11 @@ async def test_a_refusal_is_a_fault_and_a_stranger_is_no_answer() -> None:
     device = ModbusSensor(unit=3, register=99, bus=line)
     with pytest.raises(DeviceFaultError, match="holding 99: it has no such register"):
         await device.read()
+    unit.refuse = lambda _function, _address: 4
+    with pytest.raises(DeviceFaultError, match="it has failed"):
+        await device.read()
     unit.refuse = lambda _function, _address: 6
-    with pytest.raises(DeviceFaultError, match="it is busy"):
+    with pytest.raises(DeviceLostError, match="holding 99: it is busy"):
         await device.read()
     line.on_frame = lambda _message: b"\x04\x03\x02\x00\x07"
     with pytest.raises(DriverStuckError):

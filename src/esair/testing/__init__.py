@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from esair.buses.i2c import FakeI2c
     from esair.buses.serial import FakeSerial
     from esair.testing._bus_contract import BusContract
-    from esair.testing._contracts import ActuatorContract, SensorContract
+    from esair.testing._contracts import (
+        ActuatorContract,
+        GatewayContract,
+        SensorContract,
+    )
     from esair.testing._recorded import RecordedRun, RecordedSensor, recording
 
 __all__ = [
@@ -31,6 +35,7 @@ __all__ = [
     "FakeI2c",
     "FakeSensor",
     "FakeSerial",
+    "GatewayContract",
     "Leaks",
     "LivelockError",
     "RecordedRun",
@@ -45,7 +50,7 @@ _get, _ = late(
     {
         # The suites need pytest.
         "_bus_contract": "BusContract",
-        "_contracts": "ActuatorContract SensorContract",
+        "_contracts": "ActuatorContract GatewayContract SensorContract",
         # Recordings need ``esair[record]``.
         "_recorded": "RecordedRun RecordedSensor recording",
     },

@@ -136,6 +136,9 @@ class ResourceContract(abc.ABC):
         """A part whose power comes later comes up by itself, however late."""
         device = self.make()
         await self.silence(device)
+        await self._comes_late(device)
+
+    async def _comes_late(self, device: Any) -> None:
         absent = {ResourceState.LOST, ResourceState.OPENING}
         async with _robot_with(device) as robot:
             status = functools.partial(robot.resources.query, device.name)
@@ -179,6 +182,23 @@ class ResourceContract(abc.ABC):
             await session.open()
             async with asyncio.timeout(device.deadline):
                 await self.use(session.driver)
+
+
+class GatewayContract(ResourceContract):
+    """What a part keeps, besides its suite, if something else can answer for it.
+
+    Its class comes first: ``class TestUnit(GatewayContract, SensorContract)``.
+    """
+
+    @abc.abstractmethod
+    async def silence_by_proxy(self, device: Any) -> None:
+        """Take its power away; what stands between says that it is absent or busy."""
+
+    async def test_silence_that_another_tells_of_is_silence(self) -> None:
+        """It is waited for, for ever, and comes up by itself once `speak` was called."""
+        device = self.make()
+        await self.silence_by_proxy(device)
+        await self._comes_late(device)
 
 
 def _told_by(device: Any, what: str) -> Any:

@@ -16,6 +16,9 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from esair.buses import CanBus, Exchanges
 from esair.exceptions import DriverStuckError
 
+ABSENT: Final = frozenset({ABORT_TIMED_OUT, 0x060A0023})
+"""Aborts of a gateway that has not reached the node: timed out, no connection left."""
+
 LATE_LIMIT: Final = 0.3
 """How long after its request was given up an answer may still come, in seconds."""
 
@@ -64,7 +67,10 @@ class _Client(SdoClient):
             self.abort(ABORT_TIMED_OUT)  # type: ignore[no-untyped-call]
             raise SdoCommunicationError("No SDO response received") from None
         if response[0] == RESPONSE_ABORTED:
-            raise SdoAbortedError(struct.unpack_from("<L", response, 4)[0])
+            abort = SdoAbortedError(struct.unpack_from("<L", response, 4)[0])
+            if abort.code in ABSENT:
+                raise SdoCommunicationError(f"a gateway says: {abort}")
+            raise abort
         return response
 
     async def _ask(self, request: bytes, sent: threading.Event) -> bytes:

@@ -77,7 +77,7 @@ class FakeCanopenNode:
         self.local.sdo[index].raw = value
 
     def refuse(self, index: int, subindex: int, code: int) -> None:
-        """Answer with an abort code when an object is read or written."""
+        """Answer with an abort code when an object is read or written; 0: not any more."""
         self._refused[index, subindex] = code
 
     def send_pdo(self, number: int) -> None:
@@ -104,8 +104,8 @@ class FakeCanopenNode:
         self.written.append((index, subindex, od.decode_raw(data)))
 
     def _check(self, index: int, subindex: int) -> None:
-        if (index, subindex) in self._refused:
-            raise SdoAbortedError(self._refused[index, subindex])
+        if code := self._refused.get((index, subindex)):
+            raise SdoAbortedError(code)
 
 
 def _local_node(node: int, eds: Path | str | ObjectDictionary) -> Any:

@@ -20,7 +20,12 @@ from pymodbus.pdu.register_message import (
 
 from esair.buses import SerialBus
 from esair.drivers._on_bus import check_bus
-from esair.exceptions import ConfigError, DeviceFaultError, describe
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    describe,
+)
 from esair.framing import ModbusRtu, ModbusTcp
 from esair.resources import (
     Actuator,
@@ -52,10 +57,14 @@ _FAULTS: Final = {
     2: "it has no such register",
     3: "it does not take the value",
     4: "it has failed",
+}
+_ABSENCES: Final = {
+    5: "it needs longer",
     6: "it is busy",
     10: "the gateway has no way to it",
     11: "behind the gateway it does not answer",
 }
+"""What is no answer of the unit, though something was said: it may help to wait."""
 
 
 class _OnUnit(Resource):
@@ -127,10 +136,11 @@ class _OnUnit(Resource):
             raise DeviceFaultError(self.name, f"its answer is none: {answer.hex()}")
         if isinstance(decoded, ExceptionResponse):
             code = decoded.exception_code
+            where = f"unit {self.unit}, {self.table} {self.register}"
+            if code in _ABSENCES:
+                raise DeviceLostError(self.name, f"{where}: {_ABSENCES[code]}")
             why = _FAULTS.get(code, f"exception {code}")
-            raise DeviceFaultError(
-                self.name, f"unit {self.unit}, {self.table} {self.register}: {why}"
-            )
+            raise DeviceFaultError(self.name, f"{where}: {why}")
         return decoded
 
     async def _get(self) -> Any:
@@ -184,7 +194,13 @@ class ModbusSensor(_OnUnit, Sensor[Any]):
         await self.read()
 
     async def read(self) -> Any:
-        """Ask for the value; errors as those of the bus, and a fault if it refuses."""
+        """Ask for the value.
+
+        Raises:
+            DeviceFaultError: It refuses, or answers something else.
+            DeviceLostError: It is busy, or a gateway says that it does not answer.
+            DriverStuckError: Nobody answers.
+        """
         return await self._get()
 
 
@@ -253,6 +269,7 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
 
         Raises:
             DeviceFaultError: It refuses, or confirms another value or register.
+            DeviceLostError: It is busy, or a gateway says that it does not answer.
             DriverStuckError: It does not answer.
         """
         request = self._request(command)
