@@ -53,6 +53,33 @@ async def test_a_behavior_whose_device_is_lost_waits_for_it() -> None:
         assert robot.behaviors.query("driver").restarts == 0
 
 
+@pytest.mark.promise("SUP-5")
+@pytest.mark.fault("B02")
+async def test_a_loss_in_a_task_of_a_behavior_is_not_its_fault_either() -> None:
+    """Its task group raises the same as a group."""
+    device = wheels()
+
+    class Grouped(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self.drive())
+
+        async def drive(self) -> None:
+            async for _ in esair.every(0.05):
+                await self.wheels.write(1.0)
+
+    async with esair.Robot(resources=[device], behaviors=[Grouped()]) as robot:
+        for _ in range(5):
+            await device.until(1.0)
+            device.unplug()
+            await asyncio.sleep(2.0)
+            assert robot.behaviors.query("grouped").state is State.PARKED
+            device.plug()
+        assert robot.behaviors.query("grouped").restarts == 0
+
+
 @pytest.mark.promise("SUP-4")
 async def test_a_fault_of_one_device_does_not_wait_for_another() -> None:
     """It can do without what is not there: it is restarted by its policy."""

@@ -75,6 +75,9 @@ def absent_for(
     error: BaseException, action: Behavior | Reaction, is_ready: Callable[[str], bool]
 ) -> list[str]:
     """Return what is not there, if an error may come from that."""
+    if isinstance(error, BaseExceptionGroup):  # of a behavior with tasks of its own
+        each_misses = [absent_for(each, action, is_ready) for each in error.exceptions]
+        return each_misses[0] if all(each_misses) else []
     if not isinstance(error, _ABSENCE):
         return []
     missing = absent(action, is_ready)
