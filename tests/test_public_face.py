@@ -43,6 +43,7 @@ FIXED: list[tuple[Any, str]] = [
     (esair.reads, "type * name max_age every optional configure"),
     (esair.writes, "type * name priority hold blind configure"),
     (esair.guards, "type * name priority latch"),
+    (esair.works, "*partners * within idle"),
     (esair.BehaviorSupervisor.remove, "name"),
     (esair.BehaviorSupervisor.put, "data * sender receiver interval"),
     (esair.BehaviorSupervisor.get, "* sender receiver interval"),

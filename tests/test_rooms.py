@@ -55,7 +55,7 @@ ONE_CIRCLE = {
 PARTS_OF_ONE = {
     "esair.seat": {"_acts", "_operator"},
     "esair.standard": {"_robot", "_seating"},
-    "esair.torture": {"_boxes", "_judge", "_kinds", "_world"},
+    "esair.torture": {"_boxes", "_judge", "_kinds", "_life", "_world"},
 }
 """Parts that name the type of what they are parts of; they do not import it."""
 

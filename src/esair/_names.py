@@ -13,6 +13,7 @@ from esair.actions import (
     guards,
     reads,
     takes,
+    works,
     writes,
 )
 from esair.connections import ActuatorConnection, Registration, SensorConnection
@@ -135,5 +136,6 @@ __all__ = [
     "run",
     "setting",
     "takes",
+    "works",
     "writes",
 ]

@@ -34,6 +34,7 @@ from esair.actions._takes import (
     is_request,
     takes,
 )
+from esair.actions._works import Works, declared_works, works
 from esair.connections import ActuatorPort, SensorPort
 
 __all__ = [
@@ -61,15 +62,18 @@ __all__ = [
     "SensorPort",
     "Takes",
     "ThreadBehavior",
+    "Works",
     "Writes",
     "adapt_action",
     "answers",
     "blocking",
     "declared_requests",
+    "declared_works",
     "guards",
     "is_request",
     "reads",
     "taken",
     "takes",
+    "works",
     "writes",
 ]

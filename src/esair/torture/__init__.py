@@ -12,7 +12,7 @@ from esair.torture._story import Step, Story
 from esair.torture._survive import survive, write_test
 from esair.torture._target import Target
 from esair.torture._torture import Finding, Report, torture
-from esair.torture._world import Outcome, World
+from esair.torture._world import Outcome, World, tell
 
 __all__ = [
     "KINDS",
@@ -26,6 +26,7 @@ __all__ = [
     "Violation",
     "World",
     "survive",
+    "tell",
     "torture",
     "write_test",
 ]

@@ -64,6 +64,23 @@ ERRORS: dict[str, Callable[[], BaseException]] = {
 """What a driver, or a behavior, may raise."""
 
 
+_INJECTED = "injected by torture"
+
+
+def injected(error: str) -> BaseException:
+    """Make an error that a driver, or a behavior, is made to raise; it says so."""
+    made = ERRORS[error]()
+    made.add_note(_INJECTED)
+    return made
+
+
+def is_injected(error: BaseException) -> bool:
+    """Tell whether an error is one of those, or a group of them."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(is_injected, error.exceptions))
+    return _INJECTED in getattr(error, "__notes__", ())
+
+
 class Gate:
     """Every call of one driver passes here.
 
@@ -236,7 +253,7 @@ class Gate:
         if now < self.gone and name != "close":
             raise ConnectionResetError(104, "unplugged")
         if now < self.fails:
-            raise ERRORS[self.error]()
+            raise injected(self.error)
 
     def _reading(self, value: Any) -> Any:
         now = self._loop.time()

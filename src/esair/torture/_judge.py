@@ -13,13 +13,13 @@ from esair.actions import Guards, Reaction, Reads, Writes
 from esair.exceptions import BehaviorFailedError, EsairError, describe
 from esair.messages import BehaviorState, ResourceState
 from esair.torture._gate import Gate, Told
+from esair.torture._life import WELL_AFTER, judge_life
 from esair.torture._values import is_good, same
 
 if TYPE_CHECKING:
     from esair.torture._world import World
 
 SLACK = 0.02  # By how much what is bounded by time may be late, in seconds
-WELL_AFTER = 11.0  # How long after its last fault a robot is itself again, in seconds
 
 AGAIN_WITHIN = 0.6
 """How soon safe is sent again after a motion that came too late, in seconds."""
@@ -260,6 +260,7 @@ class Judge:
                     why = "" if member.error is None else f": {describe(member.error)}"
                     text = f"it has failed for good, though nothing is wrong{why}"
                     self.say("well", name, text[:300])
+        judge_life(world)
 
     # The end.
 

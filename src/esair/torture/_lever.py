@@ -11,7 +11,7 @@ from typing import Any
 
 from esair.actions import Reaction
 from esair.loop import portal
-from esair.torture._gate import ERRORS
+from esair.torture._gate import injected
 from esair.torture._values import has_number, is_good, wrong
 
 
@@ -65,7 +65,7 @@ class Lever:
                 self._loop.advance(self.slow[-1][1])
             self.undecided = True
             if error is not None:
-                raise ERRORS[error]()
+                raise injected(error)
             command = react(*args, **readings)
             if now < self.mad and command is not None and has_number(command):
                 command = wrong(command, self.how)
@@ -88,7 +88,7 @@ class Lever:
                 if error is None:
                     raise
                 task.uncancel()
-                raise ERRORS[error]() from None
+                raise injected(error) from None
             finally:
                 self._tasks.discard(task)
 
@@ -121,7 +121,7 @@ class Lever:
             self._loop.wait_in_thread(hangs)
         error, self._error = self._error, None
         if error is not None:
-            raise ERRORS[error]()
+            raise injected(error)
 
     @types.coroutine
     def _driven(self, run: Coroutine[Any, Any, None]) -> Generator[Any, Any, None]:

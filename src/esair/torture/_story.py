@@ -62,8 +62,9 @@ class Story:
 
     @property
     def over_at(self) -> float:
-        """When the last step is undone, in seconds."""
-        return max((each.at + each.lasts for each in self.steps), default=0.0)
+        """When the last fault is undone, in seconds; its end is none."""
+        faults = (each for each in self.steps if each.kind != "end")
+        return max((each.at + each.lasts for each in faults), default=0.0)
 
 
 def repr_of(text: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from esair.torture._judge import Violation
 from esair.torture._story import Step, Story, repr_of
 from esair.torture._target import Target
-from esair.torture._world import World
+from esair.torture._world import tell
 
 _TEST = '''\
 """{title}
@@ -54,7 +54,7 @@ def survive(
         AssertionError: Something was seen that must never be.
     """
     target = Target.of(os.fspath(robot), own=own)
-    outcome = World(target, Story(seed, tuple(steps), lasts)).run()
+    outcome = tell(target, Story(seed, tuple(steps), lasts))
     if outcome.violations:
         lines = ["what must never be:", *map(str, outcome.violations)]
         lines += ["what was done:", *map(str, steps)]

@@ -11,6 +11,7 @@ from typing import Any
 import esair
 from esair import config
 from esair.exceptions import ConfigError, EsairError
+from esair.torture._life import Habits
 
 Make = Callable[[], esair.Robot]
 
@@ -29,6 +30,7 @@ class Target:
         alone: As above.
         file: The folder that tests are written for, and the words that name the
             robot; None if only this process knows it.
+        habits: What it does when nothing is done to it; None before it was looked at.
     """
 
     def __init__(
@@ -38,6 +40,7 @@ class Target:
         self.alone = alone
         self.file: Path | None = None
         self.own = False
+        self.habits: Habits | None = None
         self._make = make
 
     @classmethod

@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 
+import attrs
+
 from esair.torture._kinds import KINDS, Cast, Kind
 from esair.torture._story import Step, Story
 
@@ -12,11 +14,12 @@ DENSE, SPARSE = (0.08, 30, 80), (0.4, 6, 24)
 """Random stories: the pause between two steps on average, in seconds; how many steps
 there are, at least and at most."""
 
+UP = 3.0  # When the first step is in a story that looks what comes after, in seconds
 SIEGE = 6.0
 """When the robot is stopped in a story that looks for what grows, in seconds: the
 fault outlasts it."""
 
-CALM = 12.0  # How long some stories go on when all is well again, in seconds
+FEWEST, MOST = 2, 6  # How many steps there are in a story that looks what comes after
 
 
 def calm(seed: int) -> Story:
@@ -35,6 +38,45 @@ def sieges(cast: Cast, seed: int) -> Iterator[Story]:
             yield Story(seed, (step,), lasts=SIEGE)
 
 
+def aftermaths(cast: Cast, seed: int, calm: float) -> Iterator[Story]:
+    """Tell of each component that one thing is done to it, then of some at random.
+
+    Each goes on for long when all is well again: does the robot, too?
+
+    Args:
+        cast: Who is in the robot.
+        seed: Decides the stories.
+        calm: How long they go on, in seconds.
+    """
+    dice = random.Random(seed)
+    for kind in KINDS.values():
+        for name in cast[kind.on] if kind.weight and kind.name != "suspended" else ():
+            how, much = dice.choice(kind.hows), dice.choice(kind.much)
+            lasts = dice.choice(kind.lasts[-2:])
+            yield _calmly(
+                [Step(UP, kind.name, name, lasts=lasts, how=how, much=much)], dice, calm
+            )
+    while True:
+        steps = random_story(cast, dice.randrange(2**31)).steps
+        begin = dice.randrange(max(1, len(steps) - MOST))
+        steps = steps[begin : begin + dice.randint(FEWEST, MOST)]
+        yield _calmly(
+            [
+                attrs.evolve(each, at=round(each.at - steps[0].at + UP, 3))
+                for each in steps
+                if each.kind not in {"suspended", "end"}
+            ],
+            dice,
+            calm,
+        )
+
+
+def _calmly(steps: list[Step], dice: random.Random, calm: float) -> Story:
+    """Make a story that goes on for long when all is well again."""
+    story = Story(dice.randrange(1, 2**31), tuple(steps))
+    return attrs.evolve(story, lasts=round(story.over_at + calm, 3))
+
+
 def random_story(cast: Cast, seed: int) -> Story:
     """Tell a random story; the same seed tells the same one."""
     dice = random.Random(seed)
@@ -47,7 +89,7 @@ def random_story(cast: Cast, seed: int) -> Story:
         at += dice.choice((0.0, dice.expovariate(1 / gap), dice.expovariate(1 / gap)))
         (kind,) = dice.choices(kinds, weights)
         steps.append(_step(kind, cast, at, dice))
-    lasts = round(at + dice.choice((0.0, 0.3, *(1.0,) * 8, CALM)), 3)
+    lasts = round(at + dice.choice((0.0, 0.3, *(1.0,) * 8)), 3)
     how = dice.choice(("", "", "stop", "cancel", "error"))
     if how:
         steps.append(Step(lasts, "end", how=how))

@@ -19,15 +19,18 @@ import attrs
 
 from esair.torture._judge import Violation
 from esair.torture._kinds import cast_of
+from esair.torture._life import longest_tail
 from esair.torture._shrink import shrink
 from esair.torture._story import Story
 from esair.torture._target import Target
-from esair.torture._teller import calm, random_story, sieges
-from esair.torture._world import Check, Outcome, World
+from esair.torture._teller import aftermaths, calm, random_story, sieges
+from esair.torture._world import Check, Outcome, tell
 
 MOST_FINDINGS = 5  # After how many findings it ends
 COLLECT = 25  # How many stories are told between two collections of what they leave
-RANDOM = 3  # How many random stories are told for each that does one thing for long
+RANDOM = 3
+"""How many random stories are told for each that does one thing for long, and for each
+that looks what comes after."""
 
 LONGER = 5
 """How many times as long a story is told again that has found what only grows."""
@@ -114,7 +117,7 @@ def torture(
     known: set[tuple[str, str]] = set()
     with _quietly(), _interruptible(report):
         for story in _stories(target, seed, checks):
-            outcome = World(target, story, checks).run()
+            outcome = tell(target, story, checks)
             _count(report, outcome)
             for violation in outcome.violations:
                 if violation.key not in known and len(report.findings) < findings:
@@ -142,13 +145,17 @@ def _stories(target: Target, seed: int, checks: tuple[Check, ...]) -> Iterator[S
     first = calm(seed)
     yield first
     try:
-        cast = cast_of(target.make())
+        robot = target.make()
     except Exception:  # it cannot be made: that was the finding
         return
+    cast = cast_of(robot)
     one_by_one = sieges(cast, seed)
+    calmly = aftermaths(cast, seed, longest_tail(robot) + 0.5)
     for number in itertools.count():
         if number % RANDOM == 0 and (siege := next(one_by_one, None)) is not None:
             yield siege
+        if number % RANDOM == 1:
+            yield next(calmly)
         yield random_story(cast, seed * 1_000_003 + number)
 
 
@@ -172,18 +179,18 @@ def _shrunk(
 ) -> Finding | None:
     """Return the finding with its shortest story; None if it was none."""
     if violation.rule == "queue":
-        told = World(target, _longer(story), checks).run()
+        told = tell(target, _longer(story), checks)
         if violation.key not in told.keys:
             return None  # it has a bound, which is further away
 
     def shows(other: Story) -> bool:
         if report.interrupted or time.monotonic() > until:
             return False  # it stays as long as it is
-        return violation.key in World(target, other, checks).run().keys
+        return violation.key in tell(target, other, checks).keys
 
     if violation.rule != "holds":  # that takes real time
         story = shrink(story, shows)
-        found = World(target, story, checks).run().violations
+        found = tell(target, story, checks).violations
         violation = next((e for e in found if e.key == violation.key), violation)
     return Finding(violation, story)
 

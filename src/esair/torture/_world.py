@@ -20,6 +20,17 @@ from esair.torture._gate import Gate
 from esair.torture._judge import SLACK, Judge, Violation, protected_in
 from esair.torture._kinds import KINDS, NotNowError
 from esair.torture._lever import Lever
+from esair.torture._life import (
+    CALM_FOR,
+    CALMS,
+    OF_LIFE,
+    UNTOLD,
+    Deeds,
+    habits_in,
+    is_judged,
+    lasting_in,
+    look_after,
+)
 from esair.torture._patience import HeldError, Patience, abandon, virtual_sleep
 from esair.torture._story import Step, Story
 from esair.torture._target import Target
@@ -27,6 +38,8 @@ from esair.torture._target import Target
 END_WITHIN = 120.0
 """How long the end of a robot may take at all, in seconds of the virtual clock."""
 
+CARE = 5.0  # How long after the last fault the user looks after the robot, in seconds
+RETOLD = 3  # How often a story is told again that shows that its robot is lifeless
 DRAIN = 6.0  # How long what is late may still come after the end, in seconds
 
 Check = Callable[["World"], None]
@@ -71,6 +84,8 @@ class World:
         muted: Until when a protection lets everything pass, by name.
         protected: The actuators that somebody guards, or keeps safe while blind, at
             first: what the user takes away from them is the user's.
+        deeds: What its actions have done.
+        lasting: The actions that had not come to an end shortly before the robot did.
     """
 
     def __init__(
@@ -91,6 +106,8 @@ class World:
         self.robot: esair.Robot
         self.grace = 1.0
         self.boxes = Boxes()
+        self.deeds: Deeds
+        self.lasting: set[str] = set()
         self._checks = checks
         self._spares: dict[str, list[Any]] = {}
         self._jumps: list[tuple[float, float]] = []
@@ -214,6 +231,7 @@ class World:
             self.judge.say("start", "robot", _told_by(error)[:300])
             return False
         self.grace = self.robot.grace
+        self.deeds = Deeds(self.robot)
         self.protected = protected_in(self.robot.plan.behaviors)
         for component in (*self.robot.plan.resources, *self.robot.plan.behaviors):
             self._reach(component)
@@ -263,6 +281,7 @@ class World:
                 self.is_up = True
                 how = await self._over
                 self.boxes.look(self)
+                self.lasting = lasting_in(self.robot)
                 self.judge.calm()
                 self.begin_to_end()
                 if how == "error":
@@ -292,11 +311,17 @@ class World:
         for part in range(1, 5):
             when = self.story.lasts * part / 4 - 1e-3
             agenda.append((when, -1, lambda: self.boxes.look(self)))
+        agenda.append((self.story.over_at + CARE, -1, self._look_after))
         agenda.append((self.story.lasts, 10**6, lambda: self.finish("leave")))
         for when, _, act in sorted(agenda, key=lambda each: each[:2]):
             if when > self.now:
                 await asyncio.sleep(when - self.now)
             act()
+
+    def _look_after(self) -> None:
+        if self.ends is None and self.is_up:
+            with contextlib.suppress(esair.EsairError):
+                look_after(self.robot)
 
     def _take(self, step: Step) -> None:
         if self.ends is not None:
@@ -342,6 +367,27 @@ class World:
             self.judge.say("left", call.resource, text)
         for problem in problems[:1]:
             self.judge.say("loop", name, problem)
+
+
+def tell(target: Target, story: Story, checks: tuple[Check, ...] = ()) -> Outcome:
+    """Tell a story to a new robot, and judge it.
+
+    What the robot does when nothing is done to it is learned before. Whether it lives on
+    may hang on what stand-ins say: it is a finding if it shows with other seeds too.
+    """
+    if target.habits is None and is_judged(story):
+        worlds = [World(target, Story(n, (), CALM_FOR), checks) for n in range(CALMS)]
+        broken = {rule for world in worlds for rule, _ in world.run().keys}
+        target.habits = habits_in([] if broken & UNTOLD else worlds)
+    outcome = World(target, story, checks).run()
+    shown = doubtful = {key for key in outcome.keys if key[0] in OF_LIFE}
+    for number in range(1, RETOLD + 1):
+        if shown:
+            again = attrs.evolve(story, seed=story.seed + number)
+            shown = shown & World(target, again, checks).run().keys
+    chance = doubtful - shown
+    found = tuple(each for each in outcome.violations if each.key not in chance)
+    return attrs.evolve(outcome, violations=found)
 
 
 class _StoryError(Exception):
