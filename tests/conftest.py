@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests import patience
 from tests.leaks import OwnLeaks
 
 import esair
@@ -33,6 +34,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "xdist_group(name): kept on one worker")
     config.addinivalue_line("markers", "long: too long for every run (--esair-long)")
     config.addinivalue_line("markers", "longer: does more with --esair-long")
+    patience.measures = config.getoption("--esair-long")
     has_compiled = not sys.dont_write_bytecode
     sys.dont_write_bytecode = False  # of this process; its children read their own
     import hypothesis  # pytest rewrites it: not in each worker
@@ -56,11 +58,15 @@ def pytest_configure(config: pytest.Config) -> None:
     _keep_what_is_rewritten(config)
 
 
-def pytest_sessionstart() -> None:
+def pytest_sessionstart(session: pytest.Session) -> None:
     """Look for what only the tests of esair itself can leave behind."""
     # Not above: older pytests want to rewrite a plugin before anybody imports it.
     from esair.testing import _asyncio_plugin
 
+    plugins = session.config.pluginmanager
+    terminal = plugins.getplugin("terminalreporter")
+    if terminal is not None and not hasattr(session.config, "workerinput"):
+        plugins.register(Namer(terminal))
     _asyncio_plugin.Leaks = OwnLeaks  # type: ignore[misc, assignment]
 
 
@@ -105,6 +111,19 @@ def pytest_runtest_makereport(item: pytest.Item) -> Any:
         report.outcome = "failed"
         report.longrepr = f"a driver skips its contract: {report.longrepr}"
     return report
+
+
+class Namer:
+    """Names each failure as it happens, not when all is over."""
+
+    def __init__(self, terminal: Any) -> None:
+        self.terminal = terminal
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            self.terminal.ensure_newline()
+            when = "" if report.when == "call" else f", in its {report.when}"
+            self.terminal.write_line(f"FAILED {report.nodeid}{when}", red=True)
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

@@ -89,6 +89,7 @@ class Beat(esair.Behavior):
 
 
 @pytest.mark.promise("TURN-4")
+@pytest.mark.long
 async def test_a_beat_is_in_time_beside_twenty_loops_without_end(
     fake_sensor: Any,
 ) -> None:
@@ -169,39 +170,39 @@ async def test_a_duration_ends_read_decide_write() -> None:
 
 
 class Hog(esair.Behavior):
-    """Holds the loop once."""
+    """Holds the loop until somebody says so, for twenty seconds at most."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.named = threading.Event()
 
     async def run(self) -> None:
         await asyncio.sleep(0.1)
-        time.sleep(0.5)  # noqa: ASYNC251 - that is its fault
-        await asyncio.sleep(100)
+        self.named.wait(20.0)
 
 
 @pytest.mark.promise("TURN-4")
 @pytest.mark.fault("O09", "B07")
 async def test_who_holds_the_loop_is_named_while_it_does() -> None:
     """One line with the component, the place and the stack, before it is over."""
-    records: list[tuple[float, str]] = []
+    hog, told = Hog(), list[str]()
 
     class Keep(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            records.append((time.monotonic(), record.getMessage()))
+            if "is held" in record.getMessage() and "by hog (" in record.getMessage():
+                told.append(record.getMessage())
+                hog.named.set()
 
     keep = Keep()
     logging.getLogger("esair").addHandler(keep)
     try:
-        async with esair.Robot(behaviors=[Hog()], stall_warning=0.1):
-            await asyncio.sleep(0.05)
-            over = time.monotonic() + 0.55
-            await asyncio.sleep(0.8)
+        async with esair.Robot(behaviors=[hog], stall_warning=0.1):
+            await asyncio.sleep(0.5)  # longer if it holds the loop
     finally:
         logging.getLogger("esair").removeHandler(keep)
-    held = [(at, text) for at, text in records if "is held" in text]
-    assert len(held) == 1
-    at, text = held[0]
-    assert at < over
-    assert "by hog (" in text
-    assert "time.sleep(0.5)" in text
+    assert hog.named.is_set()  # it has not held it until the end
+    (text,) = told
+    assert "self.named.wait(20.0)" in text
 
 
 @pytest.mark.fault("B07")
@@ -227,6 +228,7 @@ def test_nobody_is_blamed_while_the_loop_waits() -> None:
 
 @pytest.mark.fault("O10")
 @pytest.mark.promise("ROB-7")
+@pytest.mark.long
 async def test_cycles_are_collected_while_a_robot_runs() -> None:
     """Memory stays bounded, and no collection takes long."""
     alive = made = 0
@@ -268,9 +270,11 @@ async def test_what_a_long_collection_keeps_is_not_looked_at_again() -> None:
         collector.collect()
         collector.collect()  # it has doubled: all of it is looked at once more
         first = collector.longest
-        began = time.perf_counter()
-        collector.collect()
-        again = time.perf_counter() - began
-        assert again < first / 3
+        again = []
+        for _ in range(5):  # other work of the computer makes one of them longer
+            began = time.perf_counter()
+            collector.collect()
+            again.append(time.perf_counter() - began)
+        assert min(again) < first / 3
         assert len(large) == 400_000
     assert gc.get_freeze_count() == 0

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.patience import in_time
+from tests.patience import in_time, within
 
 pytestmark = pytest.mark.real_clock
 
@@ -110,6 +110,7 @@ def is_safe(lines: list[str]) -> bool:
     [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
 )
 @pytest.mark.parametrize("blocking", [False, True], ids=["async", "blocking"])
+@pytest.mark.longer
 async def test_a_signal_stops_in_order(
     tmp_path: Path, number: signal.Signals, code: int, blocking: bool
 ) -> None:
@@ -120,7 +121,7 @@ async def test_a_signal_stops_in_order(
 
     assert returned == code, errors
     assert is_safe(lines)
-    assert seconds < 2.0
+    assert within(2.0, seconds)
     assert "Traceback" not in errors
 
 
@@ -213,6 +214,7 @@ async def test_a_signal_after_a_normal_end_is_not_lost(tmp_path: Path) -> None:
 
 @pytest.mark.promise("ROB-2")
 @pytest.mark.fault("O03")
+@pytest.mark.longer
 async def test_a_third_signal_ends_a_stop_that_hangs(tmp_path: Path) -> None:
     """What was safe at once stays so; nobody waits for the rest."""
     main = """
@@ -232,7 +234,7 @@ async def test_a_third_signal_ends_a_stop_that_hangs(tmp_path: Path) -> None:
     )
 
     assert returned == 130, errors
-    assert seconds < 2.0
+    assert within(2.0, seconds)
     assert [line for line in lines if line[0].isdigit()][-1] == "0.0"
 
 
@@ -275,6 +277,7 @@ async def test_signals_are_heard_without_run_too(
     assert is_safe(lines)
 
 
+@pytest.mark.long  # the third ends the process in time, whatever it has done by then
 @pytest.mark.promise("ROB-2")
 @pytest.mark.fault("O01", "O03")
 @pytest.mark.parametrize(
@@ -371,6 +374,7 @@ async def test_run_ends_after_its_duration(tmp_path: Path) -> None:
 
 @pytest.mark.promise("ROB-2", "AC-4")
 @pytest.mark.fault("O16", "D21")
+@pytest.mark.longer
 async def test_a_stuck_driver_does_not_delay_the_exit(tmp_path: Path) -> None:
     """A blocking call that never returns is left behind; the program ends in two seconds."""
     main = """
@@ -387,7 +391,7 @@ async def test_a_stuck_driver_does_not_delay_the_exit(tmp_path: Path) -> None:
     )
 
     assert returned == 143, errors
-    assert seconds < 2.0
+    assert within(2.0, seconds)
 
 
 @pytest.mark.fault("T02")

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.patience import in_time
+from tests.patience import in_time, within
 
 import esair
 
@@ -109,11 +109,13 @@ def repeats(config: pytest.Config) -> int:
 @pytest.mark.parametrize(
     ("stuck", "count"),
     [
-        *((stuck, 3) for stuck in STUCK),
         ("loop", 1),
         *(pytest.param(s, 1, marks=pytest.mark.long) for s in STUCK if s != "loop"),
+        # It ends the process in time, whatever that has done by then.
+        *(pytest.param(s, 3, marks=pytest.mark.long) for s in STUCK),
     ],
 )
+@pytest.mark.longer
 async def test_the_ladder_of_exits_with_a_stuck_loop(
     tmp_path: Path, stuck: str, count: int, request: pytest.FixtureRequest
 ) -> None:
@@ -129,7 +131,7 @@ async def test_the_ladder_of_exits_with_a_stuck_loop(
 
         assert returned == 143, errors
         assert told[-1] == "wheels=0.0", errors
-        assert seconds < limit, errors
+        assert within(limit, seconds), errors
 
 
 TIDY = """
@@ -211,6 +213,7 @@ async def test_a_slow_import_is_nobodys_reason_to_interrupt(tmp_path: Path) -> N
         ),
     ],
 )
+@pytest.mark.longer
 async def test_run_ends_after_its_duration_whatever_is_stuck(
     tmp_path: Path, stuck: str
 ) -> None:
@@ -225,7 +228,7 @@ async def test_run_ends_after_its_duration_whatever_is_stuck(
     )
 
     assert told[-1] == "wheels=0.0", errors
-    assert seconds < 5.3
+    assert within(5.3, seconds)
 
 
 @pytest.mark.promise("ROB-5")
@@ -263,6 +266,7 @@ async def test_each_of_two_robots_ends_safe_on_a_signal(
 @pytest.mark.parametrize(
     "stuck", [pytest.param("swallow", marks=pytest.mark.long), "deaf"]
 )
+@pytest.mark.longer
 async def test_no_runner_waits_for_what_would_not_end(
     tmp_path: Path, stuck: str, runner: str
 ) -> None:
@@ -280,7 +284,7 @@ async def test_no_runner_waits_for_what_would_not_end(
     assert returned == 0, errors
     assert told[-1] == "wheels=0.0"
     assert "left behind, they would not end: drive" in errors
-    assert seconds < 8.0
+    assert within(8.0, seconds)
 
 
 @pytest.mark.promise("ROB-5")
@@ -288,6 +292,7 @@ async def test_no_runner_waits_for_what_would_not_end(
 @pytest.mark.parametrize(
     "how", ["anyio", "uvloop", "debug", "optimized", "scope", "eager"]
 )
+@pytest.mark.longer
 async def test_a_robot_lives_in_every_kind_of_loop(tmp_path: Path, how: str) -> None:
     """It starts, drives, and ends safe on a signal, without a spin."""
     if how == "uvloop":
@@ -321,7 +326,7 @@ async def test_a_robot_lives_in_every_kind_of_loop(tmp_path: Path, how: str) -> 
 
     assert returned == 143, errors
     assert told[-1] == "wheels=0.0"
-    assert seconds < 2.0
+    assert within(2.0, seconds)
     assert "Traceback" not in errors
 
 

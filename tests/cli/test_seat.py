@@ -7,6 +7,7 @@ import select
 import time
 
 import pytest
+from tests.patience import within
 
 pytestmark = pytest.mark.real_clock
 
@@ -110,13 +111,16 @@ def told(folder):
 
 
 @pytest.mark.promise("OPS-2", "OPS-3")
+@pytest.mark.longer
 def test_a_robot_is_watched_and_steered(esair, robot):
     """Each verb does what it says, by what the motor was told."""
     folder = robot()
 
     shown = esair("top")
     assert re.search(r"motor +ready +always \(0\)", shown), shown
-    assert re.search(r"sonar +ready +1.25 +(19|20|21)", shown), shown
+    sonar = re.search(r"sonar +ready +1.25 +(\d+)", shown)
+    assert sonar, shown
+    assert within(2, abs(int(sonar[1]) - 20)), shown
     status = json.loads(esair("top", "--json"))
     assert status["robot"] == "rover"
     assert "held by always" in esair("why", "motor")

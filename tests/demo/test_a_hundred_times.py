@@ -75,6 +75,7 @@ async def test_a_device_pulled_a_hundred_times(which: str) -> None:
 
 @DEVICES
 @pytest.mark.real_clock
+@pytest.mark.long
 async def test_a_device_on_a_real_wire(
     which: str, request: pytest.FixtureRequest
 ) -> None:

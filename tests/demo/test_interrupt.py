@@ -13,7 +13,7 @@ import pytest
 
 from esair.drivers.wheel_motor import LEFT, RIGHT, command_id, decode_command
 
-pytestmark = pytest.mark.real_clock
+pytestmark = [pytest.mark.real_clock, pytest.mark.long]
 
 SIDES = {command_id(LEFT): LEFT, command_id(RIGHT): RIGHT}
 
@@ -36,11 +36,7 @@ def commands(record: Path) -> list[tuple[int, bool]]:
     [
         pytest.param(signal.SIGINT, 130, 5, id="ctrl-c-while-it-drives"),
         pytest.param(signal.SIGINT, 130, 0, id="ctrl-c-before-it-drives"),
-        pytest.param(
-            *(signal.SIGTERM, 143, 5),
-            id="sigterm-while-it-drives",
-            marks=pytest.mark.long,
-        ),
+        pytest.param(signal.SIGTERM, 143, 5, id="sigterm-while-it-drives"),
     ],
 )
 def test_a_signal_stops_the_wheels(

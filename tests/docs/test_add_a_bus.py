@@ -67,7 +67,7 @@ class TestTcpBus(BusContract):
         self.server = server
 
     def make(self) -> TcpBus:
-        return TcpBus(name="tcp", host="127.0.0.1", port=self.server.port, timeout=0.2)
+        return TcpBus(name="tcp", host="127.0.0.1", port=self.server.port, timeout=1.0)
 
     async def use(self, bus: TcpBus) -> None:
         assert await bus.ask(b"ping") == b"got ping"

@@ -52,6 +52,7 @@ def test_its_tests_pass(scout) -> None:
 
 
 @pytest.mark.promise("SUP-2")
+@pytest.mark.long
 def test_wander_is_swapped_while_the_robot_drives(scout) -> None:
     """The script prints what the tutorial shows."""
     *before, one, two, last = run("swap.py", folder=scout).splitlines()

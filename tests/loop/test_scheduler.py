@@ -177,18 +177,25 @@ def test_every_takes_a_number_of_seconds(period: Any) -> None:
         esair.every(period)
 
 
-@pytest.mark.real_clock
-def test_every_waits_without_a_loop_too() -> None:
-    """A plain loop outside of a robot ticks in real time; what passed is left out."""
-    every = esair.every(0.01)
-    begun = time.monotonic()
-    ticks = [tick for tick, _ in zip(every, range(3), strict=False)]
+def test_every_waits_without_a_loop_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plain loop outside of a robot waits for each tick; what passed is left out."""
+    now, slept = 100.0, list[float]()
 
-    assert ticks[-1] <= time.monotonic() - begun
-    assert ticks[0] == 0.0
-    steps = [round((b - a) / 0.01, 6) for a, b in itertools.pairwise(ticks)]
-    assert all(step >= 1.0 and step.is_integer() for step in steps)
-    assert sum(steps) <= 2 + every.late
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        slept.append(seconds)
+        now += seconds
+
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    monkeypatch.setattr(time, "sleep", sleep)
+    every, ticks = esair.every(0.01), list[float]()
+    for takes, tick in zip((0.004, 0.0, 0.035, 0.0), every, strict=False):
+        ticks.append(tick)
+        now += takes
+
+    assert ticks == [pytest.approx(each) for each in (0.0, 0.01, 0.02, 0.05)]
+    assert slept == [pytest.approx(each, abs=1e-9) for each in (0.0, 0.006, 0.01, 0.0)]
+    assert every.late == 2
 
 
 @pytest.mark.virtual_clock

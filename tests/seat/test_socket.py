@@ -10,6 +10,7 @@ import sys
 
 import attrs
 import pytest
+from tests.patience import within
 from tests.seat.conftest import STILL, Twist, Wander, eventually
 
 import esair
@@ -322,6 +323,7 @@ async def test_a_slow_client_gets_the_newest_only(rover, raw):
 
 
 @pytest.mark.promise("OPS-3")
+@pytest.mark.longer
 async def test_a_flood_of_settings_does_not_delay_a_stop(rover, raw):
     """1,000 settings a second beside it: the wheels are safe within 20 ms."""
     lamp = Lamp()
@@ -367,7 +369,7 @@ async def test_a_flood_of_settings_does_not_delay_a_stop(rover, raw):
         await asyncio.gather(*work, return_exceptions=True)
     assert len(lamp.applied) > 100
     late.sort()  # a computer with other work to do may be late itself, not each time
-    assert late[len(late) // 10] < 0.020, late
+    assert within(0.020, late[len(late) // 10]), late
 
 
 @pytest.mark.fault("H12")

