@@ -24,15 +24,14 @@ Source: the API of ``busio.I2C`` of CircuitPython, and of adafruit_bus_device 5.
 from __future__ import annotations
 
 import contextlib
-import importlib
 import math
-import re
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Required, TypedDict, Unpack
 
 from esair.buses import I2CBus
 from esair.buses.i2c import SILENT, probe, transfer
+from esair.drivers.object import Made
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -50,9 +49,6 @@ from esair.resources import (
 )
 
 __all__ = ["AdafruitActuator", "AdafruitBus", "AdafruitSensor"]
-
-_PATH = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)*(\(\))?")
-_PIECE = re.compile(r"[A-Za-z_]\w*|\[\d+\]")
 
 _SHORTEST = 20e-6  # What a transfer takes: an address at 1 MHz, in seconds
 
@@ -169,7 +165,7 @@ class AdafruitBus:
 
 
 class _OnPart(Resource):
-    """What the sensor and the actuator have in common: a driver's object, made anew."""
+    """What the sensor and the actuator have in common: a driver's object on a bus."""
 
     bus: I2CBus
     deadline = 2.0
@@ -184,72 +180,53 @@ class _OnPart(Resource):
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self._make = _imported(self, library) if isinstance(library, str) else library
-        self._arguments = dict(arguments or {})
-        if address is not None:
-            self._arguments["address"] = address
-        self._made: Any = None
+        self._object = Made(
+            self,
+            library,
+            {**(arguments or {}), **({} if address is None else {"address": address})},
+            set_up,
+            hint="Adafruit's packages are named adafruit-circuitpython-...",
+            around=self._alone,
+        )
         self._wire: AdafruitBus | None = None
-        self._set_up = {
-            path: (_attribute(self, f"set_up.{path}", path), value)
-            for path, value in (set_up or {}).items()
-        }
         self._kept: dict[str, Any] = {}
 
     @property
     def can_tell_set_up(self) -> bool:
         """Whether it has a ``set_up``."""
-        return bool(self._set_up)
+        return bool(self._object.set_up)
 
     def open(self) -> None:
         """Have the driver set the part up; on the thread of the bus."""
-        self._made = None
         wire = self._wire = AdafruitBus(self.bus)
-        with self._alone():
-            try:
-                self._made = self._make(wire, **self._arguments)
-                for pieces, value in self._set_up.values():
-                    self._assign(pieces, value)
-                for path, (pieces, _) in self._set_up.items():
-                    before = wire.transfers
-                    self._kept[path] = self._follow(pieces)
-                    if wire.transfers == before:
-                        raise ConfigError(
-                            self.name,
-                            f"set_up.{path}",
-                            "expected an attribute that is read from the part; the "
-                            "driver remembers this one, and a restart would not show",
-                        )
-            except Exception as error:
-                if _is_silence(error) or not self.bus.is_open:
-                    raise DeviceLostError(self.name, describe(error)) from error
-                raise
+        try:
+            self._object.open(wire)
+            for text, (path, _) in self._object.set_up.items():
+                before = wire.transfers
+                self._kept[text] = self._object.get(path)
+                if wire.transfers == before:
+                    raise ConfigError(
+                        self.name,
+                        f"set_up.{text}",
+                        "expected an attribute that is read from the part; the "
+                        "driver remembers this one, and a restart would not show",
+                    )
+        except Exception as error:
+            self._object.it = None
+            if _is_silence(error) or not self.bus.is_open:
+                raise DeviceLostError(self.name, describe(error)) from error
+            raise
 
     def close(self) -> None:
-        """Forget the driver's object."""
-        self._made = None
+        """Forget the driver's object; the wire is the robot's, and stays open."""
+        self._object.it = None
 
     def is_set_up(self) -> bool:
         """Tell whether all of ``set_up`` is as it was after the opening."""
-        with self._alone():
-            return all(
-                self._follow(pieces) == self._kept[path]
-                for path, (pieces, _) in self._set_up.items()
-            )
-
-    def _assign(self, pieces: Sequence[str], value: Any) -> None:
-        *way, last = pieces
-        setattr(self._follow(way), last, value)
-
-    def _follow(self, pieces: Sequence[str]) -> Any:
-        if self._made is None:
-            raise DeviceLostError(self.name, "it is not open")
-        found = self._made
-        for piece in pieces:
-            found = (
-                found[int(piece[1:-1])] if piece[0] == "[" else getattr(found, piece)
-            )
-        return found
+        return all(
+            self._object.get(path) == self._kept[text]
+            for text, (path, _) in self._object.set_up.items()
+        )
 
     @contextlib.contextmanager
     def _alone(self) -> Iterator[None]:
@@ -286,9 +263,8 @@ class AdafruitSensor(_OnPart, Sensor[Any]):
     Args:
         library: The driver's class as ``module:Class``, or anything that is called with
             a ``busio.I2C`` and makes an object.
-        value: The attribute that is read, such as ``"temperature"``; a path to it, such
-            as ``"channels[0].voltage"``, with ``()`` at the end if it is to be called. If
-            there are several, a reading is a dictionary of them.
+        value: What is read, such as ``"temperature"``, ``"channels[0].voltage"`` or
+            ``"read(0)"``. If there are several, a reading is a dictionary of them.
         address: The address of the part; the driver's own default if None.
         arguments: Further keywords for the driver's class.
         set_up: Attributes that are assigned at each opening, by their paths. A part that
@@ -299,20 +275,11 @@ class AdafruitSensor(_OnPart, Sensor[Any]):
         self, *, value: str | Sequence[str], **settings: Unpack[_SensorSettings]
     ) -> None:
         super().__init__(**settings)
-        names = [value] if isinstance(value, str) else list(value)
-        if not names:
-            raise ConfigError(self.name, "value", "expected at least one attribute")
-        self._paths = {name: _pieces(self, "value", name) for name in names}
-        self._one = isinstance(value, str)
+        self._read = self._object.reading(value)
 
     def read(self) -> Any:
-        """Read the attributes; on the thread of the bus, nobody else in between."""
-        values = {}
-        with self._alone():
-            for name, pieces in self._paths.items():
-                found = self._follow(pieces)
-                values[name] = found() if name.endswith("()") else found
-        return next(iter(values.values())) if self._one else values
+        """Read it; on the thread of the bus, nobody else in between."""
+        return self._read()
 
 
 class AdafruitActuator(_OnPart, Actuator[Any]):
@@ -321,9 +288,8 @@ class AdafruitActuator(_OnPart, Actuator[Any]):
     Args:
         library: The driver's class as ``module:Class``, or anything that is called with
             a ``busio.I2C`` and makes an object.
-        attribute: The attribute that a command is assigned to, such as ``"value"``; a
-            path to it, such as ``"channels[0].duty_cycle"``; with ``()`` at the end it
-            is called with the command.
+        attribute: What a command is assigned to, such as ``"channels[0].duty_cycle"``;
+            with ``()`` at the end it is called with the command.
         safe: The safe command; commands are of its type.
         limits: Least and greatest command.
         address: The address of the part; the driver's own default if None.
@@ -343,21 +309,14 @@ class AdafruitActuator(_OnPart, Actuator[Any]):
         super().__init__(**settings)
         self.safe = safe
         self.limits = limits
-        self._called = attribute.endswith("()")
-        self._pieces = (_pieces if self._called else _attribute)(
-            self, "attribute", attribute
-        )
+        self._tell = self._object.telling(attribute)
         address = settings.get("address")
         where = "" if address is None else f" at {address:#04x}"
         self.claim = f"{attribute} of {settings['library']}{where}"
 
     def write(self, command: Any) -> None:
         """Assign the command, or call with it; on the thread of the bus."""
-        with self._alone():
-            if self._called:
-                self._follow(self._pieces)(command)
-            else:
-                self._assign(self._pieces, command)
+        self._tell(command)
 
 
 def _is_silence(error: Exception) -> bool:
@@ -365,49 +324,3 @@ def _is_silence(error: Exception) -> bool:
     if isinstance(error, ValueError):
         return isinstance(error.__context__, OSError)
     return isinstance(error, DeviceFaultError) and error.errno in SILENT
-
-
-def _pieces(owner: Resource, field: str, path: str) -> list[str]:
-    if not isinstance(path, str) or not _PATH.fullmatch(path):
-        raise ConfigError(
-            owner.name,
-            field,
-            "expected an attribute such as 'temperature', 'channels[0].duty_cycle' or "
-            f"'measure()', not {path!r:.80}",
-        )
-    return _PIECE.findall(path)
-
-
-def _attribute(owner: Resource, field: str, path: str) -> list[str]:
-    """Return the pieces of a path to something that can be assigned."""
-    pieces = _pieces(owner, field, path)
-    if pieces[-1].startswith("[") or path.endswith("()"):
-        raise ConfigError(owner.name, field, f"expected an attribute, not {path!r}")
-    return pieces
-
-
-def _imported(owner: Resource, library: str) -> Callable[..., Any]:
-    module, colon, name = library.partition(":")
-    if not (module and colon and name):
-        raise ConfigError(
-            owner.name,
-            "library",
-            f"expected 'module:Class' of a CircuitPython driver, not {library!r:.80}",
-        )
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            owner.name,
-            "library",
-            f"{error.name!r} is not installed; Adafruit's packages are named "
-            "adafruit-circuitpython-...",
-        ) from error
-    except Exception as error:  # Blinka refuses to be imported on some boards
-        raise ConfigError(
-            owner.name, "library", f"{library!r} cannot be used: {describe(error)}"
-        ) from error
-    if not callable(found):
-        raise ConfigError(owner.name, "library", f"{library!r} is no class")
-    made: Callable[..., Any] = found
-    return made

@@ -1,0 +1,221 @@
+"""What gpiozero can do on the pins of a Raspberry Pi, class by class.
+
+A part is named by its class; its arguments are those of the class::
+
+    [actuator.left]
+    driver = "gpiozero"
+    device = "Motor"
+    arguments = { forward = 4, backward = 14 }
+
+    [sensor.ahead]
+    driver = "gpiozero"
+    device = "DistanceSensor"
+    arguments = { echo = 17, trigger = 18 }
+    rate = 20
+
+What it reads, or is told, is in `READS` and `TELLS`. Events and sources of gpiozero are not
+used: a robot asks its sensors, and writes to its actuators.
+
+Source: gpiozero 2.0, API of input, output, SPI, internal devices and boards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple, TypeVar, Unpack
+
+import gpiozero
+
+from esair.drivers.object import Made
+from esair.exceptions import ConfigError
+from esair.resources import (
+    HOLD,
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+)
+
+__all__ = ["READS", "TELLS", "Colour", "GpiozeroActuator", "GpiozeroSensor", "Told"]
+
+T = TypeVar("T")
+
+Arguments = Mapping[str, Any] | Sequence[Any] | None
+Limits = tuple[float, float] | Mapping[str, tuple[float, float]] | None
+
+_ADC = "MCP3001 MCP3002 MCP3004 MCP3008 MCP3201 MCP3202 MCP3204 MCP3208"
+
+READS: Final[Mapping[str, str]] = {
+    "Button": "is_pressed",
+    "ButtonBoard": "value",
+    "CPUTemperature": "temperature",
+    "DigitalInputDevice": "is_active",
+    "DiskUsage": "usage",
+    "DistanceSensor": "distance",
+    "LightSensor": "value",
+    "LineSensor": "value",
+    "LoadAverage": "load_average",
+    **dict.fromkeys(_ADC.split(), "value"),
+    "MCP3301": "value",
+    "MCP3302": "value",
+    "MCP3304": "value",
+    "MotionSensor": "motion_detected",
+    "PingServer": "is_active",
+    "RotaryEncoder": "steps",
+    "TimeOfDay": "is_active",
+}
+"""What is read of each class. Distances are metres, temperatures degrees Celsius."""
+
+
+class Colour(NamedTuple):
+    """What an ``RGBLED`` is told: three parts, each from 0 to 1."""
+
+    red: float
+    green: float
+    blue: float
+
+
+class Told(NamedTuple):
+    """What an actuator of gpiozero is told.
+
+    Attributes:
+        attribute: What a command is assigned to.
+        safe: The safe command, whose type is that of the commands.
+        limits: Least and greatest command.
+        arguments: What the class is made with unless said otherwise: a servo that is
+            made must not turn.
+    """
+
+    attribute: str
+    safe: Any
+    limits: Limits = None
+    arguments: Mapping[str, Any] = {}
+
+
+_SWITCH: Final = Told("value", safe=False)
+_DIMMER: Final = Told("value", safe=0.0, limits=(0.0, 1.0))
+_MOTOR: Final = Told("value", safe=0.0, limits=(-1.0, 1.0))
+
+TELLS: Final[Mapping[str, Told]] = {
+    "AngularServo": Told("angle", HOLD, (-90.0, 90.0), {"initial_angle": None}),
+    "Buzzer": _SWITCH,
+    "DigitalOutputDevice": _SWITCH,
+    "Energenie": _SWITCH,
+    "LED": _SWITCH,
+    "LEDBarGraph": _MOTOR,
+    "Motor": _MOTOR,
+    "OutputDevice": _SWITCH,
+    "PWMLED": _DIMMER,
+    "PWMOutputDevice": _DIMMER,
+    "PhaseEnableMotor": _MOTOR,
+    "RGBLED": Told(
+        "value", Colour(0.0, 0.0, 0.0), dict.fromkeys(Colour._fields, (0.0, 1.0))
+    ),
+    "Servo": Told("value", HOLD, (-1.0, 1.0), {"initial_value": None}),
+}
+"""What each class is told. Angles are degrees, all else parts of the whole."""
+
+
+class GpiozeroSensor(Sensor[Any]):
+    """A sensor of gpiozero.
+
+    Args:
+        device: Its class, one of `READS`.
+        arguments: The keywords of the class, or a list of its pins.
+        limits: Least and greatest value; what is outside is a fault of the device.
+    """
+
+    deadline = 2.0
+
+    def __init__(
+        self,
+        *,
+        device: str,
+        arguments: Arguments = None,
+        limits: tuple[float, float] | None = None,
+        **settings: Unpack[SensorSettings],
+    ) -> None:
+        super().__init__(**settings)
+        value = _known(self, device, READS)
+        self.object = Made(self, getattr(gpiozero, device), arguments)
+        self._read = self.object.reading(value)
+        if limits is not None:
+            self.limits = limits
+
+    def open(self) -> None:
+        """Take the pins."""
+        self.object.open()
+
+    def close(self) -> None:
+        """Give the pins back."""
+        self.object.close()
+
+    def read(self) -> Any:
+        """Read it, as `READS` says."""
+        return self._read()
+
+
+class GpiozeroActuator(Actuator[Any]):
+    """An actuator of gpiozero.
+
+    Args:
+        device: Its class, one of `TELLS`.
+        arguments: The keywords of the class, or a list of its pins.
+        limits: Narrower limits than those of `TELLS`; for an ``AngularServo`` they are
+            those of its angles.
+    """
+
+    deadline = 2.0
+
+    def __init__(
+        self,
+        *,
+        device: str,
+        arguments: Arguments = None,
+        limits: Limits = None,
+        **settings: Unpack[ActuatorSettings],
+    ) -> None:
+        super().__init__(**settings)
+        told = _known(self, device, TELLS)
+        self.safe = told.safe
+        self.limits = told.limits if limits is None else limits
+        if not isinstance(arguments, Sequence):
+            arguments = {**told.arguments, **(arguments or {})}
+            if device == "AngularServo" and limits is None:
+                least, most = arguments.get("min_angle"), arguments.get("max_angle")
+                self.limits = (
+                    -90.0 if least is None else float(least),
+                    90.0 if most is None else float(most),
+                )
+        self.object = Made(self, getattr(gpiozero, device), arguments)
+        self._tell = self.object.telling(told.attribute)
+        self.claim = f"{device} {arguments or ''}"
+
+    @property
+    def value_type(self) -> Any:
+        """The type of the commands."""
+        return float if self.safe is HOLD else type(self.safe)
+
+    def open(self) -> None:
+        """Take the pins; nothing moves by it."""
+        self.object.open()
+
+    def close(self) -> None:
+        """Give the pins back."""
+        self.object.close()
+
+    def write(self, command: Any) -> None:
+        """Tell it, as `TELLS` says; a servo that is to hold keeps what it was told."""
+        if command is not HOLD:
+            self._tell(command)
+
+
+def _known(owner: Resource, device: str, known: Mapping[str, T]) -> T:
+    if device not in known:
+        raise ConfigError(
+            owner.name,
+            "device",
+            f"expected one of {', '.join(known)}, not {device!r:.40}",
+        )
+    return known[device]

@@ -1,0 +1,264 @@
+"""What the kernel itself measures and drives: IIO, hwmon, 1-Wire, LEDs and PWM in sysfs.
+
+A part is named by what the kernel calls it, not by a number that changes with the order in
+which things were found; a value is in plain units (degrees Celsius, volts, amperes, watts,
+metres a second squared)::
+
+    [sensor.chip]
+    driver = "sysfs"
+    device = "hwmon:cpu_thermal"
+    value = "temp1"
+
+    [sensor.pressure]
+    driver = "sysfs"
+    device = "iio:bmp280"
+    value = "in_pressure"
+
+    [sensor.water]
+    driver = "sysfs"
+    device = "w1:28-0316a2795dff"
+    value = "temperature"
+
+    [actuator.fan]
+    driver = "sysfs"
+    device = "pwm:0.pwm/1"
+    period = 0.00004
+    safe = 0.0
+
+    [actuator.lamp]
+    driver = "sysfs"
+    device = "led:green"
+    safe = 0.0
+
+Source: Documentation/ABI/testing of Linux: sysfs-bus-iio, sysfs-class-hwmon,
+sysfs-driver-w1_therm, sysfs-class-led, sysfs-class-pwm.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar, Final, Unpack
+
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.resources import (
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+)
+
+__all__ = ["SysfsActuator", "SysfsSensor"]
+
+_FOLDERS: Final = {
+    "hwmon": "class/hwmon",
+    "iio": "bus/iio/devices",
+    "led": "class/leds",
+    "pwm": "class/pwm",
+    "w1": "bus/w1/devices",
+}
+_SCALES: Final = {
+    "hwmon": {"temp": 1e-3, "in": 1e-3, "curr": 1e-3, "power": 1e-6, "humidity": 1e-3},
+    "iio": {"in_temp": 1e-3, "in_voltage": 1e-3, "in_current": 1e-3},
+    "w1": {"temperature": 1e-3},
+}
+"""What the kernel's numbers are multiplied with, by how their names begin."""
+
+
+class _OnSysfs(Resource):
+    """A folder of sysfs, found by its name at each opening."""
+
+    root: ClassVar[Path] = Path("/sys")
+    kinds: ClassVar[tuple[str, ...]]
+
+    def __init__(self, *, device: str, **settings: Unpack[SensorSettings]) -> None:
+        super().__init__(**settings)
+        self.kind, colon, self.place = device.partition(":")
+        if not (colon and self.place and self.kind in self.kinds):
+            raise ConfigError(
+                self.name,
+                "device",
+                f"expected one of {', '.join(self.kinds)}, a colon and a name, "
+                f"such as {self.kinds[0]}:NAME, not {device!r:.80}",
+            )
+        self.device = device
+        self.folder: Path | None = None
+
+    def _find(self, name: str) -> Path:
+        for folder in self._folders():
+            if (
+                name in {folder.name, _text(folder / "name")}
+                or (folder / "device").resolve().name == name
+            ):
+                return folder
+        there = sorted({_text(f / "name") or f.name for f in self._folders()})
+        raise DeviceLostError(
+            self.name,
+            f"the kernel has no {self.kind} {name!r}; it has "
+            + (", ".join(there) or "none at all"),
+        )
+
+    def _folders(self) -> Iterator[Path]:
+        try:
+            yield from sorted((self.root / _FOLDERS[self.kind]).iterdir())
+        except FileNotFoundError:
+            return
+
+    def _read(self, path: Path) -> float:
+        text = path.read_text(encoding="ascii").strip()
+        try:
+            return float(text)
+        except ValueError:
+            raise DeviceFaultError(
+                self.name, f"{path.name} is {text!r:.40}, which is no number"
+            ) from None
+
+    def close(self) -> None:
+        """Forget where it was."""
+        self.folder = None
+
+
+class SysfsSensor(_OnSysfs, Sensor[float]):
+    """A value that the kernel measures.
+
+    Args:
+        device: ``hwmon:NAME``, ``iio:NAME`` or ``w1:NAME``, by the name that the kernel
+            gives the part, or by that of its folder.
+        value: What of it, without ``_input`` or ``_raw``: ``"temp1"``, ``"in_pressure"``.
+        factor: What the value is multiplied with, beside the kernel's own scale.
+        limits: Least and greatest value; what is outside is a fault of the device.
+    """
+
+    kinds = "hwmon", "iio", "w1"
+
+    def __init__(
+        self,
+        *,
+        device: str,
+        value: str,
+        factor: float = 1.0,
+        limits: tuple[float, float] | None = None,
+        **settings: Unpack[SensorSettings],
+    ) -> None:
+        super().__init__(device=device, **settings)
+        if not re.fullmatch(r"[\w-]+", value):
+            raise ConfigError(
+                self.name,
+                "value",
+                f"expected a name such as 'temp1', not {value!r:.40}",
+            )
+        self.value = value
+        self.factor = factor
+        if limits is not None:
+            self.limits = limits
+        stem = value.removesuffix("_input").removesuffix("_raw").rstrip("0123456789")
+        self._scale = _SCALES[self.kind].get(stem, 1.0)
+
+    def open(self) -> None:
+        """Find the part, and read it once."""
+        self.folder = self._find(self.place)
+        self.read()
+
+    def read(self) -> float:
+        """Return the value in its unit, as the kernel says it now."""
+        folder = self.folder
+        if folder is None:
+            raise DeviceLostError(self.name, "it is not open")
+        for name in (f"{self.value}_input", self.value):
+            if (folder / name).is_file():
+                return self._read(folder / name) * self._scale * self.factor
+        raw = folder / f"{self.value}_raw"
+        if not raw.is_file():
+            if not folder.is_dir():
+                raise DeviceLostError(self.name, f"{self.device} is gone")
+            raise DeviceFaultError(self.name, f"{self.device} has no {self.value!r}")
+        number = self._read(raw) + self._beside("offset", 0.0)
+        return number * self._beside("scale", 1.0) * self._scale * self.factor
+
+    def _beside(self, what: str, default: float) -> float:
+        """Return what is said of the value alone, else of all values of its kind."""
+        assert self.folder is not None
+        for stem in (self.value, self.value.rstrip("0123456789")):
+            path = self.folder / f"{stem}_{what}"
+            if path.is_file():
+                return self._read(path)
+        return default
+
+
+class SysfsActuator(_OnSysfs, Actuator[float]):
+    """An LED or a PWM channel of the kernel: how bright, or how much, from 0 to 1.
+
+    Args:
+        device: ``led:NAME``, or ``pwm:CHIP/CHANNEL`` with the chip by the name of its
+            device or of its folder (``pwm:pwmchip0/1``).
+        safe: The safe command.
+        period: The period of a PWM channel, in seconds.
+        limits: Narrower limits than 0 to 1.
+    """
+
+    kinds = "led", "pwm"
+
+    def __init__(
+        self,
+        *,
+        device: str,
+        safe: float = 0.0,
+        period: float = 0.001,
+        limits: tuple[float, float] = (0.0, 1.0),
+        **settings: Unpack[ActuatorSettings],
+    ) -> None:
+        super().__init__(device=device, **settings)
+        self.safe = float(safe)
+        self.limits = limits
+        self._chip, _, channel = self.place.partition("/")
+        if (self.kind == "pwm") != channel.isdecimal():
+            raise ConfigError(
+                self.name,
+                "device",
+                f"expected pwm:CHIP/CHANNEL or led:NAME, not {device!r}",
+            )
+        self._channel = channel
+        self.period_ns = round(period * 1e9)
+        if not 0 < self.period_ns < 2**31:
+            raise ConfigError(self.name, "period", f"expected seconds, not {period!r}")
+        self.claim = device
+        self._file = Path()
+        self._most = 0
+
+    def open(self) -> None:
+        """Find it; a PWM channel is asked for, set to nothing, and switched on."""
+        folder = self.folder = self._find(self._chip)
+        if self.kind == "led":
+            trigger = folder / "trigger"
+            if trigger.is_file():
+                trigger.write_text("none", encoding="ascii")
+            self._file, self._most = (
+                folder / "brightness",
+                int(self._read(folder / "max_brightness")),
+            )
+            return
+        channel = folder / f"pwm{self._channel}"
+        if not channel.is_dir():
+            (folder / "export").write_text(self._channel, encoding="ascii")
+        # A duty above the new period would be refused, and so would the period.
+        (channel / "duty_cycle").write_text("0", encoding="ascii")
+        (channel / "period").write_text(str(self.period_ns), encoding="ascii")
+        (channel / "enable").write_text("1", encoding="ascii")
+        self._file, self._most = channel / "duty_cycle", self.period_ns
+
+    def write(self, command: float) -> float:
+        """Tell how much; returns it as it was rounded."""
+        if self.folder is None:
+            raise DeviceLostError(self.name, "it is not open")
+        steps = round(command * self._most)
+        self._file.write_text(str(steps), encoding="ascii")
+        return steps / self._most
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except OSError:
+        return ""

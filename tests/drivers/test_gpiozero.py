@@ -1,0 +1,181 @@
+"""Parts of gpiozero on pins that it pretends itself: each class of the two tables."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+gpiozero = pytest.importorskip("gpiozero", reason="the extra 'gpiozero' is missing")
+
+from gpiozero.pins.mock import (  # noqa: E402
+    MockFactory,
+    MockPin,
+    MockPWMPin,
+    MockTriggerPin,
+)
+
+import esair  # noqa: E402
+from esair.drivers.gpiozero import (  # noqa: E402
+    READS,
+    TELLS,
+    Colour,
+    GpiozeroActuator,
+    GpiozeroSensor,
+)
+from esair.exceptions import BadValueError, ConfigError  # noqa: E402
+
+# Its parts have threads of their own, on the clock of the computer.
+pytestmark = [
+    pytest.mark.real_clock,
+    pytest.mark.filterwarnings("ignore::gpiozero.PWMSoftwareFallback"),
+]
+
+PINS = {
+    "ButtonBoard": [5, 6],
+    "DistanceSensor": {"echo": 5, "trigger": 6, "partial": True, "queue_len": 1},
+    "Energenie": {"socket": 1},
+    "LEDBarGraph": [5, 6, 13],
+    "LightSensor": {"pin": 5, "partial": True},
+    "LineSensor": {"pin": 5, "partial": True},
+    "Motor": {"forward": 5, "backward": 6},
+    "MotionSensor": {"pin": 5, "partial": True},
+    "PhaseEnableMotor": {"phase": 5, "enable": 6},
+    "PingServer": {"host": "localhost"},
+    "RGBLED": {"red": 5, "green": 6, "blue": 13},
+    "RotaryEncoder": {"a": 5, "b": 6},
+}
+"""What a class is made with, if not with one pin."""
+
+
+def free(name: str) -> esair.Policy:
+    return esair.Policy(name, allow={"*": esair.Access.READ | esair.Access.WRITE})
+
+
+INTERNAL = {"CPUTemperature", "DiskUsage", "LoadAverage", "TimeOfDay"}
+"""They ask the computer itself; their files are not on each one."""
+
+
+@pytest.fixture(autouse=True)
+def factory() -> Iterator[Any]:
+    before = gpiozero.Device.pin_factory
+    made = gpiozero.Device.pin_factory = MockFactory(pin_class=MockPWMPin)
+    yield made
+    made.reset()
+    gpiozero.Device.pin_factory = before
+
+
+def arguments(device: str) -> Any:
+    if device.startswith("MCP"):
+        return {} if device in {"MCP3001", "MCP3201", "MCP3301"} else {"channel": 1}
+    return PINS.get(device, {"pin": 5})
+
+
+def most_of(device: Any) -> Any:
+    if device.limits is None:
+        return True
+    return (
+        device.limits["red"][1] if isinstance(device.limits, dict) else device.limits[1]
+    )
+
+
+async def used(device: Any) -> Any:
+    """What comes of a part in a robot: its reading, or its driver's object."""
+    async with esair.Robot(resources=[device], policies=[free(device.name)]) as robot:
+        if isinstance(device, esair.Sensor):
+            right = await robot.resources.register("me", device.name, esair.Access.READ)
+            return await robot.sensors.read(right, fresh=True, timeout=2.0)
+        right = await robot.resources.register("me", device.name, esair.Access.WRITE)
+        high = most_of(device)
+        command = Colour(high, high, high) if isinstance(device.safe, tuple) else high
+        assert await robot.actuators.write(right, command)
+        return (
+            device.object.it.angle
+            if "Angular" in type(device.object.it).__name__
+            else (device.object.it.value)
+        )
+
+
+@pytest.mark.parametrize(
+    "device",
+    sorted(
+        n
+        for n in READS
+        if not n.startswith("MCP") and n not in INTERNAL | {"PingServer"}
+    ),
+)
+async def test_each_sensor_is_read(device, factory) -> None:
+    """By what the table says of its class."""
+    if device == "DistanceSensor":
+        factory.pin_class = MockPin
+        factory.pin(
+            6, pin_class=MockTriggerPin, echo_pin=factory.pin(5), echo_time=0.002
+        )
+
+    value = await used(
+        GpiozeroSensor(name="part", device=device, arguments=arguments(device))
+    )
+
+    assert isinstance(value, bool | int | float | tuple)
+
+
+@pytest.mark.parametrize("device", sorted(TELLS))
+async def test_each_actuator_obeys(device) -> None:
+    """It is told the most that it takes, and has it."""
+    part = GpiozeroActuator(name="part", device=device, arguments=arguments(device))
+
+    value = await used(part)
+
+    most = most_of(part)
+    wanted = (most,) * 3 if isinstance(part.safe, tuple) else most
+    assert value == (
+        wanted if isinstance(wanted, tuple) else pytest.approx(float(wanted))
+    )
+
+
+@pytest.mark.parametrize("device", sorted([*INTERNAL, "PingServer"]))
+async def test_what_asks_the_computer_can_be_made(device, tmp_path) -> None:
+    """With the arguments of its class; the class is there under that name."""
+    assert hasattr(getattr(gpiozero, device), READS[device])
+
+
+@pytest.mark.parametrize("device", sorted(n for n in READS if n.startswith("MCP")))
+def test_converters_are_in_the_package(device) -> None:
+    """Each has the value that the table reads."""
+    assert hasattr(getattr(gpiozero, device), READS[device])
+
+
+async def test_a_motor_stands_after_the_robot(factory) -> None:
+    """It is told safe last, and its pins are low."""
+    motor = GpiozeroActuator(
+        name="left", device="Motor", arguments={"forward": 5, "backward": 6}
+    )
+    async with esair.Robot(resources=[motor], policies=[free("left")]) as robot:
+        right = await robot.resources.register("me", "left", esair.Access.WRITE)
+        assert await robot.actuators.write(right, -0.5)
+        assert (factory.pin(5).state, factory.pin(6).state) == (0, 0.5)
+        with pytest.raises(BadValueError, match="left"):
+            await robot.actuators.write(right, 1.5)
+
+    assert (factory.pin(5).state, factory.pin(6).state) == (0, 0)
+
+
+async def test_a_servo_does_not_turn_by_itself(factory) -> None:
+    """Neither when it is made nor by its safe command, which is to stay."""
+    servo = GpiozeroActuator(name="arm", device="AngularServo", arguments={"pin": 5})
+    async with esair.Robot(resources=[servo], policies=[free("arm")]) as robot:
+        assert servo.object.it.value is None
+        right = await robot.resources.register("me", "arm", esair.Access.WRITE)
+        assert await robot.actuators.write(right, 45.0)
+        await asyncio.sleep(0.4)
+        assert servo.object.it.angle == pytest.approx(45.0)
+
+
+def test_what_is_not_in_the_table_is_named() -> None:
+    """With what is."""
+    with pytest.raises(ConfigError, match="expected one of AngularServo, Buzzer"):
+        GpiozeroActuator(device="Toaster")
+    with pytest.raises(ConfigError, match="expected one of Button"):
+        GpiozeroSensor(device="Toaster")

@@ -1,0 +1,179 @@
+"""What the kernel measures and drives, in folders as it makes them."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from esair.drivers.sysfs import SysfsActuator, SysfsSensor
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.testing import ActuatorContract, SensorContract
+
+FILES = {
+    "class/hwmon/hwmon0/name": "cpu_thermal",
+    "class/hwmon/hwmon0/temp1_input": "51234",
+    "class/hwmon/hwmon1/name": "ina219",
+    "class/hwmon/hwmon1/in1_input": "12050",
+    "class/hwmon/hwmon1/curr1_input": "-250",
+    "class/hwmon/hwmon1/power1_input": "3000000",
+    "class/hwmon/hwmon1/fan1_input": "1500",
+    "bus/iio/devices/iio:device0/name": "bmp280",
+    "bus/iio/devices/iio:device0/in_pressure_input": "101.325",
+    "bus/iio/devices/iio:device0/in_temp_input": "23500",
+    "bus/iio/devices/iio:device1/name": "mcp3008",
+    "bus/iio/devices/iio:device1/in_voltage3_raw": "512",
+    "bus/iio/devices/iio:device1/in_voltage_scale": "3.2227",
+    "bus/iio/devices/iio:device2/name": "lsm6dsl",
+    "bus/iio/devices/iio:device2/in_accel_x_raw": "100",
+    "bus/iio/devices/iio:device2/in_accel_x_offset": "-2",
+    "bus/iio/devices/iio:device2/in_accel_x_scale": "0.01",
+    "bus/w1/devices/28-0316a2795dff/name": "28-0316a2795dff",
+    "bus/w1/devices/28-0316a2795dff/temperature": "18437",
+    "class/leds/green/max_brightness": "255",
+    "class/leds/green/brightness": "7",
+    "class/leds/green/trigger": "[mmc0] none",
+    "class/pwm/pwmchip0/export": "",
+    "class/pwm/pwmchip0/pwm1/period": "0",
+    "class/pwm/pwmchip0/pwm1/duty_cycle": "0",
+    "class/pwm/pwmchip0/pwm1/enable": "0",
+}
+
+
+@pytest.fixture(autouse=True)
+def root(tmp_path, monkeypatch) -> Path:
+    for name, text in FILES.items():
+        path = tmp_path / "sys" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    for part in (SysfsSensor, SysfsActuator):
+        monkeypatch.setattr(part, "root", tmp_path / "sys")
+    made: Path = tmp_path / "sys"
+    return made
+
+
+@pytest.mark.parametrize(
+    ("device", "value", "wanted"),
+    [
+        ("hwmon:cpu_thermal", "temp1", 51.234),
+        ("hwmon:hwmon0", "temp1_input", 51.234),
+        ("hwmon:ina219", "in1", 12.05),
+        ("hwmon:ina219", "curr1", -0.25),
+        ("hwmon:ina219", "power1", 3.0),
+        ("hwmon:ina219", "fan1", 1500.0),
+        ("iio:bmp280", "in_pressure", 101.325),
+        ("iio:bmp280", "in_temp", 23.5),
+        ("iio:mcp3008", "in_voltage3", 512 * 3.2227e-3),
+        ("iio:lsm6dsl", "in_accel_x", 0.98),
+        ("w1:28-0316a2795dff", "temperature", 18.437),
+    ],
+)
+def test_values_are_in_plain_units(device, value, wanted) -> None:
+    """With the kernel's own scales and offsets, of the value or of its kind."""
+    sensor = SysfsSensor(name="part", device=device, value=value)
+    sensor.open()
+
+    assert sensor.read() == pytest.approx(wanted)
+
+
+def test_what_is_not_there_is_named(root) -> None:
+    """With what is there; a folder that goes is a loss, a strange text a fault."""
+    with pytest.raises(
+        DeviceLostError, match="no hwmon 'gpu'; it has cpu_thermal, ina219"
+    ):
+        SysfsSensor(device="hwmon:gpu", value="temp1").open()
+    sensor = SysfsSensor(device="iio:bmp280", value="in_light")
+    with pytest.raises(DeviceFaultError, match="has no 'in_light'"):
+        sensor.open()
+    sensor = SysfsSensor(device="iio:bmp280", value="in_temp")
+    sensor.open()
+    (root / "bus/iio/devices/iio:device0/in_temp_input").write_text("hot\x1b[2J")
+    with pytest.raises(DeviceFaultError, match="which is no number"):
+        sensor.read()
+    shutil.rmtree(root / "bus/iio/devices/iio:device0")
+    with pytest.raises(DeviceLostError, match="is gone"):
+        sensor.read()
+
+
+def test_an_led_is_set_and_its_trigger_ends(root) -> None:
+    """The card reader would go on to blink with it."""
+    led = SysfsActuator(device="led:green")
+    led.open()
+
+    assert led.write(0.5) == pytest.approx(128 / 255)
+    assert (root / "class/leds/green/brightness").read_text() == "128"
+    assert (root / "class/leds/green/trigger").read_text() == "none"
+
+
+def test_a_pwm_channel_begins_with_nothing(root) -> None:
+    """Its duty is 0 before it is switched on."""
+    fan = SysfsActuator(device="pwm:pwmchip0/1", period=0.00004)
+    fan.open()
+    channel = root / "class/pwm/pwmchip0/pwm1"
+    assert [(channel / f).read_text() for f in ("period", "duty_cycle", "enable")] == [
+        *("40000", "0", "1")
+    ]
+
+    fan.write(0.25)
+
+    assert (channel / "duty_cycle").read_text() == "10000"
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        (
+            lambda: SysfsSensor(device="temp1", value="x"),
+            "expected one of hwmon, iio, w1",
+        ),
+        (lambda: SysfsSensor(device="led:green", value="x"), "expected one of hwmon"),
+        (lambda: SysfsSensor(device="iio:x", value="../x"), "expected a name such as"),
+        (lambda: SysfsActuator(device="pwm:pwmchip0"), "expected pwm:CHIP/CHANNEL"),
+        (lambda: SysfsActuator(device="led:green/1"), "expected pwm:CHIP/CHANNEL"),
+        (lambda: SysfsActuator(device="pwm:a/1", period=0.0), "expected seconds"),
+    ],
+)
+def test_its_mistakes_are_named(made, says) -> None:
+    """Before anything is opened."""
+    with pytest.raises(ConfigError, match=says):
+        made()
+
+
+class OnFolder:
+    """A part whose folder goes and comes."""
+
+    folder: str
+    keeps_nothing = "each value is written or read whole"
+
+    def place(self) -> Path:
+        return SysfsSensor.root / self.folder
+
+    async def silence(self, _device: Any) -> None:
+        self.place().rename(SysfsSensor.root / "away")
+
+    unplug = silence
+
+    async def speak(self, _device: Any) -> None:
+        (SysfsSensor.root / "away").rename(self.place())
+
+    async def power_cycle(self, _device: Any) -> None:
+        """Nothing is kept in it."""
+
+
+class TestThermometer(OnFolder, SensorContract):
+    folder = "bus/w1/devices/28-0316a2795dff"
+
+    def make(self) -> Any:
+        return SysfsSensor(device="w1:28-0316a2795dff", value="temperature")
+
+
+class TestLed(OnFolder, ActuatorContract):
+    folder = "class/leds/green"
+
+    def make(self) -> Any:
+        return SysfsActuator(device="led:green")
+
+    def commands(self) -> list[Any]:
+        return [1.0, 0.2]
