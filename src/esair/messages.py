@@ -428,8 +428,10 @@ class Operator:
 class Page:
     """Where the page of a robot is served, and for whom; needs ``esair[page]``.
 
-    Another address than one of this computer needs a token (made anew, and kept in a
-    file of this user, unless given) and TLS, or an explicit ``insecure``.
+    Who operates shows a token, on this computer, too: whoever works on it reaches the
+    same address. It is made anew at each start and kept in a file of this user, unless
+    given. Another address than one of this computer needs TLS as well, or an explicit
+    ``insecure``.
 
     Attributes:
         host: The address.

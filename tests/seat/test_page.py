@@ -3,8 +3,10 @@
 import asyncio
 import contextlib
 import http.client
+import io
 import json
 import logging
+import os
 import shutil
 import ssl
 import stat
@@ -21,7 +23,7 @@ from tests.seat.conftest import STILL, Twist, Wander, eventually
 
 import esair
 from esair.seat import Seat
-from esair.seat._page import CONNECTIONS
+from esair.seat._lobby import CONNECTIONS, OF_ONE
 
 pytestmark = pytest.mark.real_clock
 
@@ -43,8 +45,14 @@ def port_of(robot):
     return robot._seat.seat.port
 
 
-async def get(robot, path="/", **headers):
+def token_of(robot):
+    return robot._seat.seat._page.token
+
+
+async def get(robot, path="/", *, token=None, **headers):
     """Return the status and the text of an answer."""
+    if token is not None:
+        headers["Authorization"] = f"Bearer {token}"
 
     def fetch():
         request = urllib.request.Request(f"http://127.0.0.1:{port_of(robot)}{path}")
@@ -60,12 +68,12 @@ async def get(robot, path="/", **headers):
 
 
 class Browser:
-    """A web socket, as the page opens it."""
+    """A web socket, as the page opens it; with the right token unless given."""
 
     def __init__(self, robot, origin=None, token=None):
         self.port = port_of(robot)
         self.origin = f"http://127.0.0.1:{self.port}" if origin is None else origin
-        self.token = token
+        self.token = token_of(robot) if token is None else token
         self.number = 0
 
     async def __aenter__(self):
@@ -73,8 +81,7 @@ class Browser:
             f"ws://127.0.0.1:{self.port}/operate",
             origin=self.origin or None,  # type: ignore[arg-type]
         )
-        if self.token is not None:
-            await self.link.send(self.token)
+        await self.link.send(self.token)
         return self
 
     async def __aexit__(self, *_):
@@ -91,25 +98,180 @@ class Browser:
                 return found
 
 
+HALVES = {
+    "nothing": b"",
+    "half a line": b"GET / HT",
+    "half a head": b"GET / HTTP/1.1\r\nX",
+}
+
+
+@pytest.fixture(params=["plain", "tls"])
+def way_in(request, tmp_path_factory):
+    """How a page is served: in the clear, and by TLS."""
+    if request.param == "plain":
+        return esair.Page(port=0), None
+    file, key = request.getfixturevalue("certificate")
+    context = ssl.create_default_context(cafile=str(file))
+    context.check_hostname = False
+    return esair.Page(port=0, certificate=file, key=key), context
+
+
 @pytest.mark.promise("SEC-1")
 @pytest.mark.fault("H08")
-async def test_who_connects_and_asks_for_nothing_is_cut_off(served, monkeypatch):
-    """Half a request each, from however many: the page is there again after a while."""
-    monkeypatch.setattr("esair.seat._page.ASKING", 0.5)
-    async with served(Wander()) as robot, Browser(robot) as browser:
-        idle = [
-            await asyncio.open_connection("127.0.0.1", port_of(robot))
-            for _ in range(CONNECTIONS + 16)
-        ]
-        for _, writer in idle:
-            writer.write(b"GET / HT")
-        for reader, writer in idle:
+@pytest.mark.parametrize("half", HALVES)
+async def test_half_requests_lock_nobody_out(served, way_in, half):
+    """Eighty of them, or three hundred: the next one has its answer all the same."""
+    page, context = way_in
+    async with served(Wander(), page=page) as robot:
+        scheme = "http" if context is None else "https"
+        address = f"{scheme}://127.0.0.1:{port_of(robot)}/"
+
+        def fetch():
+            with urllib.request.urlopen(address, timeout=5, context=context) as found:
+                return found.status
+
+        idle = []
+        before = len(os.listdir("/proc/self/fd"))
+        for many in (80, 220):
+            for _ in range(many):
+                link = await asyncio.open_connection("127.0.0.1", port_of(robot))
+                link[1].write(HALVES[half])
+                idle.append(link)
+            began = time.monotonic()
+            assert await asyncio.to_thread(fetch) == 200
+            assert time.monotonic() - began < 2.0
+        # Ours, and what the robot still keeps of them.
+        assert len(os.listdir("/proc/self/fd")) - before <= len(idle) + OF_ONE + 8
+        for reader, writer in idle:  # each is told within two seconds
             with contextlib.suppress(ConnectionError):
-                async with asyncio.timeout(10.0):
-                    assert await reader.read() == b""
+                async with asyncio.timeout(4.0):
+                    await reader.read()
             writer.close()
-        assert (await get(robot, "/"))[0] == 200
+        assert OF_ONE < CONNECTIONS < 80
+        robot.halt("the test is over")
+
+
+@pytest.mark.promise("SEC-1")
+async def test_a_browser_on_a_lane_outlives_the_crowd(served):
+    """What has shown its token is not sent away for those that have not."""
+    async with served(Wander()) as robot, Browser(robot) as browser:
+        for _ in range(2):
+            idle = [
+                await asyncio.open_connection("127.0.0.1", port_of(robot))
+                for _ in range(100)
+            ]
+            assert (await browser.do("status"))["ok"]
+            for _, writer in idle:
+                writer.close()
         assert (await browser.do("stop"))["ok"]
+
+
+@pytest.mark.promise("SEC-1")
+async def test_lanes_are_for_those_with_the_token(served, monkeypatch):
+    """Thirty that say nothing, or something wrong, take none; they are told to go."""
+    monkeypatch.setattr("esair.seat._page.LOGIN", 0.5)
+    async with served(Wander()) as robot, contextlib.AsyncExitStack() as stack:
+        address = f"ws://127.0.0.1:{port_of(robot)}/operate"
+        origin: Any = f"http://127.0.0.1:{port_of(robot)}"
+        silent = [
+            await stack.enter_async_context(websockets.connect(address, origin=origin))
+            for _ in range(15)
+        ]
+        assert robot.journal.counts()["page"]["clients"] == 0
+        browsers = [await stack.enter_async_context(Browser(robot)) for _ in range(16)]
+        for browser in browsers:
+            assert (await browser.do("status"))["ok"]
+        for link in silent:
+            async with asyncio.timeout(5.0):
+                await link.wait_closed()
+            assert link.close_code == 4401
+
+
+STRANGER = """
+import base64, encodings.idna, json, os, socket, struct, sys  # all, while it may
+port, path, secret = int(sys.argv[1]), sys.argv[2], sys.argv[3]
+os.chdir("/")
+os.setgroups([])
+os.setgid(65534)
+os.setuid(65534)
+host = f"127.0.0.1:{port}"
+
+def say(link, text):
+    data = text.encode()
+    head = struct.pack("!BB", 0x81, 0x80 | len(data)) + bytes(4)
+    link.sendall(head + data)
+
+def ask(lines, *told):
+    link = socket.create_connection(("127.0.0.1", port), timeout=10)
+    link.sendall("\\r\\n".join([*lines, "", ""]).encode())
+    found = b""
+    try:
+        if told:
+            found += link.recv(65536)
+        for text in told:
+            say(link, text)
+    except OSError:
+        pass
+    try:
+        while b"\\x11\\x31" not in found and (part := link.recv(65536)):
+            found += part
+    except OSError:
+        pass
+    return found
+
+UPGRADE = ["GET /operate HTTP/1.1", f"Host: {host}", f"Origin: http://{host}",
+    "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
+    "Sec-WebSocket-Key: " + base64.b64encode(os.urandom(16)).decode()]
+RESUME = json.dumps({"v": 1, "id": "1", "act": "resume"})
+SET = json.dumps({"v": 1, "id": "2", "act": "set", "setting": "wheels.x", "value": 1})
+refused = []
+for number in range(25):
+    link = socket.socket(socket.AF_UNIX)
+    try:
+        link.connect(path)
+        link.sendall((RESUME + "\\n").encode())
+        refused.append(link.recv(4096) == b"")
+    except PermissionError:
+        refused.append(True)
+    try:
+        open(secret).read()
+        refused.append(False)
+    except PermissionError:
+        refused.append(True)
+    wrong = [[RESUME, SET], ["", RESUME], ["x" * 22, RESUME], ["null", SET]][number % 4]
+    found = ask(UPGRADE, *wrong)
+    refused.append(b"4401" in found or b"\\x11\\x31" in found)
+    refused.append(b'"ok"' not in found)
+    given = "Authorization: Bearer " + "x" * 22
+    found = ask(["GET /metrics HTTP/1.1", f"Host: {host}", given, "Connection: close"])
+    refused.append(b" 403 " in found and b"esair_" not in found)
+print(json.dumps([refused.count(True), len(refused)]))
+"""
+
+
+@pytest.mark.promise("SEC-1")
+async def test_another_user_of_this_computer_is_refused(served, sockets):
+    """Socket, token file, page and metrics, 125 of 125; the robot stays halted."""
+    if os.getuid() != 0:
+        pytest.skip("only root can be somebody else for once")
+    async with served(Wander()) as robot:
+        robot.halt("the user")
+        words = [
+            str(port_of(robot)),
+            *(str(sockets / f"rover.{k}") for k in ("sock", "token")),
+        ]
+        asked = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-I",
+            "-S",
+            "-c",
+            STRANGER,
+            *words,
+            stdout=subprocess.PIPE,
+        )
+        out, _ = await asyncio.wait_for(asked.communicate(), 60.0)
+        assert json.loads(out) == [125, 125]
+        assert robot.halted == "the user"
         assert robot.wheels.commands[-1] == STILL
 
 
@@ -197,10 +359,11 @@ def test_a_missing_package_is_named_before_anything_starts(monkeypatch):
 
 @pytest.mark.promise("SEC-1")
 @pytest.mark.fault("P07")
-async def test_another_address_needs_the_token(served, sockets, caplog):
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+async def test_each_address_needs_the_token(served, sockets, caplog, host):
     """A wrong one, none, an old one: refused; it is in no line of the log."""
     caplog.set_level(logging.DEBUG)
-    page = esair.Page(host="0.0.0.0", port=0, insecure=True)
+    page = esair.Page(host=host, port=0, insecure=True)
     async with served(Wander(), page=page) as robot:
         file = sockets / "rover.token"
         token = file.read_text().strip()
@@ -212,8 +375,7 @@ async def test_another_address_needs_the_token(served, sockets, caplog):
                     await browser.do("stop")
         assert robot.halted is None
         assert (await get(robot, "/metrics"))[0] == 403
-        good = {"Authorization": f"Bearer {token}"}
-        assert (await get(robot, "/metrics", **good))[0] == 200
+        assert (await get(robot, "/metrics", token=token))[0] == 200
         async with Browser(robot, token=token) as browser:
             await browser.do("stop")
         assert robot.halted
@@ -226,6 +388,21 @@ async def test_another_address_needs_the_token(served, sockets, caplog):
     ours = [each for each in caplog.records if each.name != "websockets.client"]
     assert ours
     assert not [each for each in ours if token in each.getMessage()]
+
+
+@pytest.mark.promise("SEC-1", "OPS-5")
+@pytest.mark.parametrize("terminal", [True, False])
+async def test_a_person_at_the_terminal_gets_the_whole_address(
+    served, monkeypatch, caplog, terminal
+):
+    """One click away there; to the log, and to what is no terminal, it is not said."""
+    said = io.StringIO()
+    said.isatty = lambda: terminal  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", said)
+    async with served() as robot:
+        address = f"http://127.0.0.1:{port_of(robot)}/#{token_of(robot)}"
+        assert (address in said.getvalue()) == terminal
+        assert token_of(robot) not in caplog.text
 
 
 @pytest.mark.promise("OPS-5")
@@ -244,7 +421,7 @@ async def test_metrics_for_machines(served):
     """Each counter by component, in the text form of Prometheus."""
     async with served(Wander()) as robot:
         await robot.wheels.until(Twist(0.3, 0.0))
-        _, text, _ = await get(robot, "/metrics")
+        _, text, _ = await get(robot, "/metrics", token=token_of(robot))
         assert "esair_halted 0" in text
         assert 'esair_writes{component="wheels"}' in text
         assert (
@@ -277,6 +454,8 @@ async def test_with_a_certificate_nothing_is_said_in_the_clear(served, certifica
         host = f"127.0.0.1:{port_of(robot)}"
 
         def fetch(address):
+            bearer = {"Authorization": f"Bearer {token_of(robot)}"}
+            address = urllib.request.Request(address, headers=bearer)
             with urllib.request.urlopen(address, timeout=10, context=context) as answer:
                 return answer.read().decode()
 
@@ -286,6 +465,7 @@ async def test_with_a_certificate_nothing_is_said_in_the_clear(served, certifica
             await asyncio.to_thread(fetch, f"http://{host}/")
         options: dict[str, Any] = {"ssl": context, "origin": f"https://{host}"}
         async with websockets.connect(f"wss://{host}/operate", **options) as link:
+            await link.send(token_of(robot))
             await link.send('{"v": 1, "id": "1", "act": "stop", "reason": "tls"}')
             assert json.loads(await link.recv())["ok"]
         assert robot.halted == "tls"
@@ -325,7 +505,7 @@ class Person:
 
     async def opens(self):
         """Open the page, and wait until it is live."""
-        address = f"http://127.0.0.1:{port_of(self.robot)}/"
+        address = f"http://127.0.0.1:{port_of(self.robot)}/#{token_of(self.robot)}"
         await asyncio.to_thread(self.chromium.get, address)
         for _ in range(200):
             if not await self.sees_grey():

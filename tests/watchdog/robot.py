@@ -81,5 +81,6 @@ if __name__ == "__main__":
         behaviors=[Wander()],
         watchdog=True,
         watchdog_death=policy,
+        watchdog_limit=float(os.environ.get("LIMIT", "0.25")),
     )
     esair.run(robot)

@@ -39,7 +39,8 @@ class Running:
         record: Record what happens, to this file or folder; to this folder if none
             is named.
         page: Serve the operator's seat to a browser, at HOST:PORT; at port 8740 of
-            this computer alone if nothing is named.
+            this computer alone if nothing is named. The address is printed, with its
+            token.
         insecure: Another address than this computer's may be without TLS.
         verbose: Show every line of the log.
     """

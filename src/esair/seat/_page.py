@@ -11,11 +11,14 @@ import logging
 import os
 import secrets
 import socket
+import ssl
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from esair.exceptions import ConfigError
+from esair.exceptions import ConfigError, describe
+from esair.seat._lobby import Lobby, entrance
 from esair.seat._metrics import metrics
 from esair.seat._place import secret_file
 from esair.seat._visitor import Budget, Visitor, Way, line_of
@@ -35,9 +38,11 @@ WAITING = 256
 """How many lines may wait for a browser that does not read; one more and it goes."""
 
 LINES = 500  # How many lines a browser may send in a second
-LOGIN = 5.0  # How long a browser may take to show its token, in seconds
-CONNECTIONS = 64  # How many connections there may be at a time, of whomever
-ASKING = 10.0  # How long one may be there that is no web socket, in seconds
+LOGIN = 2.0  # How long a browser may take to show its token, in seconds
+BACKLOG = 16  # How many connections are taken in one turn of the robot's loop
+
+STRANGERS = 64
+"""Of how many addresses a wrong token is told in the log, once each."""
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; "
@@ -82,12 +87,18 @@ def import_packages() -> None:
 
 
 class PageServer(Way["_Viewer"]):
-    """Serves the page of a robot in its own event loop."""
+    """Serves the page of a robot in its own event loop.
+
+    What a person may do there is for the token alone, also on this computer: who else
+    works on it reaches the same address.
+    """
 
     def __init__(self, console: Console, page: Page) -> None:
         super().__init__(console, "page", VIEWERS)
         self.page = page
-        self.token = page.token
+        self.token = page.token or secrets.token_urlsafe(16)
+        self._lobby = Lobby()
+        self._strangers: set[str] = set()
         self._server: Any = None
         self._serving: asyncio.Task[None] | None = None
         self._secret: Path | None = None
@@ -98,27 +109,26 @@ class PageServer(Way["_Viewer"]):
         import uvicorn
 
         app, page = self._app(), self.page
-        if not page.is_local and self.token is None:
-            self.token = secrets.token_urlsafe(16)
-            self._secret = secret_file(self.console.robot.name, self.token)
+        context: ssl.SSLContext | None = None
+        if page.certificate is not None:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            context.load_cert_chain(page.certificate, page.key)
         settings = uvicorn.Config(
             app,
             log_config=None,
             access_log=False,
             lifespan="off",
-            http=_patient_http(),
+            http=entrance(self._lobby, context),
             ws="websockets-sansio",
             ws_max_size=LIMIT,
             ws_ping_interval=2.0,
             ws_ping_timeout=5.0,
-            limit_concurrency=CONNECTIONS,
+            backlog=BACKLOG,
             timeout_keep_alive=5,
             timeout_graceful_shutdown=1,
             h11_max_incomplete_event_size=16 * 1024,
             server_header=False,
             proxy_headers=False,
-            ssl_certfile=page.certificate,
-            ssl_keyfile=page.key,
         )
         for name in ("uvicorn.error", "uvicorn.access"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -134,17 +144,34 @@ class PageServer(Way["_Viewer"]):
         self._serving = asyncio.create_task(
             self._server.serve(sockets=[bound]), name="esair page"
         )
-        scheme = "http" if page.certificate is None else "https"
-        _log.warning("page: %s://%s:%d/", scheme, page.host, self.port)
-        if self._secret is not None:
-            _log.warning(
-                "page: its token is in %s; add #TOKEN to the address", self._secret
-            )
+        self._tell()
+
+    def _tell(self) -> None:
+        """Say where it is: to the person at the terminal with the token, to no log."""
+        scheme = "http" if self.page.certificate is None else "https"
+        host = f"[{self.page.host}]" if ":" in self.page.host else self.page.host
+        if self.page.host in {"0.0.0.0", "::"}:
+            host = socket.gethostname()
+        address = f"{scheme}://{host}:{self.port}/"
+        _log.warning("page: %s", address)
+        if self.page.token is None:
+            try:
+                self._secret = secret_file(self.console.robot.name, self.token)
+            except (OSError, ConfigError) as error:
+                _log.warning("page: its token is in no file: %s", describe(error))
+            else:
+                told = "page: its token is in %s; add #TOKEN to the address"
+                _log.warning(told, self._secret)
+        with contextlib.suppress(Exception):  # there may be no stderr
+            if sys.stderr.isatty():
+                sys.stderr.write(f"page: {address}#{self.token}\n")
+                sys.stderr.flush()
 
     async def close(self) -> None:
         """Serve no more."""
         for viewer in tuple(self.there):
             viewer.end()
+        self._lobby.close()
         if self._serving is not None:
             self._server.should_exit = True
             await asyncio.wait({self._serving}, timeout=1.0)
@@ -185,10 +212,14 @@ class PageServer(Way["_Viewer"]):
 
     def knows(self, token: object) -> bool:
         """Tell whether a token is the right one, in constant time."""
-        if self.token is None:
-            return True
         given = token if isinstance(token, str) else ""
         return hmac.compare_digest(given.encode(), self.token.encode())
+
+    def _turn_away(self, address: str) -> None:
+        self.turned_away += 1
+        if address not in self._strangers and len(self._strangers) < STRANGERS:
+            self._strangers.add(address)
+            _log.warning("page: %s showed a wrong token", address)
 
     # What is served.
 
@@ -231,18 +262,24 @@ class PageServer(Way["_Viewer"]):
         viewer = _Viewer(self, link)
         address = link.client.host if link.client is not None else "?"
         viewer.session.who = f"browser at {address}"
+        knows = False
+        with contextlib.suppress(
+            WebSocketDisconnect, TimeoutError, RuntimeError, KeyError
+        ):
+            async with asyncio.timeout(LOGIN):
+                knows = self.knows(await link.receive_text())
+        if not knows:
+            self._turn_away(address)
+            self._lobby.dismiss(link.client)
+            with contextlib.suppress(RuntimeError):  # it has gone
+                await link.close(4401)
+            return
+        self._lobby.shown(link.client)
         if not self.has_room(viewer):
             await link.close(4429)
             return
         writes = asyncio.create_task(viewer.write(), name="esair page writes")
         try:
-            if self.token is not None:
-                async with asyncio.timeout(LOGIN):
-                    if not self.knows(await link.receive_text()):
-                        self.turned_away += 1
-                        _log.warning("page: %s showed a wrong token", address)
-                        await link.close(4401)
-                        return
             budget = Budget(LINES)
             while not viewer.gone:
                 line = await link.receive_text()
@@ -308,25 +345,6 @@ class _Viewer(Visitor):
                     self.gone = True
                     return
                 self._bytes -= len(line)
-
-
-def _patient_http() -> type[asyncio.Protocol]:
-    """Return what speaks HTTP, and lets nobody stay who asks for nothing."""
-    from uvicorn.protocols.http.h11_impl import H11Protocol
-
-    class Patient(H11Protocol):
-        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-            super().connection_made(transport)
-            if len(self.connections) > CONNECTIONS:
-                transport.abort()
-            else:
-                self.loop.call_later(ASKING, self._end, transport)
-
-        def _end(self, transport: asyncio.Transport) -> None:
-            if transport.get_protocol() is self:  # else it is a web socket by now
-                transport.close()
-
-    return Patient
 
 
 def _bind(page: Page) -> socket.socket:

@@ -28,11 +28,42 @@ function tell(text) {
   byId("told").textContent = text;
 }
 
+// The token comes with the address, is kept by this browser, and leaves the address bar.
+function token() {
+  const given = decodeURIComponent(location.hash.slice(1));
+  if (given) {
+    localStorage.setItem("token", given);
+    history.replaceState(null, "", location.pathname);
+  }
+  return localStorage.getItem("token") || "";
+}
+
+function ask(text) {
+  byId("login").hidden = false;
+  if (text) tell(text);
+}
+
+byId("login").onsubmit = (event) => {
+  event.preventDefault();
+  // The whole address may be pasted, too.
+  localStorage.setItem("token", byId("token").value.trim().replace(/^.*#/, ""));
+  byId("token").value = "";
+  byId("login").hidden = true;
+  tell("");
+  connect();
+};
+addEventListener("hashchange", () => location.hash.length > 1 && location.reload());
+
 function connect() {
+  const shown = token();
+  if (!shown) {
+    ask("");
+    return;
+  }
   const scheme = location.protocol === "https:" ? "wss" : "ws";
   link = new WebSocket(`${scheme}://${location.host}/operate`);
   link.onopen = () => {
-    if (location.hash.length > 1) link.send(decodeURIComponent(location.hash.slice(1)));
+    link.send(shown);
     send("watch", { every: 0.25 });
     send("why", {}, showProtection);
   };
@@ -40,8 +71,11 @@ function connect() {
   link.onclose = (event) => {
     drop();
     lease = null;
-    if (event.code === 4401) tell("the token is missing or wrong: add #TOKEN to the address");
-    setTimeout(connect, 1000);
+    if (event.code === 4401) {
+      ask("the token is wrong: each start of the robot makes a new one");
+    } else {
+      setTimeout(connect, 1000);
+    }
   };
 }
 
