@@ -332,7 +332,7 @@ def test_cameras_are_found_by_who_they_are(root: Path) -> None:
 
 async def test_a_camera_that_is_not_there_is_lost(tmp_path: Path) -> None:
     """With its path and the reason."""
-    pytest.importorskip("cv2", reason="the extra 'camera' is not installed")
+    pytest.importorskip("cv2", reason="pip install '.[ci]'")
     device = Camera(device=str(tmp_path / "video9"))
     with pytest.raises(DeviceLostError, match="No such file or directory"):
         await device.open()

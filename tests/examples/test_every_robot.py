@@ -59,7 +59,7 @@ def test_it_starts_without_arguments(path, monkeypatch) -> None:
 @pytest.mark.long
 def test_pyright_finds_nothing() -> None:
     """As mypy, which looks at them with the rest."""
-    pytest.importorskip("pyright")
+    pytest.importorskip("pyright", reason="pip install '.[ci]'")
     done = subprocess.run(
         [sys.executable, "-m", "pyright", "--pythonpath", sys.executable, EXAMPLES],
         capture_output=True,

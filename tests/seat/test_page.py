@@ -481,7 +481,7 @@ async def test_with_a_certificate_nothing_is_said_in_the_clear(served, certifica
 @pytest.fixture(scope="module")
 def chromium():
     """A Chromium without a window, if there is one."""
-    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not here")
+    webdriver = pytest.importorskip("selenium.webdriver", reason="pip install '.[ci]'")
     driver, browser = shutil.which("chromedriver"), shutil.which("chromium")
     if driver is None or browser is None:
         pytest.skip("chromium and chromium-driver are not installed")

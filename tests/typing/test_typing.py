@@ -49,7 +49,7 @@ def test_mypy_finds_what_is_wrong_and_no_more() -> None:
 @pytest.mark.promise("BEH-4", "BS-8")
 def test_pyright_finds_what_is_wrong_and_no_more(tmp_path: Path) -> None:
     """The same lines, and none of the example."""
-    pytest.importorskip("pyright")
+    pytest.importorskip("pyright", reason="pip install '.[ci]'")
     (tmp_path / "cases.py").write_text(
         CASES.read_text(encoding="utf-8").replace("# type: ignore", "# was"),
         encoding="utf-8",
