@@ -281,6 +281,7 @@ async def test_it_waits_for_the_first_reading_of_each_sensor(
 
 
 @pytest.mark.promise("REA-3")
+@pytest.mark.long
 async def test_100_hz_do_not_drift(
     fake_actuator: Any, request: pytest.FixtureRequest
 ) -> None:

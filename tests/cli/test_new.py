@@ -98,6 +98,7 @@ def test_every_file_of_the_project_carries_its_name(esair_command, tmp_path) -> 
 
 
 @pytest.mark.real_clock
+@pytest.mark.long
 def test_its_tests_pass_and_it_drives_at_once(esair_command, start, tmp_path) -> None:
     """What the message after ``esair new`` says works, as it stands there."""
     assert esair_command("new", "scout", "--in", tmp_path) == 0

@@ -185,6 +185,7 @@ def test_what_a_device_says_cannot_reach_the_terminal_raw(esair, robot):
 
 
 @pytest.mark.promise("OPS-2")
+@pytest.mark.long
 def test_several_robots_are_told_apart_by_name(esair, robot):
     """Without a name it says which there are; --all stops every one."""
     one, two = robot("one"), robot("two")
@@ -211,6 +212,7 @@ def test_the_log_of_a_robot_is_followed(esair, robot, start, tmp_path):
     assert "a cat" in follower.stdout.readline()
 
 
+@pytest.mark.long
 def test_a_name_that_nobody_has_is_told_before_the_log_is_followed(
     robot, start, tmp_path
 ):

@@ -59,6 +59,7 @@ def test_what_cannot_be_used_is_told(words, told, esair_command, capsys) -> None
     assert told in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.long
 def test_a_number_of_faults_is_the_same_each_time(
     esair_command, capsys, tmp_path
 ) -> None:

@@ -121,6 +121,7 @@ async def test_on_80_by_24_all_is_seen_and_the_blind_moment_says_why() -> None:
 
 
 @pytest.mark.real_clock
+@pytest.mark.long
 def test_a_terminal_is_drawn_on_while_the_rover_drives(tmp_path: Path) -> None:
     """The thread that draws gets pictures of the robot, and meets no error."""
     pid, terminal = pty.fork()

@@ -221,6 +221,7 @@ def test_each_event_is_told_as_it_happens(show: Show) -> None:
     assert show.text.count("commands of explore were not made meanwhile") == 1
 
 
+@pytest.mark.long
 def test_the_picture_is_a_png_of_a_good_size(show: Show, tmp_path: Path) -> None:
     """It is written in one piece and can be printed."""
     from esair.demo._picture import draw  # it takes long: not in each worker
@@ -236,6 +237,7 @@ def test_the_picture_is_a_png_of_a_good_size(show: Show, tmp_path: Path) -> None
     assert path.stat().st_size > 30_000
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_run(show: Show) -> None:
     """To the last frame; another seed gives another run."""
     again = play(seed=3)

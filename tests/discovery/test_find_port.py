@@ -157,6 +157,7 @@ printable = st.text(
     )
 )
 @hypothesis.settings(max_examples=60)
+@pytest.mark.long
 def test_what_is_listed_is_found_again(new_tree, parts) -> None:
     """An address that is an identity leads to the very port it was listed for."""
     tree = new_tree()

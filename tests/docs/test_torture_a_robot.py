@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from esair.torture import Report, Target, torture, write_test
 
 FOLDER = Path(__file__).parents[2] / "docs" / "code" / "torture"
@@ -30,6 +32,7 @@ def test_the_page_shows_the_test_that_is_written(tmp_path: Path) -> None:
     assert written == shown.read_text(encoding="utf-8").splitlines()
 
 
+@pytest.mark.long
 def test_a_guard_mends_it() -> None:
     """The same story, and five hundred faults more, find nothing."""
     _, report = tortured("guarded", 500)

@@ -276,6 +276,7 @@ async def test_a_silent_line_is_a_fault_at_the_opening(fake_serial: Any) -> None
 
 @pytest.mark.real_clock
 @pytest.mark.fault("D08", "D13")
+@pytest.mark.long
 async def test_a_recorded_log_at_full_speed_through_a_terminal() -> None:
     """Ten minutes at 10 Hz in a moment; what is not given was counted as dropped."""
     line = FakeSerial("gps", framing="nmea")

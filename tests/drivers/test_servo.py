@@ -172,6 +172,7 @@ async def test_six_servos_take_one_turn_of_the_wire() -> None:
 @pytest.mark.virtual_clock
 @pytest.mark.parametrize("rate", [50.0, None])
 @pytest.mark.parametrize("latency", [0.016, 0.001])
+@pytest.mark.long
 async def test_six_servos_at_50_hz_within_the_latency_of_the_adapter(
     latency: float, rate: float | None
 ) -> None:

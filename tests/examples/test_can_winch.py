@@ -12,6 +12,7 @@ from esair.testing import FakeCan
 pytestmark = pytest.mark.virtual_clock
 
 
+@pytest.mark.long
 async def test_it_lifts_to_the_top_and_lowers_to_the_bottom() -> None:
     """And stands without torque once it is over."""
     can = FakeCan("drive")

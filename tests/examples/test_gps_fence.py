@@ -21,6 +21,7 @@ def metres(robot, home=48.1):
 
 
 @pytest.mark.virtual_clock
+@pytest.mark.long
 async def test_it_stays_inside_the_fence(capsys) -> None:
     """For minutes: out to the fence, back half of the way, and out again."""
     gps, board = gps_fence.fake_lines()

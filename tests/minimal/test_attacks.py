@@ -76,6 +76,7 @@ def test_a_host_that_reads_no_more_holds_no_board_up(micropython, board) -> None
     assert (board / "done.txt").read_text() == "went on"
 
 
+@pytest.mark.long
 def test_on_a_small_board(board) -> None:
     """Nor on a 32-bit board with single floats and 192 KB."""
     reason = why_not()

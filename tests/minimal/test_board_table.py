@@ -149,6 +149,7 @@ def test_a_folder_is_put_on_a_board_and_again(machine, tmp_path, capsys) -> None
     assert (machine.folder / "esair" / "minimal.mpy").is_file()
 
 
+@pytest.mark.long
 def test_a_program_that_moves_is_made_safe_before_the_next_one(
     machine, tmp_path
 ) -> None:
@@ -167,6 +168,7 @@ def test_a_program_that_moves_is_made_safe_before_the_next_one(
     assert told.read_text().endswith("-0.5 -0.5\n0.0 0.0\n")
 
 
+@pytest.mark.long
 def test_a_linked_board_is_stopped_and_watched(linked_machine, tmp_path) -> None:
     """It takes no Ctrl-C, but the word of the link; its beats are told in words."""
     machine = linked_machine

@@ -456,6 +456,7 @@ def test_a_write_that_fails_is_told_by_the_robot_alone(tmp_path: Path, caplog):
 @pytest.mark.promise("REC-4")
 @pytest.mark.fault("P01")
 @pytest.mark.real_clock
+@pytest.mark.long
 def test_a_disk_that_is_full_from_some_byte_on(tmp_path: Path):
     """Whichever: one error, no exception, no hang; what was written before is read."""
     rooms = [0, 1, 60, 500, 4_000, 20_000, 10_000_000]

@@ -114,6 +114,7 @@ def until_done(client: Client, act: str, fields: dict[str, Any]) -> Any:
     raise AssertionError(f"{act} was never let")
 
 
+@pytest.mark.long
 def test_every_act_is_repeated(running: Running) -> None:
     """Settings, requests, swaps from the file, a halt, driving: to the end."""
     file = running.folder / "robot.toml"

@@ -83,6 +83,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "rover:make",
     ],
 )
+@pytest.mark.long
 def test_the_program_is_named_in_any_form(folder: Path, made_of: str) -> None:
     """Its own classes come back, nothing is recorded again, nothing is run to the end."""
     code, said = verbs(folder, "replay", "run.mcap", "--with", made_of)

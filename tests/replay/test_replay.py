@@ -98,6 +98,7 @@ def verbs(folder: Path, *words: str, hash_seed: int = 1) -> tuple[int, str]:
 
 
 @pytest.mark.promise("REP-2")
+@pytest.mark.long
 def test_the_command_repeats_and_names_what_was_changed(tmp_path: Path) -> None:
     """In another process with another hash seed: exit 0, and 3 after a change."""
     folder = folder_of_robot(tmp_path)

@@ -323,7 +323,7 @@ async def test_a_slow_client_gets_the_newest_only(rover, raw):
 
 
 @pytest.mark.promise("OPS-3")
-@pytest.mark.longer
+@pytest.mark.long
 async def test_a_flood_of_settings_does_not_delay_a_stop(rover, raw):
     """1,000 settings a second beside it: the wheels are safe within 20 ms."""
     lamp = Lamp()

@@ -347,6 +347,7 @@ class DrivesByPlan(Drives):
 class TurnsTheArm(esair.Behavior):
     """Moves an arm with what others tell it, as long as they do not pause."""
 
+    inbox_policy = "drop_oldest"
     arm = esair.writes(float)
 
     async def run(self) -> None:

@@ -58,6 +58,7 @@ def test_live_runs_repeat_exactly(
 
 
 @pytest.mark.promise("TURN-6")
+@pytest.mark.long
 def test_a_changed_decision_shows(tmp_path: Path) -> None:
     """One behavior decides otherwise: the replay differs from there on."""
     file = tmp_path / "run.tape"

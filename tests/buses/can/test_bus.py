@@ -303,6 +303,7 @@ def test_every_frame_is_taken_or_counted(frames: list[Frame]) -> None:
 
 
 @pytest.mark.fault("C07")
+@pytest.mark.long
 async def test_frames_that_nobody_takes_give_way_to_newer_ones(
     link: Link, bus: CanBus
 ) -> None:

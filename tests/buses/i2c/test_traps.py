@@ -93,6 +93,7 @@ class OnNull(Wire):
 
 @pytest.mark.fault("I05")
 @pytest.mark.promise("BUS-1")
+@pytest.mark.long
 async def test_no_transfer_of_100_000_reaches_another_chip(kernel) -> None:
     """Behaviors and blocking drivers share a bus; address and transfer stay together."""
     bus = I2CBus(name="body", wire=OnNull(), timeout=30.0)
