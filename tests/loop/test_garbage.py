@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import gc
+import json
+import subprocess
+import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -18,6 +23,7 @@ pytestmark = pytest.mark.real_clock
 def collector(monkeypatch: pytest.MonkeyPatch) -> Iterator[Collector]:
     """One for which each collection is a long one."""
     monkeypatch.setattr(_garbage, "LONG", 0.0)
+    monkeypatch.setattr(_garbage, "_USUAL", 1e-12)
     collector = Collector()
     collector.start()
     yield collector
@@ -50,6 +56,106 @@ def test_all_is_looked_at_when_there_is_twice_as_much(
     collector.collect()
     assert collector.collected > before
     assert len(held) == 3_000
+
+
+LITTER = """
+import asyncio, collections, gc, json, os, time
+from pathlib import Path
+import esair
+
+RATE, SECONDS, ALIVE, PAUSE = {rate}, {seconds}, {alive}, {pause!r}
+began, longest = 0.0, 0.0
+
+def see(phase, info):
+    global began, longest
+    if phase == "start":
+        began = time.thread_time()
+    elif info["generation"] == 2:
+        longest = max(longest, time.thread_time() - began)
+
+def resident():
+    return int(Path("/proc/self/statm").read_text().split()[1])
+
+class Beat(esair.Behavior):
+    async def run(self):
+        async for _ in esair.every(0.01):
+            pass
+
+class Litter(esair.Behavior):
+    {define} run(self):
+        time.sleep(0.3)  # so that the robot runs
+        gc.callbacks.append(see)
+        alive = collections.deque(maxlen=ALIVE)
+        start, most, made, begin = resident(), 0, 0, time.monotonic()
+        while made < RATE * SECONDS:
+            due = min(time.monotonic() - begin, SECONDS) * RATE
+            while made < due:
+                circle = []
+                circle.append(circle)
+                alive.append(circle)
+                made += 1
+            most = max(most, resident())
+            {pause}
+        print(json.dumps(dict(start=start, most=most, longest=longest, made=made,
+              thresholds=gc.get_threshold(), **robot.journal.counts()["collector"])), flush=True)
+        os._exit(0)
+
+robot = esair.Robot(behaviors=[Beat(), Litter()])
+esair.run(robot, stall_warning=None)
+"""
+
+HOW = {
+    "in gaps": ("async def", "await asyncio.sleep(0.002)"),
+    "without gaps": ("async def", "await asyncio.sleep(0)"),
+    "in a thread": ("def", "time.sleep(0.002)"),
+    "held up": ("async def", "pass"),
+}
+
+
+def litter(how: str, rate: int, seconds: float, alive: int) -> dict[str, Any]:
+    """Run a robot in whose process circles become garbage; return what was seen."""
+    define, pause = HOW[how]
+    code = LITTER.format(
+        rate=rate, seconds=seconds, alive=alive, define=define, pause=pause
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        capture_output=True,
+        timeout=seconds + 30.0,
+        check=False,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    seen: dict[str, Any] = json.loads(done.stdout)
+    return seen
+
+
+@pytest.mark.promise("ROB-7")
+@pytest.mark.parametrize(
+    "how",
+    [
+        "in gaps",
+        *(pytest.param(h, marks=pytest.mark.long) for h in HOW if h != "in gaps"),
+    ],
+)
+@pytest.mark.parametrize("alive", [1_000, pytest.param(20_000, marks=pytest.mark.long)])
+def test_the_pile_does_not_grow(request: Any, how: str, alive: int) -> None:
+    """Wherever the garbage is made, memory is bounded, and so is the longest pause."""
+    seconds = 60.0 if request.config.getoption("--esair-soak") else 2.5
+    seen = litter(how, 167_000, seconds, alive)
+    assert seen["made"] >= 167_000 * seconds
+    assert seen["most"] < 3 * seen["start"], seen
+    assert seen["longest"] < 0.05, seen
+    assert seen["collected"] > seen["made"] / 2 or seen["thresholds"][2] > 0
+
+
+@pytest.mark.promise("ROB-7")
+def test_what_comes_too_fast_is_collected_in_the_midst_and_counted() -> None:
+    """Of code that never lets go of the loop, with the pause in which it is bounded."""
+    seen = litter("held up", 400_000, 1.0, 5_000)
+    assert seen["forced"] > 0
+    assert seen["most"] < 3 * seen["start"], seen
+    assert 0 < seen["longest_forced_us"] < 50_000
 
 
 def cost(function: Callable[[], object]) -> float:

@@ -9,104 +9,228 @@ import sys
 import time
 
 from esair.loop._of_loop import OfLoop
-from esair.loop._rate_group import Job
+from esair.loop._rate_group import OneShot
 from esair.loop._scheduler import Scheduler
 
 LOOK = 0.25
 """How often the collector looks whether there is something to do, in seconds."""
 
+SOON = 0.005  # how soon it looks again at the soonest, where much garbage is made
+
 TRIES = 20
 """How many gaps that are too short are let pass before one is used all the same."""
 
-LONG = 0.001  # a collection that takes longer sets aside what it has kept, in seconds
-MAX_SHARE = 0.02  # the greatest share of time that full collections may take
-FEW = 200_000  # by how many blocks of memory more it may grow without a look at all
-
-_NEVER = 1_000_000
-
-
 YOUNG = 500
 """From how many new objects on a gap is used; Python 3.13 itself waits for 2,000."""
+
+LONG = 0.001
+"""How long a collection in a gap shall take at most, in seconds of CPU time.
+
+What has been kept and takes longer to look at is set aside.
+"""
+
+PAUSE = 0.02
+"""How much is let come at most: what takes this long to collect, in seconds of CPU time."""
+
+FEW = 100_000  # by how many blocks of memory it may grow without a look at all
+
+_BLOCKS = 4  # of memory, that an object takes which the collector knows, roughly
+_FEW_OBJECTS = 20_000  # what may come in any program, however small it is
+_USUAL = 2e-7  # what it takes to collect an object, before it was measured, in seconds
 
 
 class Collector:
     """The garbage collector of the process while robots run; one for the process.
 
     The interpreter still collects young objects by itself, which takes microseconds.
-    It never makes a full collection: that stops the program for milliseconds, in the
-    midst of a step. They are made here, when nothing is due for as long as one takes.
-    What exists at the start, and what a long collection has kept, is set aside and not
-    looked at again until the program has grown to twice as much memory. Objects are not
-    even counted: what a collection keeps takes half as long to count as to collect.
+    Full collections are made here, when nothing is due for as long as one takes. The
+    interpreter makes one in the midst of a step only when so much has come since the
+    last one that the program has doubled, or that it takes `PAUSE` to collect: it counts
+    what comes, and is told from how much on. That bounds the pile, and by it the pause,
+    whatever makes garbage, how fast, and whether there are gaps at all.
+
+    What exists at the start, and what was kept and takes long to look at, is set aside
+    and not looked at again until the program has grown to twice as much memory. That
+    look at everything is the only pause that is as long as the program is large.
     """
 
     def __init__(self) -> None:
         self._robots = 0
         self._before = (0, 0, 0)
-        self._not_before = -math.inf
         self._before_all = 0  # how many blocks of memory there were before the robot,
         self._known = 0  # and how many more when all was looked at
-        self.collections = 0  # how many full collections there were
-        self.collected = 0  # how many objects they have freed
-        self.longest = 0.0
-        """The longest of them, in seconds, since the first robot has started."""
-        self._expected = 0.0
         self._looks_at_all = False
+        self._each = _USUAL
+        self._kept = 0.0  # what it takes to look at what was kept, in seconds
+        self._ended_young = 0  # what the interpreter has collected until the last time
+        self._is_ours = False
+        self._came, self._began = 0, 0.0  # what there was when a forced one began
+        self.collections = 0
+        """How many full collections there were since the first robot has started."""
+        self.forced = 0
+        """How many of them were not in a gap: no gap was long enough, or none came."""
+        self.collected = 0
+        """How many objects they have freed."""
+        self.longest = 0.0
+        """The longest of them in a gap, in seconds of CPU time."""
+        self.longest_forced = 0.0
+        """The longest of the others, in seconds of CPU time."""
 
     def start(self) -> None:
-        """A robot runs: from now on full collections are made in gaps only."""
-        if self._robots == 0:
-            self._before = gc.get_threshold()
-            gc.freeze()
-            gc.set_threshold(self._before[0], self._before[1], _NEVER)
-            self._before_all, self._known = sys.getallocatedblocks(), 0
-            self.longest = self._expected = 0.0
-            self._looks_at_all = False
+        """A robot runs: from now on full collections are made in gaps."""
         self._robots += 1
+        if self._robots > 1:
+            return
+        self._before = gc.get_threshold()
+        self._before_all, self._known = sys.getallocatedblocks(), 0
+        self.reset()
+        self._each, self._looks_at_all = _USUAL, False
+        self._is_ours = True
+        self._set_aside()
+        self._is_ours = False
+        gc.callbacks.append(self._hear)
 
     def stop(self) -> None:
         """It has stopped; the last one gives the interpreter its settings back."""
         self._robots -= 1
         if self._robots == 0:
+            gc.callbacks.remove(self._hear)
             gc.set_threshold(*self._before)
             gc.unfreeze()
 
-    def wanted(self, now: float) -> bool:
-        """Tell whether there is something to collect, and time to do it."""
-        if now < self._not_before or not gc.isenabled():
-            return False
-        young, *older = gc.get_count()
-        return young >= YOUNG or any(older)
+    def reset(self) -> None:
+        """Count from nothing."""
+        self.collections = self.forced = self.collected = 0
+        self.longest = self.longest_forced = 0.0
+
+    def counts(self) -> dict[str, int]:
+        """Return what was counted since the first robot has started."""
+        return {
+            "collections": self.collections,
+            "forced": self.forced,
+            "collected": self.collected,
+            "longest_us": round(self.longest * 1e6),
+            "longest_forced_us": round(self.longest_forced * 1e6),
+        }
+
+    def came(self) -> int:
+        """Tell how many objects have come since the last full collection, at most."""
+        if not gc.isenabled():
+            return 0
+        young, middle, old = gc.get_count()
+        each, many, _ = self._before
+        since = _collected_young() - self._ended_young
+        return max(young, young + each * (middle + (many + 1) * old) - since)
+
+    def in_a_gap(self) -> int:
+        """Tell how many objects shall come between two collections in gaps."""
+        return round(max(LONG - self._kept, LONG / 2) / self._each)
 
     def fits(self, gap: float) -> bool:
         """Tell whether a full collection is expected to be over within a gap."""
-        return self._expected * 1.5 <= gap
-
-    def collect(self) -> None:
-        """Make a full collection now, and measure it."""
-        began = time.perf_counter()
-        self.collected += gc.collect()
-        took = self._expected = time.perf_counter() - began
-        self.collections += 1
-        if took > LONG:
-            self._set_aside_what_was_kept()
-        took = time.perf_counter() - began
-        self.longest = max(self.longest, took)
-        self._not_before = time.monotonic() + took / MAX_SHARE
-
-    def _set_aside_what_was_kept(self) -> None:
-        gc.freeze()
-        self._expected = 0.0
-        blocks = sys.getallocatedblocks()
-        there = blocks - self._before_all
         if self._looks_at_all:
-            self._looks_at_all = False
-            self._known = there
-        elif not blocks or there - self._known > max(self._known, FEW):
-            # Another allocator than Python's own does not count its blocks.
-            gc.unfreeze()  # the next collection looks at all of it
-            self._looks_at_all = True
-            self._expected = blocks * 5e-8
+            return sys.getallocatedblocks() * 7.5e-8 <= gap
+        return self._expected() * 1.5 <= gap
+
+    def _expected(self) -> float:
+        return self._kept + self.came() * self._each
+
+    def collect(self, *, forced: bool = False) -> None:
+        """Make a full collection now, and measure it."""
+        came, expected, began = self.came(), self._expected(), time.thread_time()
+        self._is_ours = True
+        at_all, self._looks_at_all = self._looks_at_all, False
+        if at_all:
+            gc.unfreeze()
+        collected = gc.collect()
+        took = time.thread_time() - began
+        self._learn(took, came, collected)
+        if at_all:
+            self._set_aside(at_all=True)
+        elif took > LONG and took > 1.5 * expected:
+            gc.collect()  # what is left now was kept
+            self._kept = time.thread_time() - began - took
+            if self._kept > LONG:
+                self._set_aside()
+        self._kept = min(self._kept, took)
+        self._is_ours = False
+        self._count(time.thread_time() - began, collected, forced=forced)
+        self._begin_anew()
+
+    def _hear(self, phase: str, info: dict[str, int]) -> None:
+        """Hear of a collection; a full one that is not ours came in the midst of work."""
+        generation = info["generation"]
+        if generation == 0 or self._is_ours:
+            return
+        if phase == "start":
+            self._came, self._began = self.came(), time.thread_time()
+            return
+        if generation == 1:
+            self._say_when()
+            return
+        took, collected = time.thread_time() - self._began, info["collected"]
+        came = self._came
+        self._learn(took, came, collected)
+        self._count(took, collected, forced=True)
+        if took > PAUSE or (took > PAUSE / 2 and 2 * collected < came):
+            gc.freeze()  # most was kept, and would be looked at each time
+            self._look_for_twice_as_much()
+        self._begin_anew()
+
+    def _learn(self, took: float, came: int, collected: int) -> None:
+        """Learn from a collection of mostly garbage what an object takes."""
+        if collected >= 1_000 and 2 * collected >= came:
+            each = max(took - self._kept, took / 4) / collected
+            self._each = min(max((self._each + each) / 2, 5e-8), 1e-4)
+
+    def _count(self, took: float, collected: int, *, forced: bool) -> None:
+        self.collections += 1
+        self.collected += collected
+        if forced:
+            self.forced += 1
+            self.longest_forced = max(self.longest_forced, took)
+        else:
+            self.longest = max(self.longest, took)
+
+    def _set_aside(self, *, at_all: bool = False) -> None:
+        gc.freeze()
+        gc.collect()  # of nothing: the interpreter waits for a quarter of what was there
+        self._kept = 0.0
+        if at_all:
+            self._known = sys.getallocatedblocks() - self._before_all
+        else:
+            self._look_for_twice_as_much()
+        self._begin_anew()
+
+    def _look_for_twice_as_much(self) -> None:
+        """Have the next collection look at all of it if the program has grown so much.
+
+        Another allocator than Python's own does not count its blocks.
+        """
+        blocks = sys.getallocatedblocks()
+        grown = blocks - self._before_all - self._known
+        self._looks_at_all = not blocks or grown > max(self._known, FEW)
+
+    def _begin_anew(self) -> None:
+        self._ended_young = _collected_young()
+        self._say_when()
+
+    def _say_when(self) -> None:
+        """Tell the interpreter how many more objects may come before it collects.
+
+        It counts how often it has moved what is young to what is old, and knows nothing
+        of what it has freed before.
+        """
+        each, many, _ = self._before
+        there = (self._before_all + self._known) // _BLOCKS
+        most = min(PAUSE / self._each, max(there, _FEW_OBJECTS))
+        rounds = round((most - self.came()) / max(each * (many + 1), 1))
+        gc.set_threshold(each, many, max(gc.get_count()[2] + rounds - 1, 0))
+
+
+def _collected_young() -> int:
+    young, middle, _ = gc.get_stats()
+    return int(young["collected"] + middle["collected"])
 
 
 collector = Collector()  # the one of this process
@@ -119,36 +243,48 @@ class Gaps(OfLoop):
         self._loop = loop
         self._scheduler = Scheduler.of(loop)
         self._users = 0
-        self._job: Job | None = None
+        self._next: OneShot | None = None
+        self._last = -math.inf  # when it was collected last
         self._tries = 0
 
     def start(self) -> None:
         collector.start()
         self._users += 1
-        # On a virtual clock a job that never ends would hide a deadlock.
+        # On a virtual clock looks that never end would hide a deadlock.
         if self._users == 1 and not getattr(self._loop, "virtual", False):
-            self._job = self._scheduler.every(LOOK, self._look)
+            self._last = self._loop.time()
+            self._look_in(LOOK)
 
     def stop(self) -> None:
         """Look for them no more, if no other robot is on the loop."""
         collector.stop()
         self._users -= 1
-        if self._users == 0 and self._job is not None:
-            self._job.stop()
-            self._job = None
+        if self._users == 0 and self._next is not None:
+            self._scheduler.cancel(self._next)
+            self._next = None
 
-    def _look(self, now: float) -> None:
-        if self._tries == 0 and collector.wanted(now):
+    def _look_in(self, seconds: float) -> None:
+        self._next = self._scheduler.at(self._loop.time() + seconds, self._look)
+
+    def _look(self, _now: float) -> None:
+        if self._tries or collector.came() >= YOUNG:
             self._loop.call_soon(self._try)  # when the steps of this moment are done
+        else:
+            self._look_in(LOOK)
 
     def _try(self) -> None:
-        if self._job is None:
+        if self._next is None:
             self._tries = 0
             return
         gap = self._scheduler.gap()
+        fits = collector.fits(gap)
         self._tries += 1
-        if collector.fits(gap) or self._tries >= TRIES:
-            self._tries = 0
-            collector.collect()
-        else:
-            self._loop.call_later(max(gap, 0.0) + 0.0005, self._try)
+        if not fits and self._tries < TRIES:
+            self._look_in(max(gap, 0.0) + 0.0005)
+            return
+        self._tries = 0
+        came, now = collector.came(), self._loop.time()
+        collector.collect(forced=not fits)
+        pace = came / max(now - self._last, SOON)
+        self._last = now
+        self._look_in(min(max(collector.in_a_gap() / pace, SOON), LOOK))

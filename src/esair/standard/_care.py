@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 
 from esair.exceptions import ConfigError
-from esair.loop import GLANCE, Gaps, Job, OwnedTasks, Scheduler, StallWatch
+from esair.loop import GLANCE, Gaps, Job, OwnedTasks, Scheduler, StallWatch, collector
 
 STALL_WARNING = 0.1
 """How long code may hold the event loop before it is named, in seconds."""
@@ -55,6 +55,11 @@ class LoopCare:
         """Everything runs: garbage is collected in the gaps from now on."""
         self._gaps = Gaps.of(loop)
         self._gaps.start()
+
+    def counts(self) -> Iterator[tuple[str, Mapping[str, int]]]:
+        """Return what the collector counts; on a virtual clock it has no gaps."""
+        if self._gaps is not None and not getattr(self._loop, "virtual", False):
+            yield "collector", collector.counts()
 
     def is_down(self) -> None:
         """The stop has begun: it is no time for garbage."""

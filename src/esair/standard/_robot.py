@@ -201,6 +201,7 @@ class Robot:
         if stall_warning is not None:
             check_seconds(self._title, "stall_warning", stall_warning)
         self._care = LoopCare(stall_warning, self._resources.resumed)
+        self.journal.count("collector", self._care.counts)
         self._watch = SignalWatch(
             lambda number: self._signals.tell(number), self._hurry, self._is_safe
         )
