@@ -9,9 +9,10 @@ import attrs
 import numpy as np
 import pytest
 
+from esair.codec import Kinds
 from esair.exceptions import DeviceLostError, RecordingBrokenError
 from esair.loop import First
-from esair.recording import turns_of
+from esair.recording import Kept
 from esair.recording._turns import Turns
 
 HERE = Path("run.mcap")
@@ -33,16 +34,28 @@ class Odd(Exception):  # noqa: N818 - somebody else's
         self.code = code
 
 
+KINDS = Kinds([Pose, Odd])
+
+
+def kept_of(chunks: list[bytes]) -> tuple[list[Any], str | None]:
+    """Return the items of chunks, read, and why there are no more."""
+    kept = Kept(HERE, chunks, KINDS)
+    items = [
+        item if type(item) is float else (*item[:-1], kept.read(item[-1]))
+        for item in kept
+    ]
+    return items, kept.spoiled
+
+
 def through(*items: Any) -> list[Any]:
     """Return items after they were bytes."""
-    turns = Turns()
+    turns = Turns(KINDS)
     turns.tape.turn(0.0)
     for item in items:
         turns.tape.arrived(("device", "news"), item)
-    chunks = list(iter(turns.chunk, b""))
-    kept = turns_of(HERE, chunks)
-    assert kept.spoiled is None
-    return [item[2] for item in kept.items[1:]]
+    kept, spoiled = kept_of(list(iter(turns.chunk, b"")))
+    assert spoiled is None
+    return [item[2] for item in kept[1:]]
 
 
 @pytest.mark.promise("REP-2")
@@ -62,7 +75,7 @@ def test_errors_come_back_with_all_that_is_asked_of_them() -> None:
     """Class, number of the system, attributes, cause; also in a circle."""
     lost, gone, odd = DeviceLostError("sonar", "gone"), OSError(19, "no"), Odd(code=7)
     lost.__cause__, gone.__cause__ = gone, lost
-    back, system, strange = through(lost, gone, odd)
+    back, system, strange = through((lost, gone, odd))[0]
 
     assert (type(back), str(back), back.resource) == (type(lost), str(lost), "sonar")
     assert (type(system), system.errno) == (OSError, 19)
@@ -74,22 +87,22 @@ def test_errors_come_back_with_all_that_is_asked_of_them() -> None:
 @pytest.mark.promise("REP-2")
 def test_a_value_that_cannot_be_kept_ends_what_can_be_repeated() -> None:
     """What is before it stays, and it is said what it was."""
-    turns = Turns()
+    turns = Turns(KINDS)
     for moment in (0.0, 1.0):
         turns.tape.turn(moment)
     turns.tape.arrived(("sonar", "pushed"), lambda: None)
     turns.tape.turn(2.0)
-    kept = turns_of(HERE, list(iter(turns.chunk, b"")))
+    items, spoiled = kept_of(list(iter(turns.chunk, b"")))
 
-    assert kept.items == [0.0, 1.0]
-    assert "what sonar pushed gave cannot be kept" in str(kept.spoiled)
+    assert items == [0.0, 1.0]
+    assert "what sonar pushed gave cannot be kept: builtins.function" in str(spoiled)
 
 
 @pytest.mark.promise("REP-2")
 @pytest.mark.parametrize("missing", [0, 1])
 def test_a_missing_part_is_noticed(missing: int) -> None:
     """Nothing is repeated without its beginning, and nothing past a gap."""
-    turns, chunks = Turns(), []
+    turns, chunks = Turns(KINDS), []
     for moment in (0.0, 1.0, 2.0):
         turns.tape.turn(moment)
         chunks.append(turns.chunk())
@@ -97,10 +110,9 @@ def test_a_missing_part_is_noticed(missing: int) -> None:
 
     if missing == 0:
         with pytest.raises(RecordingBrokenError, match="beginning is not there"):
-            turns_of(HERE, chunks)
+            kept_of(chunks)
     else:
-        kept = turns_of(HERE, chunks)
-        assert kept == ([0.0], "a part of it is missing")
+        assert kept_of(chunks) == ([0.0], "a part of it is missing")
 
 
 @pytest.mark.promise("REC-4")
@@ -111,10 +123,10 @@ def test_a_disk_that_is_stuck_takes_no_memory(
     """What waits is bounded before anybody writes; what was kept says that it ended."""
     monkeypatch.setattr("esair.recording._turns.LIMIT", limit)
     monkeypatch.setattr("esair.recording._turns.HELD", held)
-    turns = Turns()
+    turns = Turns(KINDS)
     turns.tape.turn(0.0)
     for _ in range(20):
         turns.tape.arrived(("camera", "news"), (bytes(1000), None))
-    kept = turns_of(HERE, list(iter(turns.chunk, b"")))
-    assert len(kept.items) <= 6
-    assert "fast enough" in str(kept.spoiled)
+    items, spoiled = kept_of(list(iter(turns.chunk, b"")))
+    assert len(items) <= 6
+    assert "fast enough" in str(spoiled)

@@ -132,7 +132,8 @@ async def unequal(
         async with places:
             told = await recorded(what, seed, seconds, folder)
             if told.code == 0:
-                words = ("-m", "esair", "replay", "run.mcap")
+                words = ["-m", "esair", "replay", "run.mcap"]
+                words += ["--with", "demo"] * (what == "demo")
                 told = await told_by(folder, *words, hash_seed=4711, patience=300)
         done += 1
         if (

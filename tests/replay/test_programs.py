@@ -146,7 +146,9 @@ def test_a_fast_demo_is_repeated_with_its_world(tmp_path: Path) -> None:
     words = ("demo", "--fast", "--seed", "5", "--record", "fast.mcap")
     code, said = verbs(tmp_path, *words, "--out", "demo.png")
     assert code == 0, said
-    code, said = verbs(tmp_path, "replay", "fast.mcap", hash_seed=4711)
+    code, said = verbs(
+        tmp_path, "replay", "fast.mcap", "--with", "demo", hash_seed=4711
+    )
 
     assert code == 0, said
     assert said.startswith("equal")

@@ -20,7 +20,7 @@ from tests.replay.soak import folder_of_robot, unequal
 import esair
 from esair.exceptions import RecordingBrokenError
 from esair.recording import events_of
-from esair.replay import Replay, unrepeatable
+from esair.replay import Replay, Unrepeatable, unrepeatable
 
 pytestmark = pytest.mark.real_clock
 
@@ -191,17 +191,17 @@ def test_damaged_facts_are_named(recording: Path, tmp_path: Path, fact: bytes) -
 
 
 class Evil:
-    """Would be made by a call, if it were read back."""
+    """Would be made by a call, if it were read back by what asks it how."""
 
     def __reduce__(self) -> Any:
         return os.system, ("true",)
 
 
-@pytest.mark.promise("REP-2")
-def test_a_recording_runs_no_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.promise("REP-2", "SEC-2")
+def test_what_is_no_plain_data_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """What is in it may only make plain data."""
+    """It is told when it is recorded, once, and the run is repeated up to there."""
     path = tmp_path / "run.mcap"
 
     async def read(_: object) -> Any:
@@ -209,9 +209,25 @@ def test_a_recording_runs_no_code(
 
     monkeypatch.setattr(robots.Sonar, "read", read)
     robots.recorded(path, 0.1)
+    told = "what call sonar read gave cannot be kept: "
+    assert sum(told in line for line in caplog.messages) == 1
 
-    with pytest.raises(RecordingBrokenError, match="no plain data"):
-        Replay(path).run(robots.make())
+    outcome = Replay(path).run(robots.make())
+    assert outcome.divergence is None
+    assert outcome.short.startswith(told)
+    assert "Evil is no plain data" in outcome.short
+
+
+def check(kind: type, folder: Path) -> list[Unrepeatable]:
+    """Return what cannot repeat in the code of a class, by a file that names it."""
+    file = folder / "robot.toml"
+    module = f"tests.replay.{Path(__file__).stem}"
+    table = f'[behavior.{kind.__name__.lower()}]\ndriver = "{module}:{kind.__name__}"\n'
+    file.write_text(f'[robot]\nname = "it"\n{table}')
+    (folder / "tests" / "replay").mkdir(parents=True)
+    for each in (Path(__file__), Path(robots.__file__)):
+        (folder / "tests" / "replay" / each.name).write_bytes(each.read_bytes())
+    return unrepeatable(file)
 
 
 def draws() -> float:
@@ -235,9 +251,9 @@ class Guesses(esair.Reaction):
 
 
 @pytest.mark.promise("REP-3")
-def test_what_cannot_repeat_is_named() -> None:
+def test_what_cannot_repeat_is_named(tmp_path: Path) -> None:
     """Files, randomness: with the line, and what to use instead."""
-    found = unrepeatable([Guesses()])
+    found = check(Guesses, tmp_path)
 
     assert {(each.component, each.call) for each in found} == {
         ("guesses", "io.open"),
@@ -271,17 +287,39 @@ class Hides(esair.Reaction):
 
 
 @pytest.mark.promise("REP-3")
-def test_what_hides_is_named_too() -> None:
+def test_what_hides_is_named_too(tmp_path: Path) -> None:
     """Functions that are only handed on, other names, modules of the same folder."""
-    assert {each.call for each in unrepeatable([Hides()])} == {
+    assert {each.call for each in check(Hides, tmp_path)} == {
         *("time.time", "os.urandom", "os.system", "time.strftime", "os.listdir")
     }
 
 
 @pytest.mark.promise("REP-3")
-def test_what_repeats_is_not_named() -> None:
+def test_what_repeats_is_not_named(tmp_path: Path) -> None:
     """Neither the random numbers of the robot, nor its time, nor drivers."""
-    assert unrepeatable([robots.Follow(), robots.Wander()]) == []
+    file = tmp_path / "robot.toml"
+    file.write_text(
+        '[behavior.follow]\ndriver = "robots:Follow"\n'
+        '[behavior.wander]\ndriver = "robots:Wander"\n'
+    )
+    (tmp_path / "robots.py").write_text(Path(robots.__file__).read_text())
+    assert unrepeatable(file) == []
+
+
+@pytest.mark.promise("REP-3", "SEC-2")
+def test_a_check_runs_and_makes_nothing(tmp_path: Path) -> None:
+    """Neither the modules that are named, nor the classes in them."""
+    (tmp_path / "robots.py").write_text(
+        f"{Path(robots.__file__).read_text()}\nPath('ran').touch()\n"
+    )
+    (tmp_path / "robot.toml").write_text('[behavior.wave]\ndriver = "robots:Wave"\n')
+    before = {*sys.modules}
+    found = unrepeatable(tmp_path / "robot.toml")
+
+    assert {each.call for each in found} == {"random.choice"}
+    assert not (tmp_path / "ran").exists()
+    assert not Path("ran").exists()
+    assert {*sys.modules} == before
 
 
 @pytest.mark.promise("REP-3")

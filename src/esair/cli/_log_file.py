@@ -21,6 +21,9 @@ from esair.values import printable
 ITEMS = 8
 """How many items of a list are printed; of a longer one, how many more there are."""
 
+NAMES = 10_000
+"""How many names of components are known, so that a misspelt one is told."""
+
 TEXT = 400  # How much of a value is printed; all of it with --json
 
 
@@ -51,16 +54,21 @@ def log(
         with contextlib.suppress(KeyboardInterrupt):
             return _follow(robot, component or [], kind or [], machine=machine)
         return 0
-    from esair.recording import events_of, facts_of
+    from esair.recording import Gaps, events_of, facts_of
 
     named: set[str] = set()
-    offset = float(facts_of(file).get("clock", {}).get("offset", 0.0))
+    facts = facts_of(file)
+    gaps = Gaps(facts)
     for event in events_of(file):
-        named |= {event.component, event.peer} - {""}
+        gaps.hear(event)
+        if len(named) < NAMES:
+            named |= {event.component, event.peer} - {""}
         if component and not {event.component, event.peer} & set(component):
             continue
         if not kind or event.kind in kind:
-            _print(event.time + offset, event._asdict(), machine=machine)
+            _print(event.time + gaps.offset, event._asdict(), machine=machine)
+    if told := gaps.told():
+        tell(printable(f"{file}: {told}"))
     return CANNOT_USE if has_unknown("--component", component or [], named) else 0
 
 
@@ -85,15 +93,22 @@ def _print(when: float, event: Mapping[str, Any], *, machine: bool = False) -> N
     if machine:
         print(json.dumps(event), flush=True)  # noqa: T201 - this is the output
         return
-    clock = time.strftime("%H:%M:%S", time.localtime(when))
+    clock = _clock(when)
     who = f"{event['peer']} > " if event["peer"] else ""
     value = "" if event["value"] is None else shown(_for_people(event))
     line = " ".join(part for part in (value, event["text"]) if part)
     print(  # noqa: T201 - this is the output
-        f"{clock}.{int(when % 1 * 1000):03} {event['kind']:<10} "
+        f"{clock}.{int(when % 1 * 1000):03} {printable(event['kind'])[:20]:<10} "
         f"{printable(who + event['component'])} {printable(line)}".rstrip(),
         flush=True,
     )
+
+
+def _clock(when: float) -> str:
+    try:
+        return time.strftime("%H:%M:%S", time.localtime(when))
+    except (OverflowError, ValueError, OSError):  # the time of no clock
+        return "--:--:--"
 
 
 def _for_people(event: Mapping[str, Any]) -> Any:

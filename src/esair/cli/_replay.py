@@ -16,6 +16,7 @@ from esair import config
 from esair.cli._errors import CANNOT_USE, tell
 from esair.cli._log_file import shown
 from esair.cli._options import Verbose
+from esair.values import printable
 
 if TYPE_CHECKING:
     from esair.recording import Recorded
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 DIVERGED: Final = 3  # The exit code if the robot does otherwise than it did
 WIDTH: Final = 120  # How much of a value is shown
+ROBOT_FILE: Final = "robot.toml"
+DEMO: Final = "demo"
 
 
 def replay(
@@ -42,10 +45,12 @@ def replay(
     Args:
         file: The recording of 'esair run' or 'esair sim'.
         with_: What the robot is made of: a robot.toml, module:robot, file.py:robot (or
-            a function that returns it), or a program that runs it; the robot.toml of
-            the recorded run unless given.
-        check: Run nothing: name what in the robot's code cannot be repeated. The exit
-            code is 3 if there is such a thing.
+            a function that returns it), or a program that runs it; 'demo' for that of
+            'esair demo'. Unless given, the robot.toml of this folder, if it is the one
+            of the recorded run: what a recording names is never run.
+        check: Run nothing, and make nothing: read the source of the robot's code, and
+            name what in it cannot be repeated. The exit code is 3 if there is such a
+            thing.
         verbose: Show the log of the replay.
     """
     from esair.replay import Replay
@@ -54,21 +59,37 @@ def replay(
     console = Console(highlight=False, soft_wrap=True)
     if not verbose:
         logging.disable(logging.CRITICAL)
-    if with_ is None and not check:
-        outcome = recorded.run_script()
-        if outcome is not None:
-            return show(outcome, console)
-    made_of = with_ or (str(recorded.file) if recorded.file else "")
+    made_of = with_ or _own_file(recorded)
     if not made_of:
-        program = recorded.program or "PROGRAM.py"
-        tell(f"{file}: a program made this robot, name it: --with {program}")
         return CANNOT_USE
+    if check and made_of != DEMO:
+        return _check(made_of)
+    if made_of == DEMO:
+        from esair.demo import repeat
+
+        return show(repeat(recorded), console)
     robot = _robot_of(made_of, simulated=recorded.is_simulated)
-    if check:
-        return _check(robot)
     for line in _changes(recorded, robot):
-        console.print(line, style="yellow")
+        console.print(Text(printable(line), "yellow"))
     return show(recorded.run(robot), console)
+
+
+def _own_file(recorded: Replay) -> str:
+    """Return the robot.toml of this folder if it is that of the run; else say why."""
+    place = Path(ROBOT_FILE)
+    if recorded.script:
+        tell(f"{recorded.path}: 'esair demo' made it, say so: --with demo")
+    elif not recorded.file:
+        program = printable(recorded.program or "PROGRAM.py")
+        told = f"a program made this robot, name it: --with {program:.200}"
+        tell(f"{recorded.path}: {told}")
+    elif not place.is_file() or config.digest_of(place) != recorded.digest:
+        name = printable(recorded.file)
+        told = f"no {ROBOT_FILE} in this folder is the one of the recorded run"
+        tell(f"{recorded.path}: {told}, name yours: --with {name:.200}")
+    else:
+        return ROBOT_FILE
+    return ""
 
 
 def _robot_of(made_of: str, *, simulated: bool) -> esair.Robot:
@@ -79,12 +100,12 @@ def _robot_of(made_of: str, *, simulated: bool) -> esair.Robot:
     return config.build(config.load(path, simulated=simulated))
 
 
-def _check(robot: esair.Robot) -> int:
+def _check(made_of: str) -> int:
     from esair.replay import unrepeatable
 
-    found = unrepeatable(robot.plan.behaviors)
+    found = unrepeatable(made_of)
     for each in found:
-        print(each)  # noqa: T201 - this is the command line
+        print(printable(str(each)))  # noqa: T201 - this is the command line
     if not found:
         print("nothing was found that could not be repeated")  # noqa: T201 - as above
     return DIVERGED if found else 0
@@ -98,9 +119,8 @@ def _changes(recorded: Replay, robot: esair.Robot) -> list[str]:
     then = recorded.facts.get("versions", {}).get("esair", esair.__version__)
     if then != esair.__version__:
         lines.append(f"it was recorded with esair {then}; this is {esair.__version__}")
-    before = recorded.facts["robot"].get("robot.toml")
     file = None if robot.source is None else robot.source[0]
-    if file is not None and before and file.read_text(encoding="utf-8") != before:
+    if file is not None and config.digest_of(file) != recorded.digest:
         lines.append(f"{file.name} is not as it was when the run was recorded")
     components = [*robot.plan.resources, *robot.plan.behaviors]
     code = dict(facts_about("", components))["code"]
@@ -128,27 +148,32 @@ def show(outcome: Outcome, console: Console) -> int:
         f"({speed:.0f} times as fast)"
     )
     if outcome.short:
-        console.print(f"it was compared up to there: {outcome.short}", style="yellow")
+        told = printable(f"it was compared up to there: {outcome.short}")
+        console.print(Text(told, "yellow"))
     return 0
 
 
 def _show_divergence(found: Divergence, outcome: Outcome, console: Console) -> None:
     text = Text()
-    text.append(f"{found.component} does otherwise", "bold red")
+    text.append(printable(f"{found.component} does otherwise"), "bold red")
     text.append(
         f" at {found.seconds:.3f} s (turn {found.turn}), after {outcome.equal} events "
         "that were equal"
     )
     console.print(text)
-    console.print(f"  recorded  {_words(found.expected, found)}")
-    console.print(f"  now       {_words(found.actual, found)}")
+    lines = [
+        f"  recorded  {_words(found.expected, found)}",
+        f"  now       {_words(found.actual, found)}",
+    ]
     if found.readings:
-        console.print(f"  {found.component} had these readings:")
+        lines.append(f"  {found.component} had these readings:")
     for seen in found.readings:
         age = _moment(found) - seen.time
-        console.print(
+        lines.append(
             f"    {seen.sensor}, {1000 * age:.0f} ms old: {shown(seen.value, WIDTH)}"
         )
+    for line in lines:
+        console.print(Text(printable(line)))  # it may be a stranger's recording
 
 
 def _moment(found: Divergence) -> float:

@@ -11,6 +11,7 @@ from esair.config._load import Description, build, load, load_robot
 from esair.config._mistakes import ConfigFileError
 from esair.config._module import find_robot, is_of_module, robot_of
 from esair.config._records import fields_of
+from esair.config._source import digest_of, tables_of
 from esair.config._values import INVALID, convert
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "build",
     "check",
     "convert",
+    "digest_of",
     "fields_of",
     "find_robot",
     "is_of_module",
@@ -30,4 +32,5 @@ __all__ = [
     "load_robot",
     "robot_of",
     "searched_first",
+    "tables_of",
 ]

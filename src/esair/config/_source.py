@@ -99,6 +99,24 @@ def read_source(path: str | os.PathLike[str], text: str | None = None) -> Source
     return Source(Path(path), digest, text, data, mistakes)
 
 
+def digest_of(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a configuration file, in hexadecimal.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    return hashlib.sha256(_bytes_of(path, str(path))).hexdigest()
+
+
+def tables_of(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a configuration file says, unchecked; nothing is made of it.
+
+    Raises:
+        ConfigError: It cannot be read, or is no TOML.
+    """
+    return read_source(path).data
+
+
 def _bytes_of(path: str | os.PathLike[str], shown: str) -> bytes:
     try:
         # Without a wait: nobody may ever write to a FIFO.

@@ -87,9 +87,11 @@ class Stopped(tuple[LastCommand, ...]):
 
     Attributes:
         reason: Why it stopped; if it was halted then, also why.
+        recording: What its recording lacks, in words; empty if nothing.
     """
 
     reason: str
+    recording: str = ""
 
     def __new__(cls, told: Iterable[LastCommand] = (), reason: str = "") -> Self:
         """Make a report of what each actuator was told."""

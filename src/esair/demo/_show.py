@@ -25,7 +25,7 @@ from esair.demo._samples import Witness
 from esair.demo._screen import Screen
 from esair.demo._story import Story
 from esair.demo._summary import Run
-from esair.exceptions import EsairError, describe
+from esair.exceptions import EsairError, RecordingBrokenError, describe
 from esair.loop import TurnLoop, every
 from esair.messages import Recording
 from esair.seat import Status, robots
@@ -149,18 +149,23 @@ async def perform(
             return Robot(**{**given, **more})  # type: ignore[arg-type]
 
         robot = build(described, make)
-        recorded_as(robot, "esair.demo:repeat", seed=seed, duration=duration)
+        recorded_as(robot, "demo", seed=seed, duration=duration)
         await _play(ending, screen, robot, described, simulation, duration)
 
 
-def repeat(recorded: Replay, *, seed: int, duration: float) -> Outcome:
+def repeat(recorded: Replay) -> Outcome:
     """Repeat a show that was recorded, for ``esair replay``; a fast one with its world.
 
     Args:
         recorded: The recording.
-        seed: That of the show.
-        duration: That of the show, in seconds.
+
+    Raises:
+        RecordingBrokenError: It is none of a show.
     """
+    options = recorded.options
+    if recorded.script != "demo" or options.keys() != {"seed", "duration"}:
+        raise RecordingBrokenError(str(recorded.path), "it is none of 'esair demo'")
+    seed, duration = int(options["seed"]), options["duration"]
     described = load(_robot_file(), simulated=True)
 
     async def play(robot: Robot) -> None:

@@ -53,9 +53,18 @@ class Listener:
     Attributes:
         heard: How many events it was told.
         dropped: How many it was not told, because too many waited.
+        is_waited_for: Whether the turn goes on until it has heard all: time is virtual.
     """
 
-    __slots__ = ("_journal", "_kinds", "dropped", "function", "heard", "waiting")
+    __slots__ = (
+        "_journal",
+        "_kinds",
+        "dropped",
+        "function",
+        "heard",
+        "is_waited_for",
+        "waiting",
+    )
 
     def __init__(
         self,
@@ -70,6 +79,7 @@ class Listener:
         self.waiting: collections.deque[Event] = collections.deque(maxlen=backlog)
         self.heard = 0
         self.dropped = 0
+        self.is_waited_for = False
 
     def take(self, event: Event) -> None:
         """Put an event into the queue; the oldest makes room."""
@@ -222,7 +232,7 @@ class Journal:
                 event = waiting.popleft()
                 listener.heard += 1
                 function(event)
-                if time.perf_counter() >= end:
+                if time.perf_counter() >= end and not listener.is_waited_for:
                     break
         except (Exception, asyncio.CancelledError) as error:  # it is somebody else's
             failed = error

@@ -48,7 +48,7 @@ from esair.loop._scheduler import Scheduler
 from esair.loop._signals import LateSignals, ProcessWatch, SignalWatch
 from esair.loop._stall import StallWatch
 from esair.loop._suspend import GLANCE, SuspendWatch
-from esair.loop._tape import SPOILED, First, Player, TapeWriter
+from esair.loop._tape import SPOILED, First, Player, Tag, TapeWriter
 from esair.loop._timer import clock_beside, clock_of
 from esair.loop._turn_loop import TurnLoop
 
@@ -93,6 +93,7 @@ __all__ = [
     "Stepping",
     "Stream",
     "SuspendWatch",
+    "Tag",
     "TapeWriter",
     "TurnLoop",
     "arrive",

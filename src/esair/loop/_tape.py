@@ -21,6 +21,7 @@ Tag = tuple[str, ...]
 
 PATIENCE = 10.0  # how long a replay waits for a thread of the robot's own, in seconds
 IMPATIENT = 0.2  # how long it waits for one when it has waited in vain before
+HOPELESS = 50  # how often it waits for threads in vain before it does no more
 
 SPOILED: Tag = ("spoiled",)
 """The tag of what makes a run one that cannot be repeated from there on."""
@@ -107,25 +108,35 @@ class Player:
     for the turn in which it came in, and the replay waits for a thread that is late.
 
     When the tape is over every call is answered with `DeviceLostError`, so that the
-    robot can stop.
+    robot can stop. It is read turn by turn, while the run goes on.
+
+    Args:
+        items: What is on the tape, in its order.
+        over: Called when it is over.
+        read: Makes what came in of what is kept of it, when it takes effect; it is
+            kept as it is unless given.
     """
 
     def __init__(
-        self, items: Iterable[Any], over: Callable[[], object] | None = None
+        self,
+        items: Iterable[Any],
+        over: Callable[[], object] | None = None,
+        *,
+        read: Callable[[Any], Any] | None = None,
     ) -> None:
-        self.moments: list[float] = []  # when each turn began
+        self._items = iter(items)
+        self._read = read
         self._arrived: collections.deque[Arrived] = collections.deque()
         self._firsts: dict[Tag, collections.deque[First]] = {}
-        for item in items:
-            if type(item) is float:
-                self.moments.append(item)
-            elif len(item) == 3:
-                self._arrived.append(Arrived(len(self.moments) - 1, *item))
-            else:
-                tag, first = item
-                self._firsts.setdefault(tag, collections.deque()).append(First(*first))
-        if not self.moments:
-            self.moments.append(0.0)
+        self.turns = 0
+        """How many turns have begun."""
+        self.began: float = 0.0
+        """When the first one did."""
+        self.moment: float = 0.0
+        """When this one did."""
+        self._following: float | None = 0.0
+        self.error: Exception | None = None
+        """Why the rest of the tape cannot be read; None if it can."""
         self.on_over = over
         self.is_over: bool = False
         self._door: WayIn | None = None
@@ -135,19 +146,67 @@ class Player:
         self._came: dict[Tag, collections.deque[Entry]] = {}
         self._news = threading.Condition()
         self._patience = PATIENCE
-        self.missed: list[Arrived] = []
-        """What came in when the run was recorded, and nobody waited for now."""
+        self._hopes = HOPELESS
+        self.missed = 0
+        """How much came in when the run was recorded, and nobody waited for now."""
+        self._load()
+        if self.next_turn() is not None:
+            self.began = self.moment
 
     def begin(self, door: WayIn) -> None:
         """The recorded part of the run begins."""
         self._door = door
         door.divert = self._come
 
-    def take(self, turn: int) -> None:
-        """Let what came in take effect again in a turn."""
+    def next_turn(self) -> float | None:
+        """Begin the next turn of the tape; return its moment, or None if it is over."""
+        if self._following is None:
+            return None
+        self.moment = self._following
+        self.turns += 1
+        self._load()
+        return self.moment
+
+    def reaches(self, moment: float) -> bool:
+        """Tell whether the tape has a turn at a moment or later; it may be wound on."""
+        while self.moment < moment and self._following is not None:
+            self.moment = self._following
+            self._load()
+        return self.moment >= moment
+
+    def _load(self) -> None:
+        """Take from the tape what came in until the following turn."""
+        self._following = None
+        try:
+            for item in self._items:
+                if type(item) is float:
+                    self._following = item
+                    return
+                if len(item) == 3:
+                    self._arrived.append(Arrived(self.turns - 1, *item))
+                else:
+                    tag, first = item
+                    self._firsts.setdefault(tag, collections.deque()).append(first)
+        except Exception as error:  # it is a file of anybody
+            self.error = self.error or error
+
+    def _payload(self, kept: Any) -> Any:
+        return kept if self._read is None else self._read(kept)
+
+    def take(self) -> None:
+        """Let what came in take effect again in this turn."""
         arrived = self._arrived
-        while arrived and arrived[0].turn <= turn:
-            self._apply(arrived.popleft())
+        while arrived and not self.is_over:
+            each = arrived.popleft()
+            try:
+                self._apply(each)
+            except Exception as error:  # nothing that a run has kept leads there
+                self.fail(error)
+
+    def fail(self, error: Exception) -> None:
+        """The rest of the tape cannot be used."""
+        self.error = self.error or error
+        self.end()
 
     def end(self) -> None:
         """The tape is over, or nobody wants the rest of it."""
@@ -174,7 +233,10 @@ class Player:
         number = self._counts[tag]
         firsts = self._firsts.get(tag)
         if firsts:
-            return number, firsts.popleft()
+            try:
+                return number, First(*self._payload(firsts.popleft()))
+            except Exception as error:  # it is a file of anybody
+                self.fail(error)
         if self.is_over:
             return number, First(waits=False, value=None, error=_lost(tag))
         return number, WAITS
@@ -204,22 +266,23 @@ class Player:
         end = self._ends.pop((arrived.tag, arrived.number), None)
         end = end or self._listeners.get(arrived.tag)
         if end is not None:
-            end(arrived.payload)
+            end(self._payload(arrived.payload))
         elif arrived.tag[0] == "thread":
             entry = self._wait_for(arrived.tag)
             if entry is None:
-                self.missed.append(arrived)
+                self.missed += 1
             else:
                 entry.function(*entry.arguments)
         else:
-            self.missed.append(arrived)
+            self.missed += 1
 
     def _wait_for(self, tag: Tag) -> Entry | None:
         end = time.monotonic() + self._patience
         with self._news:
             while not self._came.get(tag):
                 if not self._news.wait(max(0.0, end - time.monotonic())):
-                    self._patience = IMPATIENT
+                    self._hopes -= 1
+                    self._patience = IMPATIENT if self._hopes > 0 else 0.0
                     return None
             return self._came[tag].popleft()
 

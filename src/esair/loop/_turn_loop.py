@@ -65,7 +65,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         self._tape: TapeWriter | None = None
         self._shift = 0.0
         if player is not None:
-            self._shift = player.moments[0] - time.monotonic()
+            self._shift = player.began - time.monotonic()
         self._now = time.monotonic() + self._shift
         self._timers = itertools.count()
         self._works = itertools.count(1)
@@ -90,7 +90,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         assert player is not None
         self._plays = True
         self.turn = 0
-        self._now = player.moments[0]
+        self._now = player.began
         self._door.tape = player
         player.begin(self._door)
 
@@ -161,9 +161,10 @@ class TurnLoop(asyncio.SelectorEventLoop):
         assert player is not None
         events = select(0.0)
         self.turn += 1
-        if self.turn < len(player.moments) and not player.is_over:
-            self._now = player.moments[self.turn]
-            player.take(self.turn)
+        moment = None if player.is_over else player.next_turn()
+        if moment is not None:
+            self._now = moment
+            player.take()
         else:
             player.end()
             events = [*events, *self._hurry(timeout, select)]

@@ -6,35 +6,30 @@ Recording is a listener of the journal. It needs ``esair[record]``.
 from esair.messages import Recording
 from esair.recording._messages import Seen, seen_as, size_of
 from esair.recording._plain import fields_of, plain, schema_of
-from esair.recording._reading import (
-    Contents,
-    Recorded,
-    contents_of,
-    events_of,
-    facts_of,
-)
+from esair.recording._reading import Gaps, Recorded, chunks_of, events_of, facts_of
 from esair.recording._recorder import Recorder, facts_about
-from esair.recording._recover import Recovered, is_whole, recover
-from esair.recording._turns import Kept, turns_of
+from esair.recording._recover import Recovered, is_whole, recover, replaced
+from esair.recording._turns import Kept, kinds_of
 
 __all__ = [
-    "Contents",
+    "Gaps",
     "Kept",
     "Recorded",
     "Recorder",
     "Recording",
     "Recovered",
     "Seen",
-    "contents_of",
+    "chunks_of",
     "events_of",
     "facts_about",
     "facts_of",
     "fields_of",
     "is_whole",
+    "kinds_of",
     "plain",
     "recover",
+    "replaced",
     "schema_of",
     "seen_as",
     "size_of",
-    "turns_of",
 ]

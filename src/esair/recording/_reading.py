@@ -4,18 +4,32 @@ from __future__ import annotations
 
 import itertools
 import json
-import logging
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from esair.exceptions import RecordingBrokenError
+from esair.recording._parts import Fact, Message, Start, Topic, parts_of
 
-TURNS = "esair-turns"  # The encoding of the messages that hold the turns of a run
+TURNS = "esair-turns-2"  # The encoding of the messages that hold the turns of a run
 
+MESSAGE = 32 << 20
+"""The greatest size of a message that is read, in bytes: a picture in the turns."""
 
-_log = logging.getLogger("esair")
+EVENT = 4 << 20
+"""The greatest size of an event, in bytes."""
+
+FACTS = 64
+"""How many kinds of facts a recording may tell about itself."""
+
+NESTED = 40
+"""How deep the value of an event may be nested."""
+
+LATEST = 1e12
+"""The greatest time, in seconds: that of no clock is greater."""
+
+PROFILE = "esair"
 
 
 class Recorded(NamedTuple):
@@ -40,109 +54,147 @@ class Recorded(NamedTuple):
     text: str
 
 
-_MAGIC = b"\x89MCAP0\r\n"  # What every MCAP file begins with
-
 _NUMBERED = re.compile(r"(.+)\.([1-9][0-9]*)")  # The stem of a later segment
 
-_BEGUN = b"\xff" * 8
-"""The length of a chunk that was begun: its writer was killed before its end."""
 
-
-def records_of(path: Path) -> Iterator[Any]:
-    """Yield the records of an MCAP file up to where it is cut.
-
-    A chunk that is not what was written is left out, with a word where it is.
-    """
-    from mcap.exceptions import EndOfFile
-    from mcap.records import Chunk
-    from mcap.stream_reader import StreamReader, breakup_chunk
-
-    with path.open("rb") as file:
-        if not file.seekable():  # it is read more than once
-            raise RecordingBrokenError(str(path), "it is a pipe: save it to a file")
-        if file.read(len(_MAGIC)) != _MAGIC:
-            return
-        file.seek(0)
-        records = iter(StreamReader(file, emit_chunks=True).records)
-        while True:
-            begin = file.tell()
-            try:
-                record = next(records)
-                parts = [record]
-                if isinstance(record, Chunk):
-                    parts = breakup_chunk(record, validate_crc=True)
-            except (StopIteration, EndOfFile):
-                return
-            except OSError:
-                raise
-            except Exception:  # the reader meets whatever is there
-                end = file.tell()
-                file.seek(begin + 1)
-                if file.read(len(_BEGUN)) == _BEGUN:
-                    return
-                file.seek(end)
-                _log.warning("%s: damaged at byte %d, left out", path, begin)
-                if end == begin:
-                    return
-                continue
-            yield from parts
+def facts_of(path: str | Path) -> dict[str, dict[str, str]]:
+    """Return the facts that a recording tells about itself, by name."""
+    facts: dict[str, dict[str, str]] = {}
+    for segment in segments_of(Path(path)):
+        is_ours = False
+        for part in parts_of(segment, skip_messages=True):
+            if isinstance(part, Start):
+                is_ours = part.profile == PROFILE
+            elif isinstance(part, Fact) and len(facts) < FACTS:
+                facts[part.name] = part.told
+        if not is_ours:
+            raise _not_ours(segment)
+    return facts
 
 
 def events_of(path: str | Path) -> Iterator[Recorded]:
     """Yield the events of a recording, as far as it is readable, in their order.
 
-    Those of its later segments too.
+    Those of its later segments too. One is read at a time: a recording may be of any
+    size.
 
     Raises:
         RecordingBrokenError: It is no recording of esair at all.
     """
-    for segment in segments_of(Path(path)):
-        for kind, found in _parts_of(segment):
-            if kind == "event":
-                yield found
+    for data in _messages_of(Path(path), "json", EVENT):
+        event = _event(data)
+        if event is not None:
+            yield event
 
 
-def facts_of(path: str | Path) -> dict[str, dict[str, str]]:
-    """Return the facts that a recording tells about itself, by name."""
-    from mcap.records import Metadata
+def chunks_of(path: Path) -> Iterator[bytes]:
+    """Yield the turns of a recorded run, as `Turns` has made bytes of them.
 
-    return {
-        record.name: dict(record.metadata)
-        for record in records_of(next(segments_of(Path(path))))
-        if isinstance(record, Metadata)
-    }
+    Raises:
+        RecordingBrokenError: It is no recording of esair at all.
+    """
+    return _messages_of(path, TURNS, MESSAGE)
 
 
-class Contents(NamedTuple):
-    """All of a recording, its later segments too.
+def _messages_of(path: Path, encoding: str, most: int) -> Iterator[bytes]:
+    """Yield the messages of one encoding, a file at a time."""
+    for segment in segments_of(path):
+        wanted: set[int] = set()
+        is_ours = False
+        for part in parts_of(segment):
+            if isinstance(part, Message):
+                if is_ours and part.channel in wanted and len(part.data) <= most:
+                    yield bytes(part.data)
+            elif isinstance(part, Start):
+                is_ours = part.profile == PROFILE
+            elif isinstance(part, Topic) and part.encoding == encoding:
+                wanted.add(part.number)
+        if not is_ours:
+            raise _not_ours(segment)
+
+
+def _not_ours(path: Path) -> RecordingBrokenError:
+    return RecordingBrokenError(str(path), "it is no recording of esair")
+
+
+def _event(data: bytes) -> Recorded | None:
+    """Return the event of a message; None if it is none that a recorder writes."""
+    try:
+        message = json.loads(data)
+        told = message.get("esair", message)
+        found = Recorded(*map(told.get, Recorded._fields))
+        texts = found[2:5] + found[6:]
+        is_one = (
+            type(found.number) is int
+            and type(found.time) in {int, float}
+            and abs(found.time) < LATEST
+            and all(type(each) is str for each in texts)
+            and not _is_deep(data, found.value)
+        )
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return None
+    return found._replace(time=float(found.time)) if is_one else None
+
+
+def _is_deep(data: bytes, value: Any) -> bool:
+    """Tell whether a value is nested deeper than a recorder writes any."""
+    if data.count(b"[") + data.count(b"{") <= NESTED:
+        return False
+    layer = [value]
+    for _ in range(NESTED):
+        layer = [
+            part
+            for each in layer
+            if isinstance(each, list | dict)
+            for part in (each.values() if isinstance(each, dict) else each)
+            if isinstance(part, list | dict)
+        ]
+        if not layer:
+            return False
+    return True
+
+
+class Gaps:
+    """Hears the events of a recording, and tells what it lacks.
+
+    Args:
+        facts: What the recording tells about itself.
 
     Attributes:
-        facts: What it tells about itself, by name.
-        events: What has happened.
-        turns: The turns of the run, as bytes.
+        offset: The wall clock minus the robot's, in seconds.
     """
 
-    facts: dict[str, dict[str, str]]
-    events: list[Recorded]
-    turns: list[bytes]
+    def __init__(self, facts: Mapping[str, Mapping[str, str]]) -> None:
+        self.offset = _number(facts.get("clock", {}).get("offset", ""))
+        self._end = facts.get("end")
+        self._number = self._missing = 0
+
+    def hear(self, event: Recorded) -> None:
+        """Hear of the next event."""
+        if self._number and event.number > self._number + 1:
+            self._missing += event.number - self._number - 1
+        self._number = max(self._number, event.number)
+
+    def told(self) -> str:
+        """Return what it lacks, in words; empty if nothing."""
+        missing = self._missing
+        if self._end is not None:
+            last = int(_number(self._end.get("events", "")))
+            missing += max(0, last - self._number)
+        words = []
+        if missing:
+            words.append(f"{missing} events were not recorded")
+        if self._end is None:
+            words.append("it has no end: what came last may be missing")
+        return "; ".join(words)
 
 
-def contents_of(path: Path) -> Contents:
-    """Read all of a recording, as far as it is readable.
-
-    Raises:
-        RecordingBrokenError: It is no recording of esair at all.
-    """
-    contents = Contents({}, [], [])
-    for segment in segments_of(path):
-        for kind, found in _parts_of(segment):
-            if kind == "event":
-                contents.events.append(found)
-            elif kind == "turns":
-                contents.turns.append(found)
-            else:
-                contents.facts.update(found)
-    return contents
+def _number(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        return 0.0
+    return number if abs(number) < LATEST else 0.0
 
 
 def segments_of(path: Path) -> Iterator[Path]:
@@ -171,39 +223,3 @@ def _numbers_of(path: Path) -> Iterator[int]:
         found = _NUMBERED.fullmatch(other.stem)
         if found and found[1] == path.stem:
             yield int(found[2])
-
-
-def _parts_of(path: Path) -> Iterator[tuple[str, Any]]:
-    """Yield what is in a file: events, turns as bytes, and facts."""
-    from mcap.records import Channel, Header, Message, Metadata
-
-    topics: dict[int, str] = {}
-    is_ours = False
-    for record in records_of(path):
-        if isinstance(record, Header):
-            is_ours = record.profile == "esair"
-        elif isinstance(record, Channel):
-            if record.message_encoding in {"json", TURNS}:
-                topics[record.id] = record.message_encoding
-        elif isinstance(record, Metadata):
-            yield "facts", {record.name: dict(record.metadata)}
-        elif isinstance(record, Message) and is_ours and record.channel_id in topics:
-            if topics[record.channel_id] == TURNS:
-                yield "turns", record.data
-                continue
-            message = json.loads(record.data)
-            told = message.get("esair", message)
-            yield (
-                "event",
-                Recorded(
-                    told["number"],
-                    told["time"],
-                    told["kind"],
-                    told["component"],
-                    told["peer"],
-                    told.get("value"),
-                    told["text"],
-                ),
-            )
-    if not is_ours:
-        raise RecordingBrokenError(str(path), "it is no recording of esair")

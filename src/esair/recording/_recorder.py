@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from esair.recording._messages import seen_as, size_of
 from esair.recording._plain import plain
 from esair.recording._reading import TURNS
 from esair.recording._recover import left_cut
-from esair.recording._turns import HELD, TOPIC, Turns, bulk_of
+from esair.recording._turns import HELD, TOPIC, Turns, bulk_of, kinds_of
 
 BACKLOG = 65_536
 """How many events may wait to be written; those that come then are dropped, and counted.
@@ -36,11 +36,21 @@ BACKLOG = 65_536
 FLUSH = 0.2  # How often what was written is made to survive the process, in seconds
 SYNC = 1.0  # How often it is made to survive the loss of power, in seconds
 
+FULL = 4096
+"""How many events may wait where time is virtual: it waits for the recorder then."""
+
+LAST = 2.0
+"""How long the end may take to write what waits, in seconds; the rest is dropped."""
+
+PATIENT = 60.0  # The same where time is virtual
+
 SLICE = 4
 """How many events are written at once: a thread that computes holds up the loop."""
 
 VALUE_LIMIT = 1 << 20
 """The greatest size of a message in bytes; a larger value is left out, and told once."""
+
+LOST = "events were not recorded: they came faster than they could be written"
 
 _PAUSE = 0.0001
 
@@ -57,6 +67,8 @@ class Recorder:
         journal: What it hears.
         name: The name of the robot.
         facts: What else is written: versions, configuration, seed.
+        components: Returns the components of the robot; what they declare is kept.
+        waits: Whether the loop waits for it: its time is virtual.
     """
 
     def __init__(
@@ -66,6 +78,8 @@ class Recorder:
         *,
         name: str = "robot",
         facts: Iterable[tuple[str, dict[str, str]]] = (),
+        components: Callable[[], Iterable[Any]] = tuple,
+        waits: bool = False,
     ) -> None:
         self.recording = recording
         self.written = 0
@@ -79,6 +93,8 @@ class Recorder:
         self.path = _place(recording.path, name)
         self._journal = journal
         self._facts = [*facts]
+        self._components = components
+        self._waits = waits
         self._segments: collections.deque[Path] = collections.deque()
         self._number = 0
         self._waiting: collections.deque[Event] = collections.deque()
@@ -87,11 +103,14 @@ class Recorder:
         self._offset = 0.0
         self._turns: Turns | None = None
         self._over = threading.Event()
+        self._is_late = False  # The end has come, and takes no longer
+        self._told_loss = False
         self._segment = self._next_segment()
         self._thread = threading.Thread(
             target=self._work, name="esair-recorder", daemon=True
         )
         self._listener = journal.listen(self._hear, backlog=BACKLOG)
+        self._listener.is_waited_for = waits
 
     def start(self, now: float) -> None:
         """Begin to write.
@@ -106,20 +125,28 @@ class Recorder:
 
     def keep_turns(self) -> TapeWriter:
         """Return what the event loop writes its turns on, for an exact replay."""
-        self._turns = Turns()
+        self._turns = Turns(kinds_of(self._components))
         return self._turns.tape
 
     def note(self, name: str, facts: dict[str, str]) -> None:
         """Write facts that are known only now; before `start`."""
         self._facts.append((name, facts))
 
-    def close(self, timeout: float = 2.0) -> bool:
-        """Write what waits, and the index; tells whether that was done in time."""
+    def close(self, timeout: float | None = None) -> bool:
+        """Write what waits, and the index; tells whether that was done in time.
+
+        What cannot be written in time is dropped, and the recording says so.
+        """
         self._listener.stop()
         self._over.set()
         if self._thread.ident is None:
             return True
+        if timeout is None:
+            timeout = PATIENT if self._waits else LAST
         self._thread.join(timeout)
+        if self._thread.is_alive():
+            self._is_late = True
+            self._thread.join(timeout / 2)
         return not self._thread.is_alive()
 
     def counts(self) -> dict[str, int]:
@@ -130,10 +157,22 @@ class Recorder:
             "left_out": self.left_out,
         }
 
+    def lost(self) -> str:
+        """Return what the recording lacks, in words; empty if nothing."""
+        if self.error is not None:
+            return f"{self.error}; what came then is not in it"
+        if self._thread.is_alive():
+            return f"recording {self.path}: its end could not be written in time"
+        count = self.counts()["dropped"]
+        return f"recording {self.path}: {count} {LOST}" if count else ""
+
     # In the loop.
 
     def _hear(self, event: Event) -> None:
         size = bulk_of(event.value)
+        if self._waits and len(self._waiting) >= FULL:
+            while len(self._waiting) > FULL // 2 and self._thread.is_alive():
+                time.sleep(_PAUSE)
         if len(self._waiting) >= BACKLOG or self._came - self._went + size > HELD:
             self.dropped += 1
         else:
@@ -158,7 +197,7 @@ class Recorder:
         cut = [str(path) for path in left_cut(self.path.parent)]
         if cut:
             process = subprocess.Popen(
-                [sys.executable, "-m", "esair.recording", *cut],
+                [sys.executable, "-P", "-m", "esair.recording", *cut],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,
             )
@@ -184,15 +223,30 @@ class Recorder:
                 self._segment.flush()
             if now - synced >= SYNC:
                 synced = now
+                self._tell_loss()
                 self._segment.sync()
                 self._make_room()
             if not over:
-                time.sleep(_PAUSE if wrote else 0.02)
-            elif not self._waiting:
-                self._write_turns()
-                self._segment.note("end", {k: str(v) for k, v in self.counts().items()})
-                self._segment.close()
+                if not (self._waits and self._waiting):
+                    time.sleep(_PAUSE if wrote else 0.02)
+            elif self._is_late or not self._waiting:
+                self._write_end()
                 return
+
+    def _write_end(self) -> None:
+        while self._waiting:  # there is no time left for them
+            self._waiting.popleft()
+            self.dropped += 1
+        self._write_turns()
+        counts = {**self.counts(), "events": self._journal.number}
+        self._segment.note("end", {k: str(v) for k, v in counts.items()})
+        self._segment.close()
+
+    def _tell_loss(self) -> None:
+        """Say once, while it runs, that events are lost; the stop says how many."""
+        if not self._told_loss and self.counts()["dropped"]:
+            self._told_loss = True
+            _log.warning("recording %s: %s", self.path, LOST)
 
     def _write_turns(self) -> int:
         """Write all turns until now; tell how many chunks there were."""
@@ -277,7 +331,7 @@ def _place(path: Path, name: str) -> Path:
             raise recording_error(path, error) from error
         path /= time.strftime(f"{name}-%Y%m%d-%H%M%S.mcap")
     place, number = path, 1
-    while place.exists():
+    while os.path.lexists(place):
         number += 1
         place = path.with_stem(f"{path.stem}-{number}")
     return place

@@ -5,11 +5,14 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from esair.exceptions import RecordingBrokenError
-from esair.recording._reading import records_of, segments_of
+from esair.recording._parts import MAGIC, Message, Shown, Start, Topic, parts_of
+from esair.recording._reading import segments_of
 
 RECOVERED = "-recovered"
 """What the name of a recovered file has more than that of the original."""
@@ -41,15 +44,23 @@ def is_whole(path: Path) -> bool:
 def _ends(file: BinaryIO) -> bool:
     with contextlib.suppress(OSError):
         file.seek(-8, os.SEEK_END)
-        return file.read() == b"\x89MCAP0\r\n"
+        return file.read() == MAGIC
     return False
 
 
 def left_cut(folder: Path) -> list[Path]:
     """Return the newest recordings of a folder that were cut and are not recovered.
 
-    One that another robot is writing is not cut; what cannot be read is left alone.
+    One that another robot is writing is not cut; what cannot be read, or is not of this
+    user, is left alone, and so is a folder where somebody else could have put it.
     """
+    try:
+        state = folder.stat()
+    except OSError:
+        return []
+    others = stat.S_IWGRP | stat.S_IWOTH
+    if state.st_mode & others and not state.st_mode & stat.S_ISVTX:
+        return []
     return [
         path for path in sorted(folder.glob("*.mcap"))[-OLD_FILES:] if _is_cut(path)
     ]
@@ -57,13 +68,44 @@ def left_cut(folder: Path) -> list[Path]:
 
 def _is_cut(path: Path) -> bool:
     try:
-        if not path.is_file() or path.with_stem(f"{path.stem}{RECOVERED}").exists():
+        if os.path.lexists(path.with_stem(f"{path.stem}{RECOVERED}")):
             return False
-        with path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # Its writer has it alone
-            return not _ends(file)
+        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        descriptor = os.open(path, flags)
+        try:
+            state = os.fstat(descriptor)
+            if not stat.S_ISREG(state.st_mode) or state.st_uid != os.geteuid():
+                return False
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # Its writer's alone
+            with os.fdopen(descriptor, "rb", closefd=False) as file:
+                return not _ends(file)
+        finally:
+            os.close(descriptor)
     except OSError:
         return False
+
+
+@contextlib.contextmanager
+def replaced(path: Path) -> Iterator[BinaryIO]:
+    """Write a file under another name first; it is there as a whole or not at all.
+
+    It is this user's alone, and whatever had its name is replaced, never written to: a
+    link that somebody has put there leads nowhere.
+    """
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    partial = f".{path.name}.{os.urandom(6).hex()}.part"
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    try:
+        descriptor = os.open(partial, flags, 0o600, dir_fd=folder)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                yield file
+            os.replace(partial, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+        except BaseException:
+            os.unlink(partial, dir_fd=folder)
+            raise
+    finally:
+        os.close(folder)
 
 
 def recover(path: str | Path, target: str | Path | None = None) -> Recovered:
@@ -78,60 +120,54 @@ def recover(path: str | Path, target: str | Path | None = None) -> Recovered:
     Raises:
         RecordingBrokenError: Not even its beginning is there.
     """
-    from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
-    from mcap.writer import CompressionType, Writer
-
     path = next(segments_of(Path(path)))
     new = Path(target) if target else path.with_stem(f"{path.stem}{RECOVERED}")
+    was_whole = is_whole(path)
+    with replaced(new) as file:
+        messages = _copied(path, file)
+    return Recovered(new, messages, was_whole)
+
+
+def _copied(path: Path, file: BinaryIO) -> int:
+    """Write what is readable of a recording; return how many messages there were."""
+    from mcap.writer import CompressionType, Writer
+
+    writer = Writer(file, compression=CompressionType.ZSTD)
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
     messages = 0
     begun = False
-    partial = new.with_suffix(".part")
-    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-    with os.fdopen(descriptor, "wb") as file:
-        writer = Writer(file, compression=CompressionType.ZSTD)
-        for record in records_of(path):
-            if isinstance(record, Header):
-                writer.start(record.profile, "esair recover")
-                begun = True
-            elif not begun:
-                break
-            elif isinstance(record, Schema):
-                schemas[record.id] = writer.register_schema(
-                    record.name, record.encoding, record.data
+    for part in parts_of(path):
+        if isinstance(part, Start):
+            if begun:
+                continue
+            writer.start(part.profile, "esair recover")
+            begun = True
+        elif not begun:
+            break
+        elif isinstance(part, Shown):
+            schemas[part.number] = writer.register_schema(
+                part.name, part.encoding, part.data
+            )
+        elif isinstance(part, Topic):
+            if part.number not in channels:
+                channels[part.number] = writer.register_channel(
+                    part.name, part.encoding, schemas.get(part.schema, 0), part.facts
                 )
-            elif isinstance(record, Channel) and record.id not in channels:
-                channels[record.id] = writer.register_channel(
-                    record.topic,
-                    record.message_encoding,
-                    schemas.get(record.schema_id, 0),
-                    dict(record.metadata),
-                )
-            elif isinstance(record, Message) and record.channel_id in channels:
+        elif isinstance(part, Message):
+            if part.channel in channels:
                 writer.add_message(
-                    channels[record.channel_id],
-                    record.log_time,
-                    record.data,
-                    record.publish_time,
-                    record.sequence,
+                    channels[part.channel],
+                    part.logged,
+                    bytes(part.data),
+                    part.published,
+                    part.sequence,
                 )
                 messages += 1
-            elif isinstance(record, Metadata):
-                writer.add_metadata(record.name, dict(record.metadata))
-            elif isinstance(record, Attachment):
-                writer.add_attachment(
-                    record.create_time,
-                    record.log_time,
-                    record.name,
-                    record.media_type,
-                    record.data,
-                )
-        if begun:
-            finish: Any = writer.finish  # it says no types
-            finish()
+        else:
+            writer.add_metadata(part.name, part.told)
     if not begun:
-        partial.unlink()
         raise RecordingBrokenError(str(path), "it is no recording of esair")
-    partial.replace(new)
-    return Recovered(new, messages, is_whole(path))
+    finish: Any = writer.finish  # it says no types
+    finish()
+    return messages

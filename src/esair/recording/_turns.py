@@ -1,26 +1,25 @@
 """The turns of a run in its recording: all that an exact replay needs.
 
-They are pickled, because a driver may give any value; what is read back may only make
-plain objects (see `_Unpickler`), so that a recording of somebody else runs no code.
+Each item has a small frame of its own: the moment of a turn, or whose call has begun or
+ended. What a driver has given is coded by `esair.codec`, and decoded only in the turn in
+which it takes effect again: then its class is there, and memory holds one turn.
 """
 
 from __future__ import annotations
 
 import collections
-import dataclasses
-import enum
-import io
 import itertools
-import pickle
-import sys
-from collections.abc import Iterator, Sequence
+import logging
+import struct
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final
 
-import attrs
-
-from esair.exceptions import RecordingBrokenError, describe
-from esair.loop import SPOILED, First, TapeWriter
+from esair.codec import CodecError, Kinds, declared, decode, encode
+from esair.exceptions import RecordingBrokenError
+from esair.loop import SPOILED, First, Tag, TapeWriter
+from esair.messages import Reading, Stamped, StampedReading
+from esair.recording._reading import MESSAGE
 
 TOPIC = "/esair/journal"  # The topic of the turns
 AT_ONCE = 64  # How many items are encoded at once: it holds up the loop meanwhile
@@ -31,15 +30,58 @@ LIMIT = 500_000
 HELD = 128 << 20
 """How many bytes of large values may wait: a slow disk must not take the memory."""
 
+ROOM: Final = 1 << 16
+"""How many bytes of a message are left for all but one value."""
+
+_MOMENT, _CAME, _FIRST, _WAITS, _SPOILED = b"MAFWX"
+_moment = struct.Struct("<Bd")
+_came = struct.Struct("<BHII")
+_first = struct.Struct("<BHI")
+_waits = struct.Struct("<BH")
+_number = struct.Struct("<I")
+
+_WAITED: Final = First(waits=True, value=None, error=None)
+
+_log = logging.getLogger("esair")
+
+
+def kinds_of(components: Callable[[], Iterable[Any]], **options: bool) -> Kinds:
+    """Return the classes that a robot's components declare, those added later too.
+
+    Args:
+        components: Returns the components that there are, or their classes.
+        **options: Those of `Kinds`.
+    """
+    seen: set[type] = set()
+
+    def add(kinds: Kinds) -> None:
+        for each in list(components()):
+            inner = getattr(each, "reaction", each)
+            kind = inner if isinstance(inner, type) else type(inner)
+            if kind in seen:
+                continue
+            seen.add(kind)
+            kinds.programs.append(kind.__module__)
+            for found in declared(kind):
+                kinds.add(found)
+            kinds.add(getattr(inner, "value_type", None))
+
+    kinds = Kinds([Reading, StampedReading, Stamped], more=add, **options)
+    add(kinds)
+    return kinds
+
 
 class Turns:
     """Takes the turns of a run in the loop, and gives them to the recorder's thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, kinds: Kinds) -> None:
+        self._kinds = kinds
         self._waiting: collections.deque[Any] = collections.deque()
         self._numbers = itertools.count()
         self._came = self._went = 0  # Bytes: one thread adds to each
         self.tape = TapeWriter(self._put)  # What the loop writes on
+        self.spoiled: str | None = None
+        """Why nothing more is kept; None as long as all is."""
 
     def _put(self, item: Any) -> None:
         """Keep an item, in the loop: the thread that writes may be stuck in the disk."""
@@ -56,14 +98,55 @@ class Turns:
         waiting = self._waiting
         if not waiting:
             return b""
-        count = min(AT_ONCE, len(waiting))
-        items = [waiting.popleft() for _ in range(count)]
-        self._went += sum(map(_bulk_of_item, items))
-        number = next(self._numbers)
+        out = bytearray(_number.pack(next(self._numbers)))
+        tags: dict[Tag, int] = {}
+        for _ in range(min(AT_ONCE, len(waiting))):
+            if len(out) > ROOM:
+                break
+            item = waiting.popleft()
+            self._went += _bulk_of_item(item)
+            if self.spoiled is None:
+                self._write(item, out, tags)
+        return bytes(out)
+
+    def _write(self, item: Any, out: bytearray, tags: dict[Tag, int]) -> None:
+        if type(item) is float:
+            out += _moment.pack(_MOMENT, item)
+            return
+        tag, brought = item[0], item[-1]
+        if tag == SPOILED:
+            self._spoil(brought, out)
+            return
+        waits = type(brought) is First and brought.waits
         try:
-            return _pickled((number, items))
-        except Exception:  # a value may be an object of any class
-            return _pickled((number, [each for it in items for each in _kept(it)]))
+            if type(brought) is First:
+                brought = tuple(brought)
+            data = b"" if waits else encode(brought, self._kinds, MESSAGE - 2 * ROOM)
+        except CodecError as error:
+            what = CodecError(error.reason, error.path.partition("]")[2])
+            self._spoil(f"what {' '.join(tag)} gave cannot be kept: {what}", out)
+            return
+        is_new = tag not in tags
+        number = tags.setdefault(tag, len(tags))
+        if waits:
+            out += _waits.pack(_WAITS, number)
+        elif len(item) == 2:
+            out += _first.pack(_FIRST, number, len(data))
+        else:
+            out += _came.pack(_CAME, number, item[1], len(data))
+        if is_new:
+            words = [each.encode() for each in tag]
+            out += bytes((len(words),))
+            for word in words:
+                out += bytes((min(len(word), 255),)) + word[:255]
+        out += data
+
+    def _spoil(self, why: str, out: bytearray) -> None:
+        """Keep no more, and say why: in the recording, and once in the log."""
+        self.spoiled = why
+        text = why.encode("utf-8", "replace")[:1000]
+        out += _number.pack(len(text)).join([bytes((_SPOILED,)), text])
+        _log.warning("recording: this run cannot be repeated from here on: %s", why)
 
 
 def bulk_of(value: Any) -> int:
@@ -91,172 +174,125 @@ def _bulk_of_item(item: Any) -> int:
     return bulk_of(brought[-2] if is_end else brought)
 
 
-def _kept(item: Any) -> Iterator[Any]:
-    """Yield an item, or one in its place if it cannot be kept."""
-    try:
-        _pickled(item)
-    except Exception as error:
-        tag, rest = item[0], item[1:]
-        yield (
-            SPOILED,
-            0,
-            f"what {' '.join(tag)} gave cannot be kept: {describe(error)}",
-        )
-        yield (
-            (tag, First(waits=False, value=None, error=None))
-            if len(rest) == 1
-            else (tag, rest[0], (None, None))
-        )
-    else:
-        yield item
-
-
-class Kept(NamedTuple):
-    """The turns that a recording holds.
-
-    Attributes:
-        items: What a `TapeWriter` has put, in its order.
-        spoiled: Why the run cannot be repeated to its end; None if it can.
-    """
-
-    items: list[Any]
-    spoiled: str | None
-
-
-def turns_of(path: Path, chunks: list[bytes], programs: Sequence[str] = ()) -> Kept:
-    """Return the turns of a recording.
+class Kept:
+    """The turns that a recording holds, read once, in their order.
 
     Args:
         path: The recording, for messages.
-        chunks: What `contents_of` has found there.
-        programs: The modules that may have been the program which was recorded.
+        chunks: What `chunks_of` finds there.
+        kinds: The classes that may come back.
 
-    Raises:
-        RecordingBrokenError: It holds none, or not the beginning; or they hold what is
-            no plain data.
+    Attributes:
+        spoiled: Why the run cannot be repeated to its end; None if it can, or if that
+            is further on.
     """
-    items: list[Any] = []
-    spoiled: str | None = None
-    for expected, data in enumerate(chunks):
+
+    def __init__(self, path: Path, chunks: Iterable[bytes], kinds: Kinds) -> None:
+        self._path = path
+        self._chunks = chunks
+        self._kinds = kinds
+        self.spoiled: str | None = None
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield what a `TapeWriter` has put; what came in is still to be read.
+
+        Raises:
+            RecordingBrokenError: There are none, or not their beginning, or they are
+                not what `Turns` has written.
+        """
+        found = False
+        for expected, data in enumerate(self._chunks):
+            try:
+                (number,) = _number.unpack_from(data)
+                if number == expected:
+                    for item in _items_of(data):
+                        found = True
+                        if type(item) is str:
+                            self.spoiled = item
+                            return
+                        yield item
+            except (struct.error, IndexError, ValueError):
+                raise self._broken("its turns are damaged") from None
+            if number != expected:
+                if not found:
+                    raise self._broken(
+                        "its beginning is not there (an old segment was deleted): a run "
+                        "is repeated from its start"
+                    )
+                self.spoiled = "a part of it is missing"
+                return
+        if not found:
+            raise self._broken(
+                "it holds no turns: only runs of 'esair run', 'esair sim' and "
+                "esair.run() with their own event loop can be repeated"
+            )
+
+    def read(self, kept: Any) -> Any:
+        """Return what came in.
+
+        Raises:
+            RecordingBrokenError: It holds what the robot does not declare.
+        """
+        if type(kept) is not bytes:
+            return kept
         try:
-            number, more = _Unpickler(io.BytesIO(data), programs).load()
-        except pickle.UnpicklingError as error:
-            raise RecordingBrokenError(str(path), str(error)) from error
-        except Exception as error:
-            raise RecordingBrokenError(
-                str(path), f"its turns cannot be read: {describe(error)}"
-            ) from error
-        if number != expected:
-            if not items:
-                raise RecordingBrokenError(
-                    str(path),
-                    "its beginning is not there (an old segment was deleted): a run is "
-                    "repeated from its start",
-                )
-            spoiled = "a part of it is missing"
-            break
-        items += more
-    if not items:
-        raise RecordingBrokenError(
-            str(path),
-            "it holds no turns: only runs of 'esair run', 'esair sim' and esair.run() "
-            "with their own event loop can be repeated",
+            return decode(kept, self._kinds, MESSAGE)
+        except CodecError as error:
+            raise self._broken(str(error)) from None
+
+    def _broken(self, why: str) -> RecordingBrokenError:
+        return RecordingBrokenError(str(self._path), why)
+
+
+def _items_of(data: bytes) -> Iterator[Any]:
+    """Yield the items of a chunk; a text says why there are no more."""
+    tags: list[Tag] = []
+    place = _number.size
+    while place < len(data):
+        kind = data[place]
+        if kind == _MOMENT:
+            yield _moment.unpack_from(data, place)[1]
+            place += _moment.size
+            continue
+        if kind == _SPOILED:
+            begin = place + 1 + _number.size
+            size = _number.unpack_from(data, place + 1)[0]
+            yield data[begin : begin + size].decode("utf-8", "replace")
+            return
+        form = _FORMS[kind]
+        _, number, *rest = form.unpack_from(data, place)
+        place += form.size
+        if number == len(tags):
+            tag, place = _tag_of(data, place)
+            tags.append(tag)
+        if kind == _WAITS:
+            yield tags[number], _WAITED
+            continue
+        begin, place = place, place + rest[-1]
+        if place > len(data):
+            raise IndexError
+        brought = data[begin:place]
+        yield (
+            (tags[number], brought)
+            if kind == _FIRST
+            else (
+                tags[number],
+                rest[0],
+                brought,
+            )
         )
-    for place, item in enumerate(items):
-        if type(item) is not float and item[0] == SPOILED:
-            spoiled = item[2]
-            del items[place:]
-            break
-    return Kept(items, spoiled)
 
 
-# Bytes.
+_FORMS: Final = {_CAME: _came, _FIRST: _first, _WAITS: _waits}
 
 
-def _pickled(value: Any) -> bytes:
-    out = io.BytesIO()
-    _Pickler(out, protocol=5).dump(value)
-    return out.getvalue()
-
-
-class _Pickler(pickle.Pickler):
-    """Writes errors by their class, arguments and cause: many cannot be made anew."""
-
-    def reducer_override(self, value: Any) -> Any:
-        if isinstance(value, BaseException):
-            # What it refers to comes after it: two errors may be each other's cause.
-            state = dict(vars(value)), value.__cause__
-            made = new_error, (type(value), value.args)
-            return (*made, state, None, None, fill_error)
-        return NotImplemented
-
-
-def new_error(kind: type[BaseException], args: tuple[Any, ...]) -> BaseException:
-    """Make an error without its constructor."""
-    error = kind.__new__(kind, *args)
-    error.args = args
-    return error
-
-
-def fill_error(
-    error: BaseException, state: tuple[dict[str, Any], BaseException | None]
-) -> None:
-    """Give an error its attributes and its cause back."""
-    fields, error.__cause__ = state
-    vars(error).update(fields)
-
-
-_PLAIN = {
-    ("builtins", name)
-    for name in (
-        "bytearray", "bytes", "complex", "dict", "float", "frozenset", "int", "list",
-        "object", "range", "set", "slice", "str", "tuple",
-    )
-} | {
-    ("collections", "OrderedDict"),
-    ("collections", "deque"),
-    ("copyreg", "_reconstructor"),
-    ("datetime", "date"),
-    ("datetime", "datetime"),
-    ("datetime", "time"),
-    ("datetime", "timedelta"),
-    ("datetime", "timezone"),
-    ("decimal", "Decimal"),
-    ("fractions", "Fraction"),
-    (new_error.__module__, new_error.__qualname__),
-    (fill_error.__module__, fill_error.__qualname__),
-}  # fmt: skip
-"""What values are made of, beside plain classes."""
-
-_ARRAYS = frozenset({"_reconstruct", "_frombuffer", "scalar", "dtype", "ndarray"})
-"""What NumPy makes arrays with."""
-
-
-class _Unpickler(pickle.Unpickler):
-    """Makes plain data only: attrs and data classes, named tuples, enums, errors."""
-
-    def __init__(self, data: io.BytesIO, programs: Sequence[str]) -> None:
-        super().__init__(data)
-        self._programs = programs
-
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) in _PLAIN or (
-            module.partition(".")[0] == "numpy" and name in _ARRAYS
-        ):
-            return super().find_class(module, name)
-        if module == "__main__":  # the program then; now it may be a module
-            has = (it for it in self._programs if hasattr(sys.modules.get(it), name))
-            module = next(has, module)
-        found = super().find_class(module, name)
-        if isinstance(found, type) and (
-            attrs.has(found)
-            or dataclasses.is_dataclass(found)
-            or issubclass(found, enum.Enum | BaseException)
-            or (issubclass(found, tuple) and hasattr(found, "_fields"))
-            or module.startswith("numpy.dtypes")
-        ):
-            return found
-        raise pickle.UnpicklingError(
-            f"it holds a {module}.{name}, which is no plain data: what drivers give "
-            "should be an attrs class, a data class, a named tuple or plain values"
-        )
+def _tag_of(data: bytes, place: int) -> tuple[Tag, int]:
+    words = []
+    count, place = data[place], place + 1
+    for _ in range(count):
+        begin = place + 1
+        place = begin + data[place]
+        words.append(data[begin:place].decode())
+    if not words or place > len(data):
+        raise IndexError
+    return tuple(words), place

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, Protocol
 
 import attrs
 
@@ -45,34 +46,46 @@ class Divergence:
     readings: tuple[Seen, ...]
 
 
+class Span(Protocol):
+    """How long a recorded run is, which is read while it is repeated."""
+
+    began: float
+    moment: float
+    turns: int
+
+    def reaches(self, moment: float) -> bool:
+        """Tell whether it has a turn at a moment or later."""
+
+
 class Comparison:
     """Compares the events of a replay with recorded ones, in their order.
 
     Args:
-        recorded: What was recorded.
-        moments: When each turn began.
-        whole: Whether the recording has an end: else what comes after it is no news.
+        recorded: What was recorded, in its order.
+        span: How long the run took.
+        whole: Tells whether the recording has an end: else what comes after it is no
+            news.
+        turn_of: Finds the turn of a moment.
         diverged: Called once, with the first difference.
     """
 
     def __init__(
         self,
         recorded: Iterable[Recorded],
-        moments: list[float],
+        span: Span,
         *,
-        whole: bool,
+        whole: Callable[[], bool],
+        turn_of: Callable[[float], int],
         diverged: Callable[[Divergence], object],
     ) -> None:
-        self._events = sorted(recorded)
+        self._events = iter(recorded)
         self.lost = 0
         """How many events were not recorded, in the first gap; it ends there."""
-        self._place = 0
         self._number = 0
+        self._span = span
         self._whole = whole
+        self._turn_of = turn_of
         self._diverged = diverged
-        self._turns = {moment: turn for turn, moment in enumerate(moments)}
-        self._began = moments[0]
-        self._ended = moments[-1]
         self._newest: dict[str, Seen] = {}
         self._reads: dict[str, list[str]] = {}
         self.equal = 0
@@ -97,7 +110,7 @@ class Comparison:
         if self.is_over:
             return
         if expected is None:
-            if self._whole and event.time <= self._ended:
+            if self._whole() and self._span.reaches(event.time):
                 self._tell(None, actual)
             self.is_over = True
             return
@@ -112,20 +125,19 @@ class Comparison:
         if self.is_over:
             return
         expected = self._next()
-        if not self.is_over and expected is not None and expected.time < self._ended:
-            self._tell(expected, None)
+        if not self.is_over and expected is not None:
+            later = math.nextafter(expected.time, math.inf)
+            if self._span.reaches(later):
+                self._tell(expected, None)
         self.is_over = True
 
     def _next(self) -> Recorded | None:
-        events = self._events
-        while self._place < len(events):
-            event = events[self._place]
+        for event in self._events:
             if self._number and event.number != self._number + 1:
-                self.lost = event.number - self._number - 1
+                self.lost = max(1, event.number - self._number - 1)
                 self.is_over = True
                 return None
             self._number = event.number
-            self._place += 1
             if event.kind not in NOT_COMPARED:
                 return event
         return None
@@ -149,8 +161,8 @@ class Comparison:
             who = first.peer
         wanted = [name for name in self._reads.get(who, ()) if name in self._newest]
         readings = tuple(self._newest[name] for name in wanted or sorted(self._newest))
-        turn = self._turns.get(first.time, -1)
-        seconds = first.time - self._began
+        turn = self._turn_of(first.time)
+        seconds = first.time - self._span.began
         self._diverged(Divergence(turn, seconds, who, expected, actual, readings))
 
 

@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-import importlib
+import contextlib
 import json
+import math
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import attrs
 
+from esair.codec import Kinds
 from esair.exceptions import RecordingBrokenError, describe
 from esair.loop import Player, TurnLoop, run_and_end
-from esair.recording import contents_of, turns_of
-from esair.replay._compare import Comparison, Divergence
-from esair.standard import FORMAT, Robot, prepare_replay, run_to_its_end
+from esair.recording import Kept, chunks_of, events_of, facts_of, kinds_of
+from esair.replay._compare import Comparison, Divergence, Span
+from esair.standard import (
+    FORMAT,
+    Robot,
+    components_of,
+    prepare_replay,
+    run_to_its_end,
+)
+
+AGES = 1e9
+"""A time that no run takes, in seconds."""
 
 
 @attrs.frozen
@@ -47,7 +58,8 @@ class Replay:
         path: The recording.
 
     Attributes:
-        file: The robot.toml that the robot was made of; None if of none.
+        file: The name of the robot.toml that the robot was made of; empty if of none.
+        digest: SHA-256 of that file, in hexadecimal.
         is_simulated: Whether the robot was simulated.
 
     Raises:
@@ -57,8 +69,7 @@ class Replay:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        contents = contents_of(path)
-        facts = contents.facts
+        facts = facts_of(path)
         if "replay" not in facts:
             raise RecordingBrokenError(
                 str(path), "it was made by an earlier esair, which kept no turns"
@@ -67,23 +78,24 @@ class Replay:
         self.about = facts["replay"]
         if self.about.get("format") != FORMAT:
             raise RecordingBrokenError(
-                str(path), "its turns were kept by another version of esair"
+                str(path),
+                "its turns were kept by another version of esair: it is not read",
             )
         try:
             self.seed = int(facts["robot"]["seed"])
             exact, why = self.about["exact"], self.about["why"]
-            self.file = Path(self.about["file"]) if self.about["file"] else None
+            self.file = self.about["file"]
+            self.digest = self.about["sha256"]
             self.is_simulated = self.about["simulated"] == "yes"
             self._has_seat = self.about["seat"] == "yes"
             lasts = self.about["duration"]
-            self._duration = float(lasts) if lasts else None
+            self._duration = number_of(lasts) if lasts else None
         except (KeyError, ValueError) as error:
             raise RecordingBrokenError(
                 str(path), f"what it tells about itself is damaged: {describe(error)}"
             ) from error
         if exact != "yes":
             raise RecordingBrokenError(str(path), f"it is not exact: {why}")
-        self._contents = contents
 
     @property
     def program(self) -> str:
@@ -95,19 +107,24 @@ class Replay:
         """Whether its time was virtual: then all of it happens again, devices too."""
         return bool(self.about.get("clock") == "virtual")
 
-    def run_script(self) -> Outcome | None:
-        """Repeat a run that was not one of `esair.run` alone; None if it was."""
-        name = self.about.get("script", "")
-        if not name:
-            return None
-        module, _, function = name.partition(":")
-        if module.partition(".")[0] != "esair":
-            raise RecordingBrokenError(
-                str(self.path), f"it wants to be repeated by {name!r:.80}"
-            )
-        repeat = getattr(importlib.import_module(module), function)
-        outcome: Outcome = repeat(self, **json.loads(self.about["options"]))
-        return outcome
+    @property
+    def script(self) -> str:
+        """What ran the robot, if not `esair.run` alone: ``"demo"``; empty if nothing."""
+        return str(self.about.get("script", ""))
+
+    @property
+    def options(self) -> dict[str, float]:
+        """The numbers that the script was run with, by name.
+
+        Raises:
+            RecordingBrokenError: They are none.
+        """
+        try:
+            told = json.loads(self.about["options"])
+            return {str(name): number_of(value) for name, value in told.items()}
+        except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
+            told = "what it tells about itself is damaged: options"
+            raise RecordingBrokenError(str(self.path), told) from None
 
     def run(
         self,
@@ -130,15 +147,18 @@ class Replay:
             RecordingBrokenError: What was recorded cannot be read.
             ExceptionGroup: The robot cannot start; every mistake is named.
         """
-        spoiled, player = "", None
-        # When something has happened.
-        moments = sorted({event.time for event in self._contents.events}) or [0.0]
+        kept: Kept | None = None
+        player: Player | None = None
+        span: Span
         if loop is None:
-            kept = turns_of(self.path, self._contents.turns, _modules_of(robot))
-            spoiled = kept.spoiled or ""
-            player = Player(kept.items)
-            moments = player.moments
+            kinds = kinds_of(lambda: components_of(robot))
+            kept = Kept(self.path, chunks_of(self.path), kinds)
+            span = player = Player(kept, read=kept.read)
+            if player.error is not None:
+                raise player.error
             loop = TurnLoop(player=player)
+        else:
+            span = _Events(self.path)
         found: list[Divergence] = []
         refused: list[BaseException] = []
         task: asyncio.Task[None]
@@ -151,10 +171,14 @@ class Replay:
             comparison.end()
             task.cancel()
 
+        def whole() -> bool:
+            return "end" in self.facts and (kept is None or not _spoiled(kept, player))
+
         comparison = Comparison(
-            self._contents.events,
-            moments,
-            whole="end" in self.facts and not spoiled,
+            events_of(self.path),
+            span,
+            whole=whole,
+            turn_of=lambda moment: self._turn_of(moment, has_tape=player is not None),
             diverged=diverged,
         )
         prepare_replay(robot, self.seed, has_seat=self._has_seat)
@@ -184,19 +208,70 @@ class Replay:
         run_and_end(main(), lambda: loop)
         for error in refused:
             raise error
+        if player is not None and player.error is not None and not found:
+            raise player.error
         lost = comparison.lost
+        spoiled = (kept and kept.spoiled) or ""
         return Outcome(
             equal=comparison.equal,
             divergence=found[0] if found else None,
-            turns=min(getattr(loop, "turn", len(moments)), len(moments)),
-            seconds=moments[-1] - moments[0],
+            turns=getattr(loop, "turn", span.turns) if player is None else player.turns,
+            seconds=span.moment - span.began,
             took=time.monotonic() - began,
             short=spoiled or (f"{lost} events were not recorded" if lost else ""),
         )
 
+    def _turn_of(self, moment: float, *, has_tape: bool) -> int:
+        """Return the number of the turn at a moment; the recording is read again."""
+        moments: Iterable[float] = _moments_of_events(self.path)
+        if has_tape:
+            kept = Kept(self.path, chunks_of(self.path), Kinds())
+            moments = (item for item in kept if type(item) is float)
+        with contextlib.suppress(RecordingBrokenError):  # it is told elsewhere
+            for turn, each in enumerate(moments):
+                if each >= moment:
+                    return turn if each == moment else -1
+        return -1
 
-def _modules_of(robot: Robot) -> list[str]:
-    """Return the modules of a robot's components: one may have been the program."""
-    parts: list[Any] = [*robot.plan.resources, *robot.plan.behaviors]
-    parts = [getattr(each, "reaction", each) for each in parts]
-    return list(dict.fromkeys(type(each).__module__ for each in parts))
+
+class _Events:
+    """How long a run took that is known by its events alone."""
+
+    def __init__(self, path: Path) -> None:
+        self._moments = _moments_of_events(path)
+        self.began = self.moment = next(self._moments, 0.0)
+        self.turns = 1
+
+    def reaches(self, moment: float) -> bool:
+        """Tell whether something has happened at a moment or later."""
+        while self.moment < moment:
+            following = next(self._moments, None)
+            if following is None:
+                return False
+            self.moment = following
+            self.turns += 1
+        return True
+
+
+def _moments_of_events(path: Path) -> Iterator[float]:
+    """Yield when something has happened, each moment once."""
+    last: float | None = None
+    for event in events_of(path):
+        if last is None or event.time > last:
+            yield event.time
+            last = event.time
+
+
+def _spoiled(kept: Kept, player: Player | None) -> bool:
+    """Tell whether the turns end before the run did; they are wound on to their end."""
+    if player is not None:
+        player.reaches(math.inf)
+    return kept.spoiled is not None
+
+
+def number_of(told: Any) -> float:
+    """Return a number that a recording tells: finite, and not of ages."""
+    number = float(told) if isinstance(told, str) else told
+    if type(number) not in {int, float} or not abs(number) < AGES:
+        raise ValueError(f"expected a number, not {told!r:.40}")
+    return number

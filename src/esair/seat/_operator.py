@@ -9,6 +9,7 @@ import contextvars
 import inspect
 import itertools
 import logging
+import tomllib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,6 +34,7 @@ from esair.seat._acts import ACTS, Act
 from esair.seat._leases import Driver, Lease, Leases
 from esair.seat._status import Status
 from esair.seat._wire import Message
+from esair.standard import public_text
 from esair.supervisors import admit
 from esair.values import printable
 
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
 
 OUTCOMES = 1024  # How many outcomes are kept, so that the same id is done once
+FILE = 1 << 20  # How long the file may be that a recording has, in characters
 AT_A_TIME = 16  # How many acts of one session may be under way
 
 _PEOPLE = frozenset({"resume", "mute", "reset", "lease", "drive"})
@@ -275,12 +278,15 @@ class Console:
             except ExceptionGroup as group:
                 told = "; ".join(str(each) for each in group.exceptions)
                 raise ConfigError(name, "", told) from None
-            return made[0].text
+            return public_text(made[0].text, made[0].resources.values())
 
         text = await outside(
             ("operator", "file"), lambda: asyncio.to_thread(load, None)
         )
         if not made:  # in a replay: the file as it was then
+            if not isinstance(text, str) or len(text) > FILE:
+                raise ConfigError(str(path), "", "the recording has no such file")
+            _check_words(str(path), tomllib.loads(text), config.tables_of(path))
             load(text)
         (described,) = made
         parts = {**described.resources, **described.behaviors}
@@ -427,3 +433,25 @@ class Console:
             outcome.cancel()
         else:
             outcome.set_exception(error)
+
+
+def _check_words(path: str, then: Any, now: Any, key: str = "") -> None:
+    """Refuse a file as a recording has it if it names what the file of today does not.
+
+    Its numbers may be others; its words are modules, classes and paths, and a recording
+    may be somebody else's.
+
+    Raises:
+        ConfigError: It does.
+    """
+    if isinstance(then, dict):
+        for name, value in then.items():
+            inner = now.get(name) if isinstance(now, dict) else None
+            _check_words(path, value, inner, f"{key}.{name}" if key else name)
+    elif isinstance(then, list):
+        for place, value in enumerate(then):
+            found = now[place] if isinstance(now, list) and place < len(now) else None
+            _check_words(path, value, found, key)
+    elif isinstance(then, str) and then != now:
+        told = f"it was {then!r:.80} when the run was recorded: replay with that file"
+        raise ConfigError(path, key, told)

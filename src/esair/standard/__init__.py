@@ -2,7 +2,8 @@
 
 from esair.standard._care import STALL_WARNING
 from esair.standard._looking import RunWanted, only_looking
-from esair.standard._recording import FORMAT
+from esair.standard._public_text import public_text
+from esair.standard._recording import FORMAT, components_of
 from esair.standard._robot import LAST_WAIT, Robot
 from esair.standard._run import (
     prepare_replay,
@@ -17,8 +18,10 @@ __all__ = [
     "STALL_WARNING",
     "Robot",
     "RunWanted",
+    "components_of",
     "only_looking",
     "prepare_replay",
+    "public_text",
     "recorded_as",
     "run",
     "run_to_its_end",

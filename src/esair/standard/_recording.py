@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import hashlib
 import logging
 import os.path
 import sys
@@ -10,17 +12,17 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import ConfigError, RecordingError, describe
-from esair.journal import Journal
 from esair.loop import TurnLoop
 from esair.messages import Recording
-from esair.plan import Plan
+from esair.standard._public_text import public_text
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from esair.recording import Recorder
+    from esair.standard._robot import Robot
 
-FORMAT = "1"  # that of the turns in a recording
+FORMAT = "2"  # that of the turns in a recording
 
 _log = logging.getLogger("esair")
 
@@ -45,24 +47,33 @@ class Keeping:
         """What repeats the run, if not `run` alone, and with which options."""
         self.recorder: Recorder | None = None
 
-    def begin(
-        self, plan: Plan, journal: Journal, seed: int, source: tuple[Path, bool] | None
-    ) -> None:
+    def begin(self, robot: Robot) -> None:
         loop = asyncio.get_running_loop()
         if isinstance(loop, TurnLoop) and loop.player is not None:
             loop.play()
             return
         if self.recording is None:
             return
-        file, simulated = (None, False) if source is None else source
-        text = "" if file is None else file.read_text(encoding="utf-8")
-        components = [*plan.resources, *plan.behaviors]
+        plan, journal = robot.plan, robot.journal
+        file, simulated = robot.source or (None, False)
+        raw = b"" if file is None else file.read_bytes()
+        text = public_text(raw.decode("utf-8", "replace"), plan.resources)
+        digest = "" if file is None else hashlib.sha256(raw).hexdigest()
         try:
             from esair.recording import Recorder, facts_about
 
-            facts = facts_about(plan.name, components, text, str(seed))
-            recorder = Recorder(self.recording, journal, name=plan.name, facts=facts)
-            recorder.note("replay", self._replay(loop, file, simulated=simulated))
+            recorder = Recorder(
+                self.recording,
+                journal,
+                name=plan.name,
+                facts=facts_about(
+                    plan.name, [*plan.resources, *plan.behaviors], text, str(robot.seed)
+                ),
+                components=lambda: components_of(robot),
+                waits=getattr(loop, "virtual", False),
+            )
+            about = self._replay(loop, file, simulated=simulated)
+            recorder.note("replay", {**about, "sha256": digest})
             journal.count("recording", lambda: [("recording", recorder.counts())])
             if isinstance(loop, TurnLoop):
                 loop.keep(recorder.keep_turns())
@@ -92,7 +103,7 @@ class Keeping:
             "why": why,
             "clock": "virtual" if virtual else "real",
             "program": _program(),
-            "file": "" if file is None else str(file.resolve()),
+            "file": "" if file is None else file.name,
             "simulated": "yes" if simulated else "no",
             "duration": "" if self.duration is None else repr(self.duration),
             "seat": "yes" if self.has_seat else "no",
@@ -100,15 +111,30 @@ class Keeping:
             "options": "{}" if self.script is None else json.dumps(self.script[1]),
         }
 
-    async def end(self) -> None:
+    async def end(self) -> str:
+        """Write what waits; return what the recording lacks, in words."""
         if self.recorder is None:
-            return
+            return ""
         loop = asyncio.get_running_loop()
         if isinstance(loop, TurnLoop):
             loop.keep(None)
         # No thread is left behind, as one of the loop's own would be.
         with ThreadPoolExecutor(1, "esair-recorder-end") as last:
             await loop.run_in_executor(last, self.recorder.close)
+        lost = self.recorder.lost()
+        if lost:
+            _log.warning("stop: %s", lost)
+        return lost
+
+
+def components_of(robot: Robot) -> list[Any]:
+    """Return a robot's components: those it started with, and those it has now."""
+    plan, resources, behaviors = robot.plan, robot.resources, robot.behaviors
+    found: list[Any] = [*plan.resources, *plan.behaviors]
+    with contextlib.suppress(LookupError):  # one was removed meanwhile
+        found += map(resources.get, resources.names())
+        found += map(behaviors.action, behaviors.names())
+    return found
 
 
 def _program() -> str:

@@ -279,7 +279,7 @@ class Robot:
         self._resources.seed = self.seed
         self._host = asyncio.current_task()
         try:
-            self._keeping.begin(self.plan, self.journal, self.seed, self.source)
+            self._keeping.begin(self)
         except BaseException:
             await self._seat.close()  # its name is free again
             raise
@@ -471,7 +471,7 @@ class Robot:
             self.journal.close()
             leave_behind(self._behaviors.undead)
             await self._seat.close()
-            await self._keeping.end()
+            self.stopped.recording = await self._keeping.end()
 
     def _end_by_signal(self, number: int) -> None:
         self._signal = number

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from esair import abc
 from esair.connections import is_loss
 from esair.exceptions import (
     ConfigError,
@@ -20,7 +21,15 @@ from esair.exceptions import (
 from esair.journal import Kind
 from esair.loop import First
 from esair.messages import Stamped
-from esair.recording import Contents, Recorded, contents_of, plain, turns_of
+from esair.recording import (
+    Kept,
+    Recorded,
+    chunks_of,
+    events_of,
+    facts_of,
+    kinds_of,
+    plain,
+)
 from esair.testing._fakes import FakeSensor
 
 
@@ -154,8 +163,13 @@ def recording(
         ...     await asyncio.sleep(run.duration)
     """
     place = Path(path)
-    contents = contents_of(place)
-    events = sorted(contents.events)
+    wanted_kinds = {Kind.READING, Kind.UP, Kind.DOWN}
+    last = 0.0
+    events: list[Recorded] = []
+    for each in events_of(place):
+        last = max(last, each.time)
+        if each.kind in wanted_kinds:
+            events.append(each)
     names = sorted({each.component for each in events if each.kind == Kind.READING})
     if not names:
         raise RecordingBrokenError(str(place), "no sensor has given anything in it")
@@ -163,8 +177,8 @@ def recording(
     sensors = {name: RecordedSensor(name, type=wanted.get(name, Any)) for name in names}
     ups = (each.time for each in events if each.kind == Kind.UP)
     began = min(ups, default=events[0].time)
-    run = RecordedRun(sensors, events[-1].time - began)
-    given = _given(contents, place)
+    run = RecordedRun(sensors, last - began)
+    given = _given(place)
     for seconds, act, args in _acts(events, sensors, given, began):
         run.at(seconds, act, *args)
     return run
@@ -206,30 +220,45 @@ def _acts(
 
 
 def _given(
-    contents: Contents, path: Path
+    path: Path,
 ) -> dict[str, list[tuple[float, Any, BaseException | None]]]:
     """Return what drivers have given, with their own classes, and their errors."""
     found: dict[str, list[tuple[float, Any, BaseException | None]]] = {}
-    if not contents.turns:
+    if "replay" not in facts_of(path) or next(chunks_of(path), None) is None:
         return found
+    kept = Kept(path, chunks_of(path), kinds_of(_components, strangers=True))
     now = 0.0
-    for item in turns_of(path, contents.turns).items:
+    for item in kept:
         if type(item) is float:
             now = item
             continue
-        tag, end = item[0], item[-1]
-        if tag[0] == "call" and tag[2] == "read":
-            name = tag[1]
-            value, error = end[1:] if len(item) == 2 else end
-            if len(item) == 2 and First(*end).waits:
-                continue
-        elif len(tag) == 2 and tag[1] == "pushed":
-            name, (value, error, _) = tag[0], end
-        else:
+        tag = item[0]
+        is_read = len(tag) == 3 and (tag[0], tag[2]) == ("call", "read")
+        if not is_read and not (len(tag) == 2 and tag[1] == "pushed"):
             continue
+        end = kept.read(item[-1])
+        if type(end) is First:  # it waits
+            continue
+        if not isinstance(end, tuple) or len(end) not in {2, 3}:
+            raise RecordingBrokenError(str(path), "its turns are damaged")
+        name = tag[1] if is_read else tag[0]
+        # What was given without a wait begins with that; what was pushed ends with
+        # the number of the opening.
+        value, error = end[1:] if is_read and len(end) == 3 else end[:2]
         if type(value) is Stamped:
             value = value.value
         if error is not None and not isinstance(error, Exception):
             error = DeviceFaultError(name, repr(error))
         found.setdefault(name, []).append((now, value, error))
+    return found
+
+
+def _components() -> list[type]:
+    """Return the classes of all components that are loaded: a test has its robot's."""
+    waiting: list[type] = [abc.Resource, abc.Action]
+    found: list[type] = []
+    while waiting:
+        kind = waiting.pop()
+        found.append(kind)
+        waiting += kind.__subclasses__()
     return found
