@@ -326,7 +326,7 @@ async def test_a_replacement_whose_place_is_gone_protects_nothing() -> None:
         with pytest.raises((esair.BehaviorRemovedError, esair.UnknownNameError)):
             await replacing
         assert robot.behaviors.names() == []
-        assert not robot.actuators.channels["wheels"]._guards
+        assert not robot.actuators.channels["wheels"].guards.all
 
 
 @pytest.mark.promise("SUP-1")

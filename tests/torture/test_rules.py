@@ -18,6 +18,7 @@ from tests.torture.generated import maker
 import esair
 from esair.actions import ReactionRunner
 from esair.connections import ActuatorChannel
+from esair.connections._stillness import Stillness
 from esair.testing import VirtualLoop
 from esair.torture import Outcome, Step, Story, Target, World, torture
 from esair.torture._kinds import KINDS, cast_of
@@ -351,21 +352,27 @@ def test_a_story_that_goes_on_may_take_long() -> None:
 
 
 @pytest.mark.parametrize(
-    ("broken", "rule", "steps"),
+    ("core", "broken", "rule", "steps"),
     [
-        ("dead", "dead man", (Step(1.0, "hang", "drive", lasts=1.0),)),
-        ("halt", "halted", (Step(1.0, "halt", lasts=0.5),)),
-        ("protect", "blind", (Step(1.0, "unplugged", "sonar", lasts=0.5),)),
+        (Stillness, "dead", "dead man", (Step(1.0, "hang", "drive", lasts=1.0),)),
+        (ActuatorChannel, "halt", "halted", (Step(1.0, "halt", lasts=0.5),)),
+        (
+            ActuatorChannel,
+            "protect",
+            "blind",
+            (Step(1.0, "unplugged", "sonar", lasts=0.5),),
+        ),
     ],
 )
 def test_a_core_that_breaks_its_promise_is_seen(
+    core: type,
     broken: str,
     rule: str,
     steps: tuple[Step, ...],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Without the dead man, the halt, or the holds of those that cannot see."""
-    monkeypatch.setattr(ActuatorChannel, broken, lambda *_args, **_options: None)
+    monkeypatch.setattr(core, broken, lambda *_args, **_options: None)
     assert (rule, "wheels") in told_to(Drive, Stop, steps=steps).keys
 
 

@@ -14,8 +14,8 @@ from esair.connections._decision import Decision, Sight
 from esair.connections._derived_channel import DerivedChannel, Source
 from esair.connections._device import OfRobot
 from esair.connections._driver import Driver, Method, is_loss, translate
+from esair.connections._gate import BeingReplacedError
 from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
-from esair.connections._held_device import BeingReplacedError
 from esair.connections._ports import ActuatorPort, Port, SensorPort
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._registrations import (

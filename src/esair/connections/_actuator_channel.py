@@ -3,36 +3,51 @@
 from __future__ import annotations
 
 import asyncio
-import copy
-from collections.abc import Generator
-from typing import Any
-
-import attrs
+import contextlib
+from collections.abc import Callable, Generator
+from typing import TYPE_CHECKING, Any
 
 from esair.connections._call import Call, End
-from esair.connections._command_check import CommandCheck
 from esair.connections._decision import Decision
-from esair.connections._device import OfRobot
-from esair.connections._driver import Guard
-from esair.connections._held_device import BeingReplacedError, HeldDevice
+from esair.connections._device import Device, OfRobot, Operating
+from esair.connections._driver import Method
+from esair.connections._gate import (
+    BeingReplacedError,
+    Gate,
+    Hold,
+    explain,
+    shut,
+    verdict,
+)
+from esair.connections._halt import HALT, HALT_PRIORITY, LastCommand
+from esair.connections._protection import Protection
 from esair.connections._registrations import Registration
+from esair.connections._stillness import Guards, Stillness
 from esair.connections._waiting_writes import Sent, WaitingWrites
-from esair.exceptions import DeviceLostError, EsairError, StoppingError
+from esair.connections._wire import IDLE, NOT_YET, SafeCommand, Watched, Wire
+from esair.exceptions import (
+    AccessDeniedError,
+    DeviceLostError,
+    EsairError,
+    HaltedError,
+    ResourceRemovedError,
+    StoppingError,
+    describe,
+)
 from esair.journal import Kind
 from esair.loop import CallRefused
-from esair.messages import Answer, Refused, ResourceState, Written
-from esair.resources import HOLD, Actuator
+from esair.messages import Answer, Refused, ResourceState, Why, Written
+from esair.resources import Actuator
 
-_EARLY = 1e-6  # timers may fire a hair early
+if TYPE_CHECKING:
+    from esair.connections._applied_channel import AppliedChannel
 
-
-_new = Written.__new__
-"""Makes an answer to be filled in, in half of the time."""
+_new = Written.__new__  # hot
 
 _SENT: Written[Any] = Written(None)  # the answer to who does not look at it
 
 
-class _Sending:
+class Sending:
     """A write that waits for the device: await it for its outcome."""
 
     __slots__ = (
@@ -61,102 +76,220 @@ class _Sending:
         self.command = command
         self.asked = asked
         self.by = by
-        self.halts: int = channel.halts
-        self.fence = channel.fence
+        self.halts: int = channel.gate.halts
+        self.fence = channel.gate.fence
 
     def __await__(self) -> Generator[Any, Any, Written[Any] | Refused]:
         return self.channel.finish(self).__await__()
 
 
-class ActuatorChannel(HeldDevice):
+class ActuatorChannel(Device):
     """Sends the commands of whoever holds the actuator, and the safe command.
 
     Every check and the call of the driver happen in one block without an await
-    (`begin`), so nothing can change between the two.
+    (`begin`), so nothing can change between the two. Each part knows those below it:
+    the channel those that keep the actuator still, they its safe command, that the wire.
     """
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
-        "_accepts",
-        "_blocks",
-        "_check",
-        "_copies",
-        "_deadline",
-        "_slews",
+        "_dead_man",
+        "_is_plain",
         "_waiting",
         "checked",
         "decision",
+        "gate",
+        "guards",
+        "hold",
+        "refusals",
+        "safe",
+        "stillness",
+        "wire",
         "writes",
     )
 
     def __init__(self, actuator: Actuator[Any], robot: OfRobot) -> None:
-        loop = asyncio.get_running_loop()
+        super().__init__(actuator.name, robot)
         self.writes = 0
-        self._accepts = False
-        self._waiting = WaitingWrites(actuator.name, loop)
-        self.decision = Decision(self, loop)  # what reactions want of it in this turn
-        super().__init__(actuator, robot)
+        self.refusals = 0
+        self._is_plain = False
+        """Whether only a void right, or a holder, can be in a command's way."""
+        self.gate = Gate(self)
+        self.hold = Hold()
+        self.wire = wire = Wire(self)
+        self.guards = Guards(wire)
+        self.safe = SafeCommand(wire, self, on_due=self._made_safe, on_idle=self._idle)
+        self.stillness = Stillness(
+            self, self.gate, self.hold, self.guards, wire, self.safe
+        )
+        self._dead_man = self.stillness.dead_man
+        self._waiting = WaitingWrites(actuator.name, self.loop)
+        self.decision = Decision(self, self.loop)  # what reactions want in this turn
+        self.attach(actuator)
 
     def attach(self, actuator: Actuator[Any]) -> None:
         """Write to this actuator from now on; it is not ready yet."""
-        super().attach(actuator)
-        self._blocks = self._write.executor is not None
+        self.take(actuator, self, self._late)
+        self.guards.asked = None
+        self.wire.attach(actuator)
+        self.safe.attach()
+        self.checked = self.wire.check.checked
 
     def configured(self) -> None:
         """Take over changed limits and time-outs."""
-        super().configured()
-        self._deadline = self.actuator.deadline
-        self._check = CommandCheck(self.actuator)
-        self.checked = self._check.checked
-        self._slews = self._check.slews
-        self._write = write = self.driver.method("write")
-        self._copies = self._check.copies
-        if self._copies:
-            # The driver's and the guards' code may change what is in theirs.
-            self._write = attrs.evolve(
-                write, function=lambda command: write.function(copy.deepcopy(command))
-            )
+        self.wire.configured()
+        self.checked = self.wire.check.checked
+
+    # What others ask.
+
+    @property
+    def actuator(self) -> Actuator[Any]:
+        return self.wire.actuator
+
+    @property
+    def command_timeout(self) -> float:
+        return self.wire.command_timeout
+
+    @property
+    def applied(self) -> AppliedChannel | None:
+        return self.wire.applied
+
+    @property
+    def watch(self) -> Watched | None:
+        return self.wire.watch
+
+    @watch.setter
+    def watch(self, watch: Watched | None) -> None:
+        self.wire.watch = watch
+
+    @property
+    def latched(self) -> bool:
+        """Whether the robot stops: nothing but the safe command leaves any more."""
+        return self.gate.latched
+
+    @property
+    def halts(self) -> int:
+        return self.gate.halts
+
+    @property
+    def fence(self) -> int:
+        return self.gate.fence
+
+    @property
+    def holder(self) -> Registration | None:
+        """Who has written last, and has not given it back."""
+        return self.hold.holder
+
+    @property
+    def present_holder(self) -> Registration | None:
+        """Who holds it now; None when the hold is over."""
+        return self.hold.present(self.time())
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether the device was told its safe command last, took it, and is settled."""
+        told = self.wire.told
+        return told.is_safe and not told.error and self.wire.unsettled() is None
 
     @property
     def successes(self) -> int:
         """How many commands the device has taken."""
         return self.writes
 
+    def told(self) -> LastCommand:
+        return self.wire.last_command()
+
+    def not_told(self, error: BaseException) -> None:
+        """Take note that the device could not be told its safe command."""
+        self.wire.told.error = describe(error)
+
     def counts(self) -> dict[str, int]:
         return {
             "writes": self.writes,
             "refusals": self.refusals,
             "turned_away": self._waiting.turned_away,
-            "timeouts": self.timeouts,
+            "timeouts": self.stillness.timeouts,
             "abandoned": self.calls.abandoned,
             "late": self.calls.late,
         }
 
+    def tell_applied(self, channel: AppliedChannel) -> None:
+        """Give each command that is applied to its readers from now on."""
+        wire = self.wire
+        wire.applied = channel
+        if self.state is ResourceState.READY:
+            channel.up()
+            if not wire.told.error:
+                wire.took(wire.told.command, None)
+        elif self.error is not None:
+            channel.down(self.state, self.error)
+
     # State, told by the supervisor.
+
+    def _settle(self) -> None:
+        """Look, once, whether anything shuts the gate: called at each change of that."""
+        gate, halts = self.gate, self.gate.halts
+        self._is_plain = gate.is_plain and not self.guards.all
+        if halts != gate.halts:  # a thread has halted the robot meanwhile
+            self._is_plain = False
 
     def up(self) -> None:
         """The device is open and was told its safe command: writes may begin."""
-        super().up()
-        self._accepts = not self.latched and self.registrations.halt is None
+        self.state = ResourceState.READY
+        self.error = None
+        if self.wire.applied is not None:
+            self.tell_applied(self.wire.applied)
+        self.safe.up()
+        self._settle()
+
+    def down(self, state: ResourceState, error: EsairError) -> None:
+        """The device is gone: forget who held it and what it was told."""
+        self._is_plain = False
+        self.stillness.disarm()
+        wire, told = self.wire, self.wire.told
+        self.state = state
+        self.error = error
+        taken_away = told.is_safe and state is ResourceState.REMOVED
+        if told.error == "" and not taken_away:
+            told.error = f"it is {state.value}"
+        wire.lane = None
+        if wire.applied is not None:
+            wire.applied.down(state, error)
+        self.calls.next_opening(error)
+        self._idle()
+        self.operations.gone(error)
+
+    def removed(self) -> None:
+        """The user took the device away."""
+        self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
+
+    def leaving(self, error: BeingReplacedError) -> None:
+        """The device is about to go: only its safe command may leave, no write that waits."""
+        self.error = error
+        self.gate.since = self.time()
+        self.gate.fence += 1
+        self._settle()
+        self._look()
 
     def latch(self) -> None:
         """Let nothing but safe commands leave from now on: the robot stops."""
-        self.latched = True
-        self._accepts = False
-        patience = self._turn_within + self.actuator.deadline + 0.1
-        self._last_moment = self.time() + patience
+        self.gate.latched = True
+        self.gate.fence += 1
+        self._settle()
+        patience = self.safe.turn_within + self.actuator.deadline + 0.1
+        self.safe.latch(self.time() + patience)
         self._look()
         if self.state is ResourceState.READY and not self.is_safe:
             self.make_safe()
 
     def bar(self) -> None:
         """Let no command pass any more, from any thread; `halt` follows in the loop."""
-        self._accepts = False
-        self.halts += 1
+        self.gate.halts += 1
+        self._is_plain = False
 
     def withdraw(self) -> None:
         """Let nothing leave that was asked for until now."""
-        self.halts += 1
+        self.gate.halts += 1
         self._look()
 
     def halt(self) -> None:
@@ -168,20 +301,58 @@ class ActuatorChannel(HeldDevice):
 
     def resume(self) -> None:
         """Let commands pass again; the device was told its safe command last."""
-        ready = self.state is ResourceState.READY and self.error is None
-        self._accepts = ready and not self.latched
+        self._settle()
 
-    def leaving(self, error: BeingReplacedError) -> None:
-        """The device is about to go: only its safe command may leave, no write that waits."""
-        self.error = error
-        self.since = self.time()
-        self._accepts = False
-        self._look()
+    def protect(
+        self, holds: tuple[Protection, ...], guards: tuple[Protection, ...]
+    ) -> None:
+        """Obey these from this moment on; the table calls it at each change."""
+        self.gate.holds = holds
+        self.guards.all = guards
+        self._settle()
+        self.stillness.keep_still()
 
-    def down(self, state: ResourceState, error: EsairError) -> None:
-        """The device is gone: forget who held it and what it was told."""
-        self._accepts = False
-        super().down(state, error)
+    # The safe command.
+
+    def make_safe(self, *, stay: bool = False) -> asyncio.Task[bool]:
+        """Send the safe command, before anything else; nobody holds it afterwards."""
+        return self.safe.make(stay=stay)
+
+    def _made_safe(self) -> None:
+        """It gets its safe command: what was begun, and who held it, is over."""
+        self.stillness.disarm()
+        if self.operations.running:
+            self.operations.end(self._safe_instead())
+
+    async def safe_now(self, until: float = float("inf")) -> None:
+        """Wait until the safe command is the last thing on the wire; bounded."""
+        await self.safe.settled(until)
+
+    async def open_safe(self) -> None:
+        """Send the safe command to a device that was just opened."""
+        await self.safe.at_opening()
+
+    async def last_safe(self) -> None:
+        """Send the safe command to a device that is to be closed: it may move still."""
+        await self.safe.at_closing()
+
+    def closed(self) -> None:
+        """Nobody waits for the safe command any more; a thread that has it goes on."""
+        self.safe.close()
+
+    def keep_still(self) -> None:
+        """Make it safe if somebody is blind, unless a higher priority moves it."""
+        self.stillness.keep_still()
+
+    def review(self) -> None:
+        """Put what stands to the guards again; only less than that may leave now.
+
+        An operation is ended by one that lets nothing pass.
+        """
+        if not self.operations.running:
+            self.stillness.review(self._ended)
+        elif self.guards.shut is not None:
+            self.make_safe(stay=True)
 
     # The commit block.
 
@@ -199,158 +370,185 @@ class ActuatorChannel(HeldDevice):
         What is ``ready`` is the command as `checked` has returned it in this turn,
         ``now`` is when the turn has begun: all that decide in it share one number.
         """
-        if not (registration.usable and self._accepts):
-            return self._turned_away(registration, command)
         if now is None:
-            time = self.time  # by itself: called in place it is sought as a method
+            time = self.time  # hot
             now = time()
-        journal = self._journal
+        held, journal, is_plain = self.hold, self._journal, self._is_plain
+        holder = held.holder
+        # One shortcut: what nothing stands in the way of needs no verdict.  # hot
+        if not (
+            is_plain
+            and registration.usable
+            and (holder is registration or holder is None)
+        ):
+            refused = verdict(self.gate, held, registration, now)
+            if refused is not None:
+                return self._kept_away(registration, command, refused, now)
         if journal.heard:
             self.wanted(registration, command)
-        blind = self._blind
-        barred = blind is not None and registration.priority <= blind.priority
-        if barred and blind is not None and not self.is_still(command):
-            return self._refuse(registration, blind.refusal())
-        holder = self.holder
-        if (
-            holder is not registration
-            and holder is not None
-            and now + _EARLY < self.until
-            and registration.priority <= holder.priority
-            and holder.behavior != registration.behavior
-        ):
-            return self._refused(registration, holder)
         asked = command
         if ready is None:
-            checked = self.checked
+            checked = self.checked  # hot
             command = checked(command)
         else:
             command = ready
-        if self._busy:
+        wire = self.wire
+        if wire.lane is not None or self.safe.state is not IDLE:
             return self._when_idle(registration, command, hold)
-        if self.watch is not None and not self.watch.may_move():
-            raise StoppingError(self.name, "made safe by the watchdog")
-        if self._slews and not barred:  # safe is at once
-            # After a pause it starts from the safe command, not with a jump.
-            seconds = now - max(self._last_write, self._told_at)
-            seconds = min(seconds, self.command_timeout)
-            command = self._slewed(command, seconds)
-        # What is safe passes a blind hold, and holds nothing then.
-        if not barred:
-            # Two numbers that others have too: their sum would be one more in memory.
-            if holder is not registration or now >= self._held_from + self._held_for:
-                self.since = now
-            self.holder = self._writer = registration
-            self._held_from = self._last_write = now
-            self._held_for = hold or registration.hold or self.command_timeout
+        if wire.slews or wire.watch is not None:
+            command = self._bounded(command, now)
+        # `Hold` takes it here, in place.  # hot
+        if holder is not registration or now >= held.begun + held.seconds:
+            held.since = now
+        held.holder = held.writer = registration
+        held.begun = held.written = now
+        held.seconds = hold or registration.hold or wire.command_timeout
         by = None
-        if self._guards:
-            stop, by, command = self._pass_guards(command, now)
+        if not is_plain:
+            stop, by, command = self._protected(command, now)
             if stop is not None:
-                self._stay()
                 return self._refuse(registration, stop.refusal())
-        # A copy of its own: who has the answer may change what is in it.
-        self._told = copy.deepcopy(command) if self._copies else command
-        self._told_safe = False
-        if blind is not None:
-            self.keep_still()  # when this one holds it no longer
-        if not (self._dead_man.armed or barred):
+        if not self._dead_man.armed:
             self._dead_man.arm()
-        self._busy = True
-        if journal.heard:
-            journal.publish(Kind.SENT, self.name, registration.behavior, command)
-        guard = self._guard(registration) if self._blocks else None
+        guard = self.gate.ticket(registration) if wire.blocks else None
         try:
-            sent = self.calls.begin(
-                "write", self._write, (command,), self._deadline, guard
-            )
-        except Exception as error:
-            self._busy = self._lane is not None or self._safe_task is not None
-            failed = self._interrupted(error, command)
+            sent = wire.send(command, registration.behavior, self._ended, guard)
+        except EsairError as error:
+            failed = self._in_doubt(error, command)
             raise failed from failed.__cause__
-        if sent is not None and type(sent) is Call:
-            sent.apply = self._ended
-            sent.owner = registration
-            self._lane = sent
-            self._told_error = "it has not answered yet"
-            return _Sending(self, sent, registration, command, asked, by)
-        # Done: most drivers need not wait.
-        self._busy = self._safe_task is not None
+        if sent is not None or wire.applied is not None or journal.heard:
+            return self._sent(sent, registration, command, asked, by)
+        # Most drivers say nothing.
         self.writes += 1
-        self._told_error = ""
-        if sent is None and self.applied is None and not journal.heard:
-            # Most drivers say nothing.
-            if not told:
-                return _SENT
-            written = _new(Written)
-            written.command, written.asked, written.by = command, asked, by
-            return written
-        self._took(command, sent)
-        return self._applied(registration, command, sent, asked, by)
+        if not told:
+            return _SENT
+        written = _new(Written)
+        written.command, written.asked, written.by = command, asked, by
+        return written
 
-    def _copied(self, command: Any) -> Any:
-        """Return a command that nobody but its holder can change."""
-        return copy.deepcopy(command) if self._copies else command
+    def _sent(
+        self, sent: Any, right: Registration, command: Any, asked: Any, by: str | None
+    ) -> Sent:
+        """Return what comes of a command that the driver has."""
+        if type(sent) is Call:
+            sent.owner = right
+            return Sending(self, sent, right, command, asked, by)
+        self.writes += 1
+        self.wire.took(command, sent)
+        return self._applied(right, command, sent, asked, by)
 
-    def _slewed(self, command: Any, seconds: float) -> Any:
-        before = self._base if self._told is HOLD else self._told
-        if before is None or before is HOLD:
-            return command  # nobody knows where it stays: its driver has not said
-        if command is HOLD:
-            self._base = before
+    def _bounded(self, command: Any, now: float) -> Any:
+        """Ask the watchdog, and bound how fast commands change."""
+        self._check_watch()
+        wire = self.wire
+        if not wire.slews:
             return command
-        return self._check.slewed(command, before, seconds)
+        # After a pause it starts from the safe command, not with a jump.
+        seconds = now - max(self.hold.written, wire.told.at)
+        return wire.slewed(command, min(seconds, wire.command_timeout))
 
-    def _guard(self, registration: Registration) -> Guard:
-        """Return the checks that a thread makes when the turn of a command comes."""
-        halts, may_leave = self.halts, self._may_leave()
-        return lambda: registration.usable and halts == self.halts and may_leave()
+    def _kept_away(
+        self,
+        registration: Registration,
+        command: Any,
+        refused: Refused | EsairError,
+        now: float,
+    ) -> Sent:
+        """Answer what the verdict is against, but for what asks to be safe."""
+        if not isinstance(refused, Refused):
+            raise refused
+        self.wanted(registration, command)
+        gate = self.gate
+        if gate.holds and self.stillness.is_still(command):
+            held = self.hold
+            if verdict(gate, held, registration, now, is_still=True) is None:
+                still = self.checked(command)
+                if self.stillness.is_still(still):
+                    return self._send_still(registration, still)
+        return self._refuse(registration, refused)
+
+    def _send_still(self, registration: Registration, command: Any) -> Sent:
+        """Send what is safe past the blind holds: it moves nothing, and holds nothing."""
+        wire = self.wire
+        if wire.lane is not None or self.safe.state is not IDLE:
+            return self._when_idle(registration, command, None)
+        if wire.watch is not None:
+            self._check_watch()
+        guard = self.gate.ticket(registration) if wire.blocks else None
+        try:
+            sent = wire.send(command, registration.behavior, self._ended, guard)
+        except EsairError as error:
+            failed = self._in_doubt(error, command)
+            raise failed from failed.__cause__
+        return self._sent(sent, registration, command, command, None)
+
+    def _check_watch(self) -> None:
+        watch = self.wire.watch
+        if watch is not None and not watch.may_move():
+            raise StoppingError(self.name, "made safe by the watchdog")
+
+    def _protected(
+        self, command: Any, now: float
+    ) -> tuple[Protection | None, str | None, Any]:
+        """Return the guard that refuses a command, who has weakened it, and what passes."""
+        guards, stillness = self.guards, self.stillness
+        stop: Protection | None = None
+        by: str | None = None
+        if guards.all:
+            stop, by, command = guards.weigh(command, now, moving=stillness.moves)
+            if stop is not None:
+                stillness.stay()
+                return stop, by, None
+        if self.gate.holds:
+            stillness.look_when_over()
+        return stop, by, command
 
     def _ended(self, call: Call, end: End) -> None:
         """Apply the outcome of a write that has waited for the device."""
+        wire = self.wire
         if end.error is None:
             self.writes += 1
-            if self._writer is call.owner:
-                self._last_write = self.time()
-            if not self._told_safe:
-                self._told_error = ""
-            self._took(call.args[0], end.value)
+            if self.hold.writer is call.owner:
+                self.hold.written = self.time()
+            if not wire.told.is_safe:
+                wire.told.error = ""
+            wire.took(call.args[0], end.value)
         elif not (call.cancelled or isinstance(end.error, CallRefused)):
-            self._failed(end.error, "write")
+            wire.failed(end.error, "write")
         if call.ended is not None:  # else its driver still has the device
             self._lane_free(call)
 
-    async def finish(self, sending: _Sending) -> Written[Any] | Refused:
+    async def finish(self, sending: Sending) -> Written[Any] | Refused:
         """Wait for the outcome of a write that is on its way."""
-        registration, command = sending.registration, sending.command
+        right, command = sending.registration, sending.command
         try:
             applied = await self.calls.outcome(sending.call)
         except CallRefused:
-            if (
-                sending.fence != self.fence
-                and sending.halts == self.halts
-                and registration.usable
-                and self._accepts
-            ):
-                return self._overtaken(registration)
-            return self._turned_away(registration, command, sending.halts)
+            refused = shut(self.gate, right, self.time(), sending.halts)
+            if refused is None:
+                refused = self._overtaken(right)
+            if not isinstance(refused, Refused):
+                raise refused from None
+            return self._refuse(right, refused)
         except Exception as error:
-            failed = self._in_doubt(self._translated(error), command)
+            failed = self._in_doubt(self.wire.translated(error), command)
             raise failed from failed.__cause__
-        return self._applied(registration, command, applied, sending.asked, sending.by)
+        return self._applied(right, command, applied, sending.asked, sending.by)
 
-    def _overtaken(self, registration: Registration) -> Refused:
+    def _overtaken(self, right: Registration) -> Refused:
         """Answer a write that the safe command came before, in the driver's lane."""
-        stops = self._blind or next((g for g in self._guards if g.stopping), None)
+        holds = self.gate.holds
+        stops = holds[0] if holds else self.guards.stopping
         if stops is not None:
-            return self._refuse(registration, stops.refusal())
-        told = "it was made safe before the turn of this command came"
-        return self._refuse(registration, self._too_late(registration, told))
+            return stops.refusal()
+        return self._too_late(
+            right, "it was made safe before the turn of this command came"
+        )
 
-    def _too_late(self, registration: Registration, told: str) -> Refused:
+    def _too_late(self, right: Registration, told: str) -> Refused:
         """Answer a write whose turn did not come in time, for which nobody is to blame."""
         now = self.time()
-        return Refused(registration.behavior, registration.priority, told, now, now)
+        return Refused(right.behavior, right.priority, told, now, now)
 
     def _applied(
         self,
@@ -372,18 +570,51 @@ class ActuatorChannel(HeldDevice):
             )
         return Written(applied, asked, by)
 
+    def _in_doubt(self, failed: EsairError, command: Any) -> EsairError:
+        if not isinstance(failed, DeviceLostError):
+            return failed
+        doubt = f"it is unknown whether {command!r:.80} was applied, it is not repeated"
+        doubtful = DeviceLostError(
+            self.name, f"{failed.detail}; {doubt}" if failed.detail else doubt
+        )
+        doubtful.__cause__ = failed
+        return doubtful
+
+    # Refusals.
+
+    def lost(
+        self, registration: Registration, command: Any, winner: Registration
+    ) -> Refused:
+        """Refuse a command that another one of the same turn has beaten."""
+        self.wanted(registration, command)
+        refused = self.hold.refusal(self.hold.holder or winner)
+        return self._refuse(registration, refused)
+
+    def wanted(self, registration: Registration, command: Any) -> None:
+        """Take note of what somebody wants sent, whatever becomes of it."""
+        if self._journal.heard:
+            # It is read when it may have changed; it may be an object of any class.
+            with contextlib.suppress(Exception):
+                command = self.wire.copied(command)
+            self._journal.publish(
+                Kind.COMMAND, self.name, registration.behavior, command
+            )
+
+    def _refuse(self, registration: Registration, refused: Refused) -> Refused:
+        self.refusals += 1
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.REFUSED, self.name, registration.behavior, refused
+            )
+        return refused
+
+    # Writes that wait until the device is free.
+
     async def _when_idle(
         self, registration: Registration, command: Any, hold: float | None
     ) -> Written[Any] | Refused:
-        sent = await self._waiting.turn(registration, command, hold, self.halts)
+        sent = await self._waiting.turn(registration, command, hold, self.gate.halts)
         return sent if isinstance(sent, Answer) else await sent
-
-    def _idle(self) -> None:
-        super()._idle()
-        self.operations.look()
-        if self._guards:
-            self.review()
-        self._look()
 
     def _look(self) -> None:
         """Give those that wait their turn: the highest priority first, then the oldest.
@@ -394,18 +625,15 @@ class ActuatorChannel(HeldDevice):
         if not waiting:
             return
         for write in waiting:
-            accepts = self._accepts and write.halts == self.halts
-            if not (write.registration.usable and accepts):
+            right = write.registration
+            refused = shut(self.gate, right, self.time(), write.halts)
+            if refused is not None:
                 waiting.remove(write)
-                try:
-                    write.end(
-                        self._turned_away(
-                            write.registration, write.command, write.halts
-                        )
-                    )
-                except EsairError as error:
-                    write.end(error)
-        while waiting and not self._busy:
+                if isinstance(refused, Refused):
+                    self.wanted(right, write.command)
+                    self._refuse(right, refused)
+                write.end(refused)
+        while waiting and self.wire.lane is None and self.safe.state is IDLE:
             write = waiting.first()
             if write.turn.done():
                 continue
@@ -426,29 +654,22 @@ class ActuatorChannel(HeldDevice):
                 write.end(
                     self._too_late(registration, told)
                     if registration.usable
-                    else self._refusal(registration)
+                    else self.registrations.refusal(registration)
                 )
-
-    def _interrupted(self, error: Exception, command: Any) -> Exception:
-        """Make the error for a command whose driver call has ended in an error."""
-        return self._in_doubt(self._failed(error, "write"), command)
-
-    def _in_doubt(self, failed: Exception, command: Any) -> Exception:
-        if not isinstance(failed, DeviceLostError):
-            return failed
-        doubt = f"it is unknown whether {command!r:.80} was applied, it is not repeated"
-        doubtful = DeviceLostError(
-            self.name, f"{failed.detail}; {doubt}" if failed.detail else doubt
-        )
-        doubtful.__cause__ = failed
-        return doubtful
 
     # Giving back.
 
     def release(self, registration: Registration) -> None:
-        """Give the actuator back; a write that still waits for its turn is withdrawn."""
+        """Give the actuator back: lower priorities get through at once.
+
+        What it was told stays until somebody writes or the command times out. A write
+        that still waits for its turn is withdrawn.
+        """
         self._withdraw(registration)
-        super().release(registration)
+        if self.hold.holder is registration:
+            self.hold.holder = None
+            if not self.decision.changes_hands:
+                self.keep_still()
 
     def drop(self, registration: Registration) -> None:
         """Make the actuator safe if what it does now is this registration's will.
@@ -456,4 +677,116 @@ class ActuatorChannel(HeldDevice):
         Its writes that wait for their turn are withdrawn.
         """
         self._withdraw(registration)
-        super().drop(registration)
+        self.operations.drop(registration)
+        if self.hold.writer is registration:
+            self.make_safe()
+        elif self.hold.holder is registration:
+            self.hold.holder = None
+
+    # Calls that have ended.
+
+    def _late(self, call: Call) -> None:
+        """A call has ended whose outcome was out before: who knows what it did."""
+        if call is self.wire.lane:
+            self._lane_free(call)
+        elif call.may_move:
+            self.safe.repeat()
+            if self.state is ResourceState.LOST:  # because that did not end
+                self.actuator.report_arrived()
+        self.safe.pulse()
+
+    def _lane_free(self, call: Call) -> None:
+        if call is self.wire.lane:
+            self.wire.lane = None
+        if self.safe.overtaken(call):
+            self.safe.repeat()
+        self._idle()
+
+    def _idle(self) -> None:
+        """Something has ended: let those that wait look again."""
+        self.safe.pulse()
+        self.operations.look()
+        if self.guards.all:
+            self.review()
+        self._look()
+
+    # Operations, and calls between two commands.
+
+    def between(self, method: Method, told: Callable[[End], None]) -> bool:
+        """Call the driver between two commands; tells whether the device was free."""
+        wire = self.wire
+        if wire.lane is not None or self.safe.state is not IDLE or self.calls.alive:
+            return False
+
+        def ended(call: Call, end: End) -> None:
+            told(end)
+            if call.ended is not None and call is wire.lane:
+                self._lane_free(call)
+
+        waits = self.calls.attempt(method, self.actuator.deadline, told, ended)
+        if waits is not None:
+            wire.lane = waits
+        return True
+
+    def ready_for(self, operation: Operating) -> bool:
+        """Tell whether an operation may begin now: what moves is made safe first."""
+        right = operation.registration
+        now, wire = self.time(), self.wire
+        refused = verdict(self.gate, self.hold, right, now, operates=True)
+        if refused is None and (guard := self.guards.shut) is not None:
+            refused = guard.refusal()
+        if isinstance(refused, Refused):
+            if refused.holder == HALT and refused.priority == HALT_PRIORITY:
+                raise HaltedError(self.name, refused.rule)
+            raise AccessDeniedError(
+                right.behavior, self.name, f"operate ({operation.name})", refused.rule
+            )
+        if refused is not None:
+            raise refused
+        if wire.lane is not None or self.safe.state is not IDLE:
+            return False
+        if self.stillness.moves:
+            self.make_safe(stay=True)
+            return False
+        self._check_watch()
+        return True
+
+    def operating(self, operation: Operating, call: Call) -> None:
+        """The device has begun with an operation: whoever asked for it holds it."""
+        wire, hold = self.wire, self.hold
+        wire.lane = call
+        wire.told.command, wire.told.is_safe = operation, False
+        wire.told.error = NOT_YET
+        hold.holder = hold.writer = operation.registration
+        hold.since = self.time()
+        hold.begun, hold.seconds = operation.until, 0.0
+
+    def operated(self, call: Call | None) -> None:
+        """An operation has its outcome: nobody knows what moves, so it is made safe."""
+        if call is not None and call is self.wire.lane and call.ended is not None:
+            self.wire.lane = None
+        self.safe.after_operation()
+        self._idle()
+
+    def _safe_instead(self) -> EsairError:
+        """Make the error for an operation that the safe command has ended."""
+        halt, holds = self.registrations.halt, self.gate.holds
+        if halt is not None:
+            return HaltedError(self.name, halt.reason)
+        if self.gate.latched:
+            return StoppingError(self.name, "stopping")
+        current = self.operations.current
+        stops = holds[0] if holds else self.guards.shut
+        return AccessDeniedError(
+            "" if current is None else current.registration.behavior,
+            self.name,
+            "operate",
+            "it was made safe meanwhile" if stops is None else stops.rule,
+        )
+
+    # What people ask.
+
+    def why(self) -> Why:
+        """Tell who holds the actuator, by which rule, and what would free it."""
+        now, told = self.time(), self.wire.told.command
+        return explain(self.gate, self.hold, now, told, is_safe=self.is_safe)

@@ -10,7 +10,7 @@ from esair.connections._registrations import Registration
 from esair.loop import Scheduler
 
 if TYPE_CHECKING:
-    from esair.connections._held_device import HeldDevice
+    from esair.connections._actuator_channel import ActuatorChannel
     from esair.connections._sensor_channel import SensorChannel
 
 
@@ -57,16 +57,20 @@ class Decision:
         "_others",
         "_scheduler",
         "_wish",
+        "changes_hands",
         "sights",
     )
 
-    def __init__(self, channel: HeldDevice, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, channel: ActuatorChannel, loop: asyncio.AbstractEventLoop
+    ) -> None:
         self._channel = channel
         self._scheduler = Scheduler.of(loop)
         self.sights: list[Sight] = []  # what those see who have a say in it
         self._wish: Wish | None = None
         self._others: tuple[Wish, ...] = ()
         self._looks = False  # the guards see something new in this turn
+        self.changes_hands = False  # who gives it back is not the last of the turn
 
     def join(self, sight: Sight) -> None:
         """Let those who decide with them wait for what they see."""
@@ -115,7 +119,7 @@ class Decision:
         wishes.sort(key=self._rank)
         winner: Wish | None = None
         rest: Awaitable[object] | None = None
-        self._channel.changes_hands = True
+        self.changes_hands = True
         try:
             for wish in wishes:
                 if winner is not None:
@@ -124,7 +128,7 @@ class Decision:
                 decided, rest = wish.commit(now)
                 winner = wish if decided else None
         finally:
-            self._channel.changes_hands = False
+            self.changes_hands = False
             self._channel.keep_still()
         return rest
 

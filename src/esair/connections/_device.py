@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 
@@ -18,13 +19,15 @@ from esair.exceptions import (
     DriverStuckError,
     EsairError,
     HaltedError,
-    ResourceRemovedError,
     describe,
 )
 from esair.journal import Kind
 from esair.loop import Deadlines, clock_of
 from esair.messages import ResourceState
-from esair.resources import Resource
+
+if TYPE_CHECKING:
+    from esair.connections._actuator_channel import ActuatorChannel
+    from esair.connections._sensor_channel import SensorChannel
 
 
 class OfRobot(NamedTuple):
@@ -36,67 +39,58 @@ class OfRobot(NamedTuple):
 
 
 class Device:
-    """One device: its driver, the calls of that, and its state."""
+    """One device, whatever it is: its driver, the calls of that, and its state."""
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
         "_journal",
-        "_left",
-        "_on_error",
         "calls",
         "driver",
         "error",
+        "home",
         "loop",
         "name",
         "operations",
         "registrations",
+        "robot",
         "state",
         "time",
     )
 
-    # Of those that know what it is for.
-    configured: Callable[[], None]
-    down: Callable[[ResourceState, EsairError], None]
-    ready_for: Callable[[Operating], bool]
-    """Tells whether an operation may begin now; or sees to it that it soon may."""
-    operating: Callable[[Operating, Call], None]
-    """The device has begun with an operation, and is busy."""
-    operated: Callable[[Call | None], None]
-    """It has its outcome; the device is free once the call has ended."""
-    _late: Callable[[Call], None]
-
-    def __init__(self, resource: Resource, robot: OfRobot) -> None:
-        self.name = resource.name
+    def __init__(self, name: str, robot: OfRobot) -> None:
+        self.name = name
         self.state = ResourceState.CLOSED
         self.error: EsairError | None = None
-        self.registrations, self._on_error, self._left = robot
+        self.registrations = robot.registrations
+        self.robot = robot
         self._journal = self.registrations.journal
         self.loop = loop = asyncio.get_running_loop()
+        self.home = threading.get_ident()  # the thread of that loop
         self.time = clock_of(loop)
-        self.operations = Operations(self, loop, self._on_error)
-        self.attach(resource)
 
-    def attach(self, resource: Any) -> None:
+    def take(
+        self,
+        resource: Any,
+        channel: ActuatorChannel | SensorChannel,
+        on_late: Callable[[Call], None],
+    ) -> None:
         """Ask or write this one from now on; it is not ready yet."""
         self.driver = Driver(resource)
         self.calls = Calls(
             self.driver,
             self.loop,
-            on_late=self._late,
-            on_stuck=lambda call: self._on_error(given_up(call)),
-            left=self._left,
+            on_late=on_late,
+            on_stuck=lambda call: self.robot.on_error(given_up(call)),
+            left=self.robot.left,
         )
-        self.configured()
+        if not hasattr(self, "operations"):
+            self.operations = Operations(channel)
 
     def absence(self) -> EsairError:
         """Return what whoever needs the device gets while it is not ready."""
         error = self.error or DeviceLostError(self.name, f"it is {self.state.value}")
         # Anew: else each who asks would leave its frames in the traceback.
         return error.with_traceback(None)
-
-    def removed(self) -> None:
-        """The user took the device away."""
-        self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
 
 
 @attrs.define(eq=False)
@@ -120,12 +114,9 @@ class Operating:
 class Operations:
     """Runs the operations of a device; its caller sees to it that there is one."""
 
-    def __init__(
-        self, device: Device, loop: asyncio.AbstractEventLoop, on_error: Any
-    ) -> None:
+    def __init__(self, device: ActuatorChannel | SensorChannel) -> None:
         self._device = device
-        self._loop = loop
-        self._on_error = on_error
+        self._loop = device.loop
         self.current: Operating | None = None  # what waits for its turn, or runs
 
     async def run(
@@ -263,5 +254,5 @@ class Operations:
         """Make what its caller gets of what the driver has raised."""
         translated = translate_call(self._device.name, this.name, this.limit, error)
         if isinstance(translated, DeviceLostError):
-            self._on_error(translated)
+            self._device.robot.on_error(translated)
         return translated

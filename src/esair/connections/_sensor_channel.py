@@ -18,6 +18,7 @@ from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
     EsairError,
+    ResourceRemovedError,
     StaleReadingError,
 )
 from esair.journal import Kind
@@ -33,8 +34,7 @@ READ_TIMEOUT = 1.0
 """How long a read waits for the device unless it says otherwise, in seconds."""
 
 
-_new = tuple.__new__
-"""Makes a reading of what is in the right order, in half of the time."""
+_new = tuple.__new__  # hot
 
 
 class Follower(Protocol):
@@ -179,6 +179,10 @@ class SensorChannel(SensorDevice):
         self._answered()
         self.operations.gone(error)
 
+    def removed(self) -> None:
+        """The user took the device away."""
+        self.down(ResourceState.REMOVED, ResourceRemovedError(self.name))
+
     def forget_age(self) -> None:
         """Make every reading stale, as after a suspend of the computer."""
         self.newest = None
@@ -317,7 +321,7 @@ class SensorChannel(SensorDevice):
 
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""
-        clock, check = self.time, self._check_value  # by themselves: see the ports
+        clock, check = self.time, self._check_value  # hot
         now = time = clock()
         wrong: str | None = None
         if type(value) is Stamped:
@@ -356,7 +360,7 @@ class SensorChannel(SensorDevice):
         self._waiting.answer(number, translated)
         for follower in self._followers:
             follower.doubt(translated)
-        self._on_error(translated)
+        self.robot.on_error(translated)
 
     def drop(self, registration: Registration) -> None:
         error = self.registrations.refusal(registration)

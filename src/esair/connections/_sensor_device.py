@@ -15,8 +15,7 @@ from esair.exceptions import StaleReadingError
 from esair.messages import ResourceState
 from esair.resources import Sensor
 
-READY = ResourceState.READY
-"""The member itself: Python 3.11 takes six times as long to find it in its class."""
+READY = ResourceState.READY  # hot
 
 
 class SensorDevice(Device):
@@ -58,11 +57,13 @@ class SensorDevice(Device):
         self._asks: asyncio.Handle | None = None
         """Asks the device in the next turn, for all who have asked in this one."""
         self._waiting = WaitingReaders(sensor.name, loop, self._silent)
-        super().__init__(sensor, robot)
+        super().__init__(sensor.name, robot)
+        self.attach(sensor)
 
     def attach(self, sensor: Sensor[Any]) -> None:
         self.sensor = sensor
-        super().attach(sensor)
+        self.take(sensor, self, self._late)  # type: ignore[arg-type]
+        self.configured()
 
     def configured(self) -> None:
         """Take over a changed deadline."""

@@ -1,0 +1,509 @@
+"""What leaves for the driver of one actuator, and how its safe command gets there."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import copy
+import enum
+import logging
+import math
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Protocol
+
+import attrs
+
+from esair.connections._call import Apply, Call
+from esair.connections._command_check import CommandCheck
+from esair.connections._driver import Guard, translate_call
+from esair.connections._halt import LastCommand
+from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
+from esair.journal import Kind
+from esair.loop import REACHED, Deadlines, spawn, wake
+from esair.messages import Refused, ResourceState, Written
+from esair.resources import HOLD, Actuator
+
+if TYPE_CHECKING:
+    from esair.connections._applied_channel import AppliedChannel
+    from esair.connections._device import Device
+
+SAFE_TRIES = 3
+"""How often the safe command is tried before the actuator counts as unsafe."""
+
+TURN_WITHIN = 0.3
+"""How long the safe command waits at most for a write in flight, in seconds."""
+
+NOT_YET = "it has not answered yet"
+
+_NOW = Call("", "write", 0, 0, (), 0.0)
+"""In the lane while a write is in its first step: nothing else begins from there."""
+
+_log = logging.getLogger("esair")
+
+
+class Watched(Protocol):
+    """The watchdog, as an actuator sees it."""
+
+    def may_move(self) -> bool:
+        """Hear that it is about to move; false once the watchdog has acted."""
+
+    def is_safe(self) -> None:
+        """Hear that it has taken its safe command."""
+
+
+class Told:
+    """What one actuator was told last.
+
+    Attributes:
+        command: That, as nobody else can change it.
+        is_safe: Whether it is the safe command, sent as such.
+        error: Why its driver has not taken it, in words; empty if it has.
+        at: When it was told something that nobody wrote: safe, or less by a guard.
+        base: Where the device is, as far as it has said, while it was told to stay.
+    """
+
+    __slots__ = ("at", "base", "command", "error", "is_safe")
+
+    def __init__(self) -> None:
+        self.command: Any = None
+        self.is_safe = False
+        self.error = "it was never told anything"
+        self.at = 0.0
+        self.base: Any = None
+
+
+class Wire:
+    """The way of commands to one driver; `send` is the only one of a motion.
+
+    Attributes:
+        actuator: Whose driver it is.
+        blocks: Whether its driver is called in a thread.
+        check: The check of what may be sent to it.
+        command_timeout: After how many seconds without a write it gets its safe command.
+        copies: Whether somebody could change a command after its check.
+        slews: Whether how fast its commands change is limited.
+        still: What it is told for protection's sake: its safe command, or to stay where
+            that is a place to go.
+        lane: The write that waits for the device: there is one at a time.
+        told: What it was told last.
+        applied: Given each command that was applied, if somebody reads that.
+        watch: Told when it moves and when it is safe, if there is a watchdog.
+    """
+
+    __slots__ = (
+        "_begin",
+        "_deadline",
+        "_device",
+        "_journal",
+        "actuator",
+        "applied",
+        "blocks",
+        "check",
+        "command_timeout",
+        "copies",
+        "lane",
+        "method",
+        "slews",
+        "still",
+        "told",
+        "watch",
+    )
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._journal = device.registrations.journal
+        self.lane: Call | None = None
+        self.applied: AppliedChannel | None = None
+        self.watch: Watched | None = None
+
+    def attach(self, actuator: Actuator[Any]) -> None:
+        """Write to this actuator from now on; it was told nothing."""
+        self.actuator = actuator
+        self.told = Told()
+        self._begin = self._device.calls.begin  # hot
+        self.configured()
+
+    def configured(self) -> None:
+        """Take over changed limits and time-outs."""
+        actuator = self.actuator
+        self.command_timeout = float(actuator.command_timeout)
+        self._deadline = actuator.deadline
+        self.still = HOLD if actuator.safe_moves else actuator.safe
+        self.check = check = CommandCheck(actuator)
+        self.copies, self.slews = check.copies, check.slews
+        method = self._device.driver.method("write")
+        self.blocks = method.executor is not None
+        write = method.function
+        if self.copies:
+            # The driver's and the guards' code may change what is in theirs.
+            method = attrs.evolve(
+                method, function=lambda command: write(copy.deepcopy(command))
+            )
+        self.method = method
+
+    def send(
+        self,
+        command: Any,
+        behavior: str,
+        apply: Apply,
+        guard: Guard | None = None,
+    ) -> Any:
+        """Hand a motion to the driver, without a wait if that has none.
+
+        Args:
+            command: What has been checked.
+            behavior: Whose will it is; empty if it is nobody's.
+            apply: Told the end of a call that goes on.
+            guard: What a thread asks just before it calls the driver.
+
+        Returns:
+            What the driver has answered, or the call that goes on.
+
+        Raises:
+            EsairError: What the driver has raised, as its caller gets it.
+        """
+        told = self.told
+        # A copy of its own: who has the answer may change what is in it.
+        told.command = copy.deepcopy(command) if self.copies else command
+        told.is_safe = False
+        if self._journal.heard:
+            self._journal.publish(Kind.SENT, self._device.name, behavior, command)
+        self.lane = _NOW
+        try:
+            sent = self._begin("write", self.method, (command,), self._deadline, guard)
+        except Exception as error:
+            self.lane = None
+            failed = self.failed(error, "write")
+            raise failed from failed.__cause__
+        if sent is not None and type(sent) is Call:
+            sent.apply = apply
+            self.lane = sent
+            told.error = NOT_YET
+            return sent
+        # Done: most drivers need not wait.
+        self.lane = None
+        told.error = ""
+        return sent
+
+    def copied(self, command: Any) -> Any:
+        """Return a command that nobody but its holder can change."""
+        return copy.deepcopy(command) if self.copies else command
+
+    def slewed(self, command: Any, seconds: float) -> Any:
+        """Return a command as it may be sent so many seconds after the last one."""
+        told = self.told
+        before = told.base if told.command is HOLD else told.command
+        if before is None or before is HOLD:
+            return command  # nobody knows where it stays: its driver has not said
+        if command is HOLD:
+            told.base = before
+            return command
+        return self.check.slewed(command, before, seconds)
+
+    def failed(self, error: BaseException, kind: str) -> EsairError:
+        """Take note of what the driver has raised; returns what its caller gets."""
+        told, device = self.told, self._device
+        translated = self.translated(error, kind)
+        told.error = describe(translated)
+        if self._journal.heard:
+            self._journal.publish(
+                Kind.UNANSWERED, device.name, "", told.command, told.error
+            )
+        device.robot.on_error(translated)
+        return translated
+
+    def translated(self, error: BaseException, kind: str = "write") -> EsairError:
+        """Make what its caller gets of what the driver has raised."""
+        return translate_call(self._device.name, kind, self.actuator.deadline, error)
+
+    def took(self, command: Any, answer: Any) -> None:
+        """Tell those who read it what was applied."""
+        if self.applied is None or isinstance(answer, Refused):
+            return
+        if isinstance(answer, Written):
+            answer = answer.command
+        if answer is not None:
+            command = answer
+        elif command is HOLD:
+            command = self.told.base
+        self.applied.took(copy.deepcopy(command))  # who has the answer may change it
+
+    def unsettled(self) -> Call | None:
+        """Return a motion that is alive, and may still undo the safe command."""
+        alive = self._device.calls.alive
+        mine = (call for call in alive.values() if call.may_move)
+        return next(mine, None) or next(self.motions_left(), None)
+
+    def motions_left(self) -> Iterator[Call]:
+        """Yield the motions that nobody waits for, and that have not ended."""
+        for call in self._device.robot.left:
+            if call.may_move and call.resource == self._device.name:
+                yield call
+
+    def last_command(self) -> LastCommand:
+        """Report what it was told, and whether that is what it does."""
+        told, error = self.told, self.told.error
+        earlier = self.unsettled()
+        if earlier is not None:
+            error = f"{earlier}, begun before it, has not ended"
+        name = self._device.name
+        return LastCommand(name, told.command, told.is_safe, not error, error)
+
+
+class State(enum.Enum):
+    """Where the safe command is."""
+
+    IDLE = "nobody has asked for it"
+    DUE = "it waits for a write in flight"
+    ON_ITS_WAY = "the driver has it"
+    AGAIN = "the driver has it, and gets it once more"
+
+
+IDLE, DUE, ON_ITS_WAY, AGAIN = State  # hot
+
+
+class SafeCommand:
+    """Makes one actuator safe: it is the last thing on the wire.
+
+    Nothing begins while it is on its way, and it is sent again when a motion ends that
+    was begun before it.
+    """
+
+    __slots__ = (
+        "_device",
+        "_last_moment",
+        "_number",
+        "_on_due",
+        "_on_idle",
+        "_pulses",
+        "_stays",
+        "_task",
+        "_wire",
+        "state",
+    )
+
+    def __init__(
+        self,
+        wire: Wire,
+        device: Device,
+        *,
+        on_due: Callable[[], None],
+        on_idle: Callable[[], None],
+    ) -> None:
+        self._wire = wire
+        self._device = device
+        self._on_due = on_due  # called whenever somebody has asked for it
+        self._on_idle = on_idle  # called when it has been sent
+        self._last_moment = math.inf
+        """Until when the stop of the robot waits for it."""
+        self._pulses: list[asyncio.Future[None]] = []
+        self._task: asyncio.Task[bool] | None = None
+        self.state = IDLE
+        for call in wire.motions_left():  # of one of this name, which was removed
+            over: asyncio.Future[None] = device.loop.create_future()
+            over.add_done_callback(lambda _: self.repeat())
+            call.waiters.append(over)
+
+    def attach(self) -> None:
+        """Begin with a device that was told nothing."""
+        if self._task is None:
+            self.state = IDLE
+        self._number = 0  # of the newest call with the safe command
+        self._stays = False
+        """What is on its way is to stay, because safe is a place to go."""
+
+    def make(self, *, stay: bool = False) -> asyncio.Task[bool]:
+        """Send the safe command, before anything else; or have it stay where it is."""
+        self._on_due()
+        stay = stay and self._wire.actuator.safe_moves
+        task = self._task
+        if task is None:
+            self._stays = stay
+            self.state = DUE
+            task = self._task = spawn(
+                self._device.loop, self._send(), name=f"{self._device.name} safe"
+            )
+            # A task that is cancelled before its first step runs none of its code.
+            task.add_done_callback(self._over)
+        elif self._stays and not stay:
+            self._stays = False
+            if self.state is ON_ITS_WAY:
+                self.state = AGAIN  # it was told to stay: safe comes after that
+        return task
+
+    def repeat(self) -> None:
+        """Send it again: a motion has ended that may have undone it."""
+        device, wire = self._device, self._wire
+        if self._task is None and device.state is ResourceState.READY:
+            self.make(stay=wire.told.command is HOLD)
+            return
+        if self.state is ON_ITS_WAY:
+            self.state = AGAIN
+        safe = device.calls.alive.get(self._number)
+        if safe is not None:  # its answer may be long in coming
+            Deadlines.of(device.loop).after(self.turn_within, self._overtake, safe)
+
+    def after_operation(self) -> None:
+        """Send it, or send it again: nobody knows where an operation has ended."""
+        if self._task is None:
+            self.make(stay=True)
+        elif self.state is ON_ITS_WAY:
+            self.state = AGAIN
+
+    def overtaken(self, call: Call) -> bool:
+        """Tell whether the safe command was begun after another call."""
+        return call.number < self._number
+
+    def up(self) -> None:
+        """The device is open, and was told it by `at_opening`."""
+        again = self.state is AGAIN
+        if self._task is None:
+            self.state = IDLE
+        if again:
+            self.make()
+
+    def close(self) -> None:
+        """Nobody waits for it any more; a thread that has it goes on."""
+        if self._task is not None:
+            self._task.cancel()
+
+    def latch(self, until: float) -> None:
+        """The robot stops, and waits for it until then."""
+        self._last_moment = until
+
+    def pulse(self) -> None:
+        """Let those look again who wait until it is the last thing on the wire."""
+        pulses, self._pulses = self._pulses, []
+        wake(*pulses)
+
+    async def settled(self, until: float = math.inf) -> None:
+        """Wait until it is the last thing on the wire; bounded."""
+        device = self._device
+        turn = self.turn_within + self._wire.actuator.deadline + 0.1
+        give_up = min(device.time() + turn, self._last_moment, until)
+        while self._task is not None or (
+            device.state is ResourceState.READY and self._wire.unsettled()
+        ):
+            seconds = give_up - device.time()
+            if seconds <= REACHED:
+                return
+            pulse: asyncio.Future[None] = device.loop.create_future()
+            self._pulses.append(pulse)
+            await Deadlines.of(device.loop).wait(pulse, seconds)
+
+    @property
+    def turn_within(self) -> float:
+        """How long it waits for a write in flight, in seconds."""
+        wire = self._wire
+        return min(wire.actuator.deadline, wire.command_timeout, TURN_WITHIN)
+
+    def _overtake(self, safe: Call) -> None:
+        """Send it beside one that has no answer: a motion may have undone that."""
+        device, wire = self._device, self._wire
+        if safe.outcome is None and device.state is ResourceState.READY:
+            with contextlib.suppress(Exception):  # the answer to the other one counts
+                limit = wire.actuator.deadline
+                device.calls.begin("safe", wire.method, safe.args, limit)
+
+    async def _send(self) -> bool:
+        device, wire = self._device, self._wire
+        try:
+            until = device.time() + self.turn_within
+            while wire.lane is not None and device.time() + REACHED < until:
+                await device.calls.next_end(until)
+            while True:
+                self.state = ON_ITS_WAY
+                took = await self._try()
+                # It may have been asked for once more meanwhile.
+                if not took or self.state is ON_ITS_WAY:
+                    return took
+        finally:
+            me = asyncio.current_task()
+            if me is not None:
+                self._over(me)
+
+    def _over(self, task: asyncio.Task[Any]) -> None:
+        if self._task is task:
+            self._task = None
+            self.state = IDLE
+            self._on_idle()
+
+    async def _try(self) -> bool:
+        device, wire = self._device, self._wire
+        error: EsairError | None = None
+        for attempt in range(SAFE_TRIES):
+            if device.state is not ResourceState.READY:
+                lost = device.error or DeviceLostError(device.name)
+                wire.told.error = describe(lost)
+                break
+            opening = device.calls.opening
+            try:
+                await self._tell()
+            except Exception as raised:
+                if opening == device.calls.opening:
+                    error = wire.failed(raised, "safe")
+            else:
+                return True
+            await asyncio.sleep(0.01 * attempt)
+        ready = device.state is ResourceState.READY
+        if ready or isinstance(error, DriverStuckError):
+            safe = wire.actuator.safe
+            _log.critical("%s: UNSAFE: it did not take %r", device.name, safe)
+        if ready:
+            # It comes back when it takes its safe command after an opening.
+            told = "it does not take its safe command"
+            device.robot.on_error(DeviceLostError(device.name, told))
+        return False
+
+    async def _tell(self, limit: float | None = None) -> None:
+        device, wire = self._device, self._wire
+        actuator, calls, told = wire.actuator, device.calls, wire.told
+        command = HOLD if self._stays else actuator.safe
+        if command is HOLD and told.command is not HOLD:
+            told.base = told.command
+        told.command = command
+        told.at = device.time()
+        told.is_safe = command is actuator.safe
+        told.error = NOT_YET
+        self._number = calls.number + 1
+        opening = calls.opening
+        limit = limit or actuator.deadline
+        applied = calls.begin("safe", wire.method, (command,), limit)
+        if type(applied) is Call:
+            applied = await self._outcome(applied)
+        if opening == calls.opening and calls is device.calls:
+            told.error = ""
+            if command is HOLD and applied is not None:
+                told.base = applied
+            wire.took(command, applied)
+            if wire.watch is not None:
+                wire.watch.is_safe()
+            journal = device.registrations.journal
+            if journal.heard:
+                journal.publish(Kind.SAFE, device.name, "", command)
+
+    async def _outcome(self, call: Call) -> Any:
+        device, wire = self._device, self._wire
+        try:
+            return await device.calls.outcome(call)
+        finally:
+            ready = device.state is ResourceState.READY
+            if ready and call.is_abandoned and wire.lane is None:
+                wire.lane = call  # its driver still has the device
+
+    async def at_opening(self) -> None:
+        """Send it to a device that was just opened."""
+        # What has ended until now, it is sent after; `up` sends it after what follows.
+        self.state, self._stays = ON_ITS_WAY, False
+        try:
+            await self._tell()
+        except BaseException as error:
+            self._wire.told.error = describe(error)
+            raise
+
+    async def at_closing(self) -> None:
+        """Send it to a device that is to be closed: it may move still."""
+        told = self._wire.told
+        if not (told.command is None or told.command is HOLD or told.is_safe):
+            with contextlib.suppress(Exception):  # it may be gone, or not obey
+                await self._tell(self.turn_within)
