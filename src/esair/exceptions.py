@@ -31,7 +31,10 @@ it broadly (``except TimeoutError``) or exactly (``except esair.StaleReadingErro
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from traceback import TracebackException
 
 
 class EsairError(Exception):
@@ -383,6 +386,51 @@ def describe(error: BaseException) -> str:
     except BaseException:  # a user's __str__ may raise anything
         text = "(its text cannot be shown)"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def told_traceback(error: BaseException) -> str:
+    """Return a traceback as Python prints it; what the errors say is escaped.
+
+    Their texts may be those of a device: none begins a line of its own.
+    """
+    import traceback  # only when something went wrong
+
+    found = traceback.TracebackException.from_exception(error, compact=True)
+    return "\n".join(_traceback_lines(found, GROUPS))
+
+
+GROUPS = 8
+"""How deep groups of errors are told."""
+
+
+def _traceback_lines(found: TracebackException, depth: int) -> list[str]:
+    chain: list[tuple[str, Any]] = []
+    each: Any = found
+    told = ""
+    while each is not None:
+        chain.append((told, each))
+        if each.__cause__ is not None:
+            told = (
+                "The above exception was the direct cause of the following exception:"
+            )
+            each = each.__cause__
+        else:
+            told = "During handling of the above exception, another exception occurred:"
+            each = None if each.__suppress_context__ else each.__context__
+    lines: list[str] = []
+    for told, each in reversed(chain):
+        notes = each.__notes__ if isinstance(each.__notes__, list) else []
+        each.__notes__ = [printable(note) for note in notes if isinstance(note, str)]
+        if each.stack:
+            lines.append("Traceback (most recent call last):")
+        for frame in each.stack.format():
+            lines += map(printable, frame.rstrip("\n").split("\n"))
+        lines += [printable(line.rstrip("\n")) for line in each.format_exception_only()]
+        for inner in (each.exceptions or ()) if depth else ():
+            lines += [f"  | {line}" for line in _traceback_lines(inner, depth - 1)]
+        if told:
+            lines += ["", told, ""]
+    return lines
 
 
 def printable(text: str) -> str:

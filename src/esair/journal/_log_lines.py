@@ -7,8 +7,19 @@ import contextlib
 import logging
 import threading
 
+from esair.exceptions import told_traceback
 from esair.journal._event import Kind
 from esair.journal._journal import Journal, here
+
+
+def escape_traceback(record: logging.LogRecord) -> bool:
+    """Escape the traceback of a line, before any handler has it."""
+    if record.exc_info and record.exc_info[1] is not None and not record.exc_text:
+        record.exc_text = told_traceback(record.exc_info[1])
+    return True
+
+
+logging.getLogger("esair").addFilter(escape_traceback)
 
 
 class LogLines(logging.Handler):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import attrs
 
+from esair.values import printable
+
 
 @attrs.frozen
 class Step:
@@ -69,4 +71,5 @@ class Story:
 
 def repr_of(text: str) -> str:
     """Return a text as a formatter writes it: in double quotes."""
-    return '"' + repr("'" + text)[2:-1].replace('"', '\\"') + '"'
+    escaped = text.replace("\\", r"\\").replace('"', r"\"")
+    return f'"{printable(escaped)}"'

@@ -10,6 +10,7 @@ from esair.torture._judge import Violation
 from esair.torture._story import Step, Story, repr_of
 from esair.torture._target import Target
 from esair.torture._world import tell
+from esair.values import printable
 
 _TEST = '''\
 """{title}
@@ -85,14 +86,15 @@ def write_test(
         imports = "\nfrom pathlib import Path\n"
         path = Path(os.path.relpath(target.file.resolve(), folder.resolve()))
         place = f"\nROBOT = Path(__file__).parent / {repr_of(path.as_posix())}\n"
-        attribute = target.name.rpartition(":")[2]
+        attribute = repr_of(target.name.rpartition(":")[2])[1:-1]
         robot = "ROBOT"
         if target.file.suffix == ".py":
+            attribute = attribute.replace("{", "{{").replace("}", "}}")
             robot = f'f"{{ROBOT}}:{attribute}"'
     steps = "".join(f"\n            {step.source()}," for step in story.steps)
     text = _TEST.format(
         title=_sentence(f"{violation.component}: {violation.rule}"),
-        words=target.name,
+        words=repr_of(target.name)[1:-1],
         seed=seed,
         imports=imports,
         place=place,
@@ -110,7 +112,7 @@ def write_test(
 
 def _sentence(text: str) -> str:
     words = " ".join(text.replace("\\", "/").replace('"', "'").split())
-    words = words[:1].upper() + words[1:]
+    words = printable(words[:1].upper() + words[1:])
     if len(words) > 80:
         words = words[:77].rstrip() + "..."
     return words if words.endswith(".") else f"{words}."
