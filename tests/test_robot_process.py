@@ -51,9 +51,14 @@ async def live(
     step: str = "pass",
     main: str = "esair.run(robot)",
     blocking: bool = False,
-    timeout: float = 15.0,
+    between: str = "",
+    timeout: float = 60.0,
 ) -> tuple[int, list[str], str, float]:
-    """Run a robot, send it signals once it drives; return code, log, errors, seconds."""
+    """Run a robot, send it signals once it drives; return code, log, errors, seconds.
+
+    Args:
+        between: What it notes when it has heard the first signal.
+    """
     code = ROBOT.format(
         async_="" if blocking else "async ", step=step, main=textwrap.dedent(main)
     )
@@ -67,11 +72,13 @@ async def live(
     try:
         async with asyncio.timeout(timeout):
             if signals:
-                await driving(log)
+                await noted(log, "1.0")
             began = time.monotonic()
             for number in signals:
                 process.send_signal(number)
                 await asyncio.sleep(0.05)
+                if between:
+                    await noted(log, between)
             errors = await process.stderr.read()
             await process.wait()
     finally:
@@ -92,9 +99,9 @@ def words(log: Path) -> list[str]:
     return log.read_text().split() if log.exists() else []
 
 
-async def driving(log: Path) -> None:
-    """Wait until the device was told to move."""
-    while "1.0" not in words(log):  # noqa: ASYNC110 - another process writes it
+async def noted(log: Path, word: str) -> None:
+    """Wait until a process has noted something: that its device was told to move, say."""
+    while word not in words(log):  # noqa: ASYNC110 - another process writes it
         await asyncio.sleep(0.01)
 
 
@@ -130,12 +137,16 @@ async def test_a_signal_stops_in_order(
 async def test_a_second_signal_keeps_the_safe_command(tmp_path: Path) -> None:
     """Somebody is impatient: the stop is shorter, and safe all the same."""
     main = """
-    async def teardown(self): await asyncio.sleep(0.7)
+    async def teardown(self):
+        Wheels.note(None, "ending")
+        await asyncio.sleep(20.0)
     Drive.teardown = teardown
     esair.run(robot)
     """
     returned, lines, errors, _ = await live(
-        tmp_path / "log", signal.SIGINT, signal.SIGTERM, main=main
+        *(tmp_path / "log", signal.SIGINT, signal.SIGTERM),
+        main=main,
+        between="ending",
     )
 
     assert returned == 130, errors

@@ -92,6 +92,15 @@ async def dog(deaths: Deaths) -> AsyncIterator[Watchdog]:
     await each.close()
 
 
+@pytest.fixture
+async def patient() -> AsyncIterator[Watchdog]:
+    """One that ends no process whose tests are held up while something moves."""
+    each = Watchdog(limit=60.0)
+    await each.start()
+    yield each
+    await each.close()
+
+
 def pid_of(dog: Watchdog) -> int:
     assert dog._process is not None
     return dog._process.pid
@@ -270,10 +279,10 @@ async def test_a_silent_one_is_noticed_sooner_while_something_moves(
 ) -> None:
     """Within two limits; until then, and a moment longer, a death wakes it."""
     assert not await dog.arm("w", SAFE, Outlet("serial", descriptor=line.near))
-    dog.moving("w", True)
-    dog.beat()
     pid = pid_of(dog)
     os.kill(pid, signal.SIGSTOP)
+    dog.moving("w", True)
+    dog.beat()
     began = time.monotonic()
     while not deaths.count and time.monotonic() < began + 5.0:
         dog.beat()
@@ -285,8 +294,9 @@ async def test_a_silent_one_is_noticed_sooner_while_something_moves(
 
 
 @pytest.mark.promise("GRD-4")
-async def test_a_fork_of_the_robot_gives_no_sign_of_life(dog: Watchdog) -> None:
+async def test_a_fork_of_the_robot_gives_no_sign_of_life(patient: Watchdog) -> None:
     """What it counts, and what it tells of motions, is its own."""
+    dog = patient
     dog.moving("wheels", True)
     beats = dog._numbers[_watchdog._BEATS]
     child = os.fork()
@@ -382,9 +392,10 @@ async def test_it_does_not_wait_for_a_robot_that_does_not_hear(dog: Watchdog) ->
 
 @pytest.mark.promise("GRD-1")
 async def test_what_moves_moves_still_when_it_is_armed_again(
-    dog: Watchdog, line: Line
+    patient: Watchdog, line: Line
 ) -> None:
     """Its settings were changed, or its watchdog is a new one: it was told no stop."""
+    dog = patient
     outlet = Outlet("serial", descriptor=line.near)
     assert not await dog.arm("wheels", SAFE, outlet)
     dog.moving("wheels", True)
