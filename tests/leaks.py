@@ -20,8 +20,8 @@ class OwnLeaks(Leaks):
         self._log = _Log()
         logging.getLogger("asyncio").addHandler(self._log)
 
-    async def check(self, patience: float = 1.0) -> list[str]:
-        """Return what is left, after what is ending has ended."""
+    async def check(self, patience: float = 10.0) -> list[str]:
+        """Return what is left, after what is ending has ended, on a busy computer too."""
         found = await super().check(patience)
         logging.getLogger("asyncio").removeHandler(self._log)
         loop = asyncio.get_running_loop()

@@ -39,6 +39,7 @@ END_WITHIN = 120.0
 """How long the end of a robot may take at all, in seconds of the virtual clock."""
 
 CARE = 5.0  # How long after the last fault the user looks after the robot, in seconds
+LEAVES = 5.0  # How long a thread that ends may take to do so, in real seconds
 RETOLD = 3  # How often a story is told again that shows that its robot is lifeless
 DRAIN = 6.0  # How long what is late may still come after the end, in seconds
 
@@ -216,7 +217,7 @@ class World:
         finally:
             abandon(loop)
             loop.close()
-        for left in leaks.check_process() if is_over else ():
+        for left in leaks.check_process(LEAVES) if is_over else ():
             self.judge.say("left", self.robot.name, f"the {left} is left behind")
         for check in self._checks:
             check(self)
