@@ -121,9 +121,8 @@ class Namer:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.failed:
-            self.terminal.ensure_newline()
             when = "" if report.when == "call" else f", in its {report.when}"
-            self.terminal.write_line(f"FAILED {report.nodeid}{when}", red=True)
+            self.terminal.write(f"\nFAILED {report.nodeid}{when}\n", red=True)
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
