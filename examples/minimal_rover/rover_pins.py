@@ -22,6 +22,8 @@ TOP_SPEED = 0.5
 class Ranges(Sensor):
     """Three ultrasonic range finders: right, ahead, left."""
 
+    example = Scan(-0.6, 0.6, (1.0, 1.0, 1.0))  # for C, which asks how long a row is
+
     def __init__(
         self, triggers: "tuple[int, ...]", echoes: "tuple[int, ...]", angle: float = 0.6
     ) -> None:
@@ -42,6 +44,8 @@ class Ranges(Sensor):
 
 class Bumper(Sensor):
     """Two switches to ground."""
+
+    example = Touch(False, False)
 
     def __init__(self, left: int, right: int) -> None:
         Sensor.__init__(self)

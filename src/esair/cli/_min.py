@@ -10,10 +10,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from esair.exceptions import ConfigError
 from esair.firmware import Built, run_folder
 from esair.firmware import build as build_files
 from esair.firmware import deploy as deploy_files
 from esair.firmware import monitor as monitor_board
+from esair.firmware.c import TARGETS
+from esair.firmware.c import build as build_c
 
 minimal = App(name="min", help="Robots on a microcontroller.")
 
@@ -39,13 +42,25 @@ def build(
     Args:
         file: The configuration of the robot.
         out: The folder to write; copy what is in it to the board.
-        board: "pico", "pico2", "esp32", or "esp32s3".
+        board: "pico", "pico2", "esp32", or "esp32s3"; "c" or "avr" for a chip without
+            Python: the reactions as C99, on pins that you read and write yourself.
         rate: Steps per second; the highest rate of a part, or 50, unless given.
         watchdog: Time-out of the board's hardware watchdog, in seconds.
         arm: When the board may move after a start: "host" (it is told so), "pin:NUMBER"
             (while that pin is low), or "always".
         link: The board is a part of a robot on a computer, on its serial line.
     """
+    if board in TARGETS:
+        if link:
+            raise ConfigError("esair min build", "link", "C has no line to a computer")
+        translated = build_c(
+            file, out, target=board, rate=rate, watchdog=watchdog, arm=arm
+        )
+        for name, size in translated.files.items():
+            _say(f"{translated.folder / name}: {size} bytes")
+        floats = "counts with floats" if translated.has_floats else "has no floats"
+        _say(f"{translated.rate:g} steps per second; it {floats}")
+        return 0
     built = build_files(
         file, out, board=board, rate=rate, watchdog=watchdog, arm=arm, link=link
     )

@@ -1,0 +1,566 @@
+"""A robot in C: MIN's own wiring as tables, and what leads from them to its reactions."""
+
+from __future__ import annotations
+
+import functools
+import importlib.resources
+import inspect
+import math
+import re
+import typing
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import attrs
+
+from esair import minimal
+from esair.firmware.c._functions import Functions
+from esair.firmware.c._scope import Function, Value
+from esair.firmware.c._types import (
+    BOOL,
+    INT,
+    NONE,
+    REAL,
+    RefusedError,
+    Type,
+    Types,
+    equal,
+    in_c,
+)
+
+Refuse = Callable[[Any, RefusedError], None]
+"""Called with a part, and what of it cannot be translated."""
+
+
+@attrs.frozen
+class Program:
+    """A robot in C.
+
+    Attributes:
+        types: The types that it has.
+        sensors: What each sensor gives.
+        actuators: What each actuator takes.
+        reactions: The names of the reactions, in the order of MIN's steps.
+        source: ``robot.c``.
+        has_floats: Whether there is any number with a fraction.
+    """
+
+    types: Types
+    sensors: dict[str, Type]
+    actuators: dict[str, Type]
+    reactions: list[str]
+    source: str
+    has_floats: bool
+
+
+class Wiring:
+    """Translates the parts of a robot.
+
+    Args:
+        reactions: As `esair.minimal.Loop` takes them.
+        sensors: They give what their ``example``, or the annotation of ``read``, says.
+        actuators: They take what their ``safe`` is.
+        rate: Steps per second.
+        armed: Whether actuators move at once.
+        refuse: Called with what cannot be translated.
+    """
+
+    def __init__(
+        self,
+        reactions: Sequence[Any],
+        sensors: Sequence[Any],
+        actuators: Sequence[Any],
+        rate: float,
+        armed: bool,
+        refuse: Refuse,
+    ) -> None:
+        self._armed, self._refuse = armed, refuse
+        self._loop = minimal.Loop(reactions, sensors, actuators, rate)
+        self._types, self._constants = Types(), dict[str, str]()
+        self._unknown: set[str] = set()
+        self._outputs = self._all(actuators, self._taken)
+        self._inputs = self._all(sensors, self._given)
+        self._lines: list[str] = []
+        self._terms: list[str] = []
+        self._tasks = [wired[0] for wired in self._loop.tasks]
+
+    def program(self) -> Program:
+        """Return the robot in C; of what is refused there is nothing in it."""
+        outputs = self._loop.outputs.values()
+        ports = [port for output in outputs for port in output.ports]
+        guards = [port for output in outputs for port in output.guards]
+        for name, kind in self._inputs.items():
+            self._lines += self._input(name, kind)
+        for name in self._outputs:
+            self._lines += self._output(name)
+        rows = [self._task(wired, ports, guards) for wired in self._loop.tasks]
+        every = self._loop.every
+        gap, odd = divmod(1_000_000, every)
+        counts = {
+            "INPUTS": len(self._inputs),
+            "TASKS": len(self._tasks),
+            "PORTS": len(ports),
+            "GUARDS": len(guards),
+            "OUTPUTS": len(self._outputs),
+            "TERMS": len(self._terms),
+        }
+        if max(counts.values()) > 200 or gap == 0:
+            self._refuse(
+                self._loop, RefusedError("at most 200 parts, and 1000 steps a second")
+            )
+        head = [
+            f"enum {{ {', '.join(f'ES_{name} = {n}' for name, n in counts.items())} }};"
+        ]
+        numbers = {"EVERY": every, "GAP": gap, "ODD": odd}
+        head += [f"#define ES_{name} UINT32_C({n})" for name, n in numbers.items()]
+        tables = [
+            *_table("es_term", "es_terms", self._terms, "TERMS"),
+            *_table(
+                "es_input", "es_inputs", map(self._input_row, self._inputs), "INPUTS"
+            ),
+            *_table("es_task", "es_tasks", rows, "TASKS"),
+            *_table("es_port", "es_ports", map(self._port_row, ports), "PORTS"),
+            *_table("es_guard", "es_guards", map(self._guard_row, guards), "GUARDS"),
+            *_table(
+                "es_output",
+                "es_outputs",
+                [self._output_row(name, ports, guards) for name in self._outputs],
+                "OUTPUTS",
+            ),
+            f"robot_state robot = {{.armed = {'true' if self._armed else 'false'}}};",
+        ]
+        body = [
+            *self._types.functions,
+            *(
+                text.replace("@", name)
+                for text, name in self._constants.items()
+                if any(re.search(rf"\b{name}\b", line) for line in self._lines)
+            ),
+            "",
+            *self._lines,
+            *tables,
+        ]
+        written = "\n".join([*self._types.lines, *body])
+        floats = "real" in written
+        include = ["robot.h", "math.h", "setjmp.h", "stddef.h", "string.h"]
+        if not floats:
+            include.remove("math.h")
+        text = [
+            f'#include "{name}"' if name == "robot.h" else f"#include <{name}>"
+            for name in include
+        ]
+        text += ["", *head, "", _template("core.c")]
+        if floats:
+            text += [_FLOATS, _template("core_float.c")]
+        text.append("/* The robot. */\n")
+        names = [task.name for task in self._tasks]
+        return Program(
+            self._types,
+            self._inputs,
+            self._outputs,
+            names,
+            "\n".join([*text, *body, ""]),
+            floats,
+        )
+
+    def _all(
+        self, parts: Sequence[Any], kind: Callable[[Any], Type]
+    ) -> dict[str, Type]:
+        found = {}
+        for part in parts:
+            try:
+                in_c(part.name)
+                found[part.name] = kind(part)
+            except RefusedError as error:
+                self._refuse(part, error)
+                self._unknown.add(part.name)
+                found[part.name] = REAL
+        return found
+
+    def _taken(self, actuator: Any) -> Type:
+        kind = self._types.of_value(actuator.safe)
+        limits = self._loop.outputs[actuator.name].limits
+        if limits and (kind is BOOL or ("" in limits and kind.fields)):
+            raise RefusedError(
+                f"limits of {kind.said}: leave them out, or name those of each field as "
+                "{'linear': (-1.0, 1.0)}"
+            )
+        return kind
+
+    def _given(self, sensor: Any) -> Type:
+        """Return what a sensor gives: by example, or by what annotations say."""
+        if hasattr(sensor, "example"):
+            return self._types.of_value(sensor.example)
+        said = [_hints(type(sensor).read).get("return")]
+        for task, _, terms, *_ in self._loop.tasks:
+            for key, source, *_ in terms:
+                if source.name == sensor.name:
+                    said += [
+                        _hints(task.reaction.react).get(key),
+                        dict(minimal.declared(task.reaction))[key].type,
+                    ]
+        for hint in said:
+            kind = (
+                self._types.of_annotation(hint)
+                if hint not in {None, type(None)}
+                else None
+            )
+            if kind is not None:
+                return kind
+        raise RefusedError(
+            "what it gives is not known: give its class `example = ...`, a reading as it "
+            "gives them, each row in its full length"
+        )
+
+    def _input(self, name: str, kind: Type) -> list[str]:
+        if not kind.fields:
+            bad = ["!isfinite(value)"] if kind is REAL else []
+        else:  # infinity in a row is nothing in reach
+            bad = [
+                f"isnan(value{kind.field(n)})"
+                for n, t in enumerate(kind.fields)
+                if t is REAL
+            ]
+        if kind.row is REAL:
+            test = [
+                f"    for (int i = 0; i < {len(bad)}; i++) if (isnan(value.v[i])) return false;"
+            ]
+        else:
+            test = [f"    if ({' || '.join(bad)}) return false;"] * bool(bad)
+        empty = "{0}" if kind.fields else "0"
+        return [
+            f"static {kind.c} in_{name};",
+            "",
+            f"static bool take_{name}(void)",
+            "{",
+            f"    {kind.c} value = {empty};",
+            f"    if (!read_{name}(&value)) return false;",
+            *test,
+            f"    in_{name} = value;",
+            "    return true;",
+            "}",
+            "",
+        ]
+
+    def _output(self, name: str) -> list[str]:
+        kind, output = self._outputs[name], self._loop.outputs[name]
+        safe = self._types.braces(output.safe, kind)
+        lines = [
+            f"static const {kind.c} safe_{name} = {safe};",
+            f"static bool send_{name}(const void *command) "
+            f"{{ return write_{name}(*(const {kind.c} *)command); }}",
+            "",
+            f"static inline {kind.c} fit_{name}({kind.c} command)",
+            "{",
+            *(f"    {each}" for each in self._checks(output, kind)),
+            "    return command;",
+            "}",
+            "",
+        ]
+        if not output.guards:
+            return lines
+        parts = (
+            [("", kind)]
+            if not kind.fields
+            else [(kind.field(n), each) for n, each in enumerate(kind.fields)]
+        )
+        lines += [
+            f"static {kind.c} pass_{name}, last_{name};",
+            "",
+            f"static {kind.c} less_{name}({kind.c} value, {kind.c} most)",
+            "{",
+        ]
+        for field, each in parts:
+            less = "es_less_real" if each is REAL else "es_less"
+            lines.append(
+                f"    value{field} = {less}(value{field}, most{field}, safe_{name}{field});"
+            )
+        return [
+            *lines,
+            "    return value;",
+            "}",
+            "",
+            f"static bool lessen_{name}(void)",
+            "{",
+            f"    pass_{name} = less_{name}(pass_{name}, last_{name});",
+            f"    return {equal(kind, f'pass_{name}', f'last_{name}')};",
+            "}",
+            "",
+            f"static void let_{name}({kind.c} wish)",
+            "{",
+            f"    const {kind.c} passed = fit_{name}(wish);",
+            f"    const {kind.c} less = less_{name}(passed, pass_{name});",
+            f"    if (!({equal(kind, 'passed', 'less')})) es_fail(); /* more than was asked */",
+            f"    pass_{name} = passed;",
+            "    es_passed = true;",
+            "}",
+            "",
+        ]
+
+    def _checks(self, output: Any, kind: Type) -> list[str]:
+        """Write what a command must be to be sent."""
+        lines = []
+        for number, each in enumerate(kind.fields or (kind,)):
+            value = "command" + (kind.field(number) if kind.fields else "")
+            if each is REAL:
+                lines.append(f"if (!isfinite({value})) es_fail();")
+            limits = output.limits.get(kind.names[number] if kind.names else "")
+            if limits is None or each is BOOL:
+                continue
+            low, high = limits
+            least, most = float(low), float(high)
+            if each is INT:
+                least = -(2**31) if low < -(2**31) else math.ceil(low)
+                most = 2**31 - 1 if high > 2**31 - 1 else math.floor(high)
+            least_c, most_c = (self._types.literal(x, each) for x in (least, most))
+            if output.clamp:
+                if each is INT:  # as MIN moves it: towards zero
+                    least, most = math.trunc(max(low, -(2**31))), most
+                    most = math.trunc(min(high, 2**31 - 1))
+                at = [self._types.literal(x, each) for x in (least, most)]
+                lines.append(f"if ({value} < {least_c}) {value} = {at[0]};")
+                lines.append(f"else if ({value} > {most_c}) {value} = {at[1]};")
+            else:
+                lines.append(
+                    f"if (!({value} >= {least_c} && {value} <= {most_c})) es_fail();"
+                )
+        return lines or ["(void)command;"]
+
+    def _task(self, wired: Any, ports: list[Any], guards: list[Any]) -> str:
+        task, _, terms, *_ = wired
+        first, name = len(self._terms), task.name
+        for _, source, age, optional in terms:
+            number = [*self._inputs].index(source.name)
+            self._terms.append(
+                f"{{&es_inputs[{number}], {age}, {_c(optional)}, false}}"
+            )
+        guarding = any(hasattr(port, "latch") for port in task.ports.values())
+        used = {source.name for _, source, *_ in terms}
+        used |= {port.output.name for port in task.ports.values()}
+        if used & self._unknown:
+            return ""
+        try:
+            in_c(name)
+            if guarding:
+                self._guard(task, terms, first)
+            else:
+                self._reaction(task, terms, first, ports)
+        except* RefusedError as errors:
+            for error in errors.exceptions:
+                self._refuse(task.reaction, typing.cast(RefusedError, error))
+        pace = 0 if task.reaction.rate is None else task.pace
+        react = "NULL" if guarding else f"react_{name}"
+        return (
+            f"{{{react}, es_terms + {first}, {pace}, ES_EVERY, 0, {len(terms)}, "
+            f"ROBOT_REACTION_{name.upper()}, 0, {_c(guarding)}, false, false, false}}"
+        )
+
+    def _readings(self, terms: Any, first: int) -> dict[str, Value]:
+        found = {}
+        for number, (key, source, _, optional) in enumerate(terms, first):
+            kind = self._inputs[source.name]
+            text = f"in_{source.name}"
+            if optional:
+                kind = self._types.option(kind)
+                text = f"({kind.c}){{es_terms[{number}].there, {text}}}"
+            found[key] = Value(kind, text, True)
+        return found
+
+    def _reaction(self, task: Any, terms: Any, first: int, ports: list[Any]) -> None:
+        takes = {
+            key: self._outputs[port.output.name] for key, port in task.ports.items()
+        }
+        functions = Functions(task.reaction, self._types, self._constants, takes)
+        readings = self._readings(terms, first)
+        args = _bound(functions, task.reaction.react, readings)
+        react = functions.translate([(task.reaction.react, args)])[0]
+        result = react.result or NONE
+        inner = result.of or result
+        several = inner.fields and any(each.of for each in inner.fields)
+        lines = [
+            f"{'' if result is NONE else f'{result.c} wish = '}{_called(react, args)};"
+        ]
+        commands: list[str] = []
+        for key, port in task.ports.items():
+            number, name = ports.index(port), port.output.name
+            self._lines.append(f"static {takes[key].c} said_{number};")
+            wish, kind = "wish", result
+            if several:
+                place = inner.names.index(key)
+                wish = f"wish{'.value' if result.of else ''}{inner.field(place)}"
+                kind = inner.fields[place] if inner.fields else NONE
+            some = "false" if result is NONE else f"{wish}.some" if kind.of else "true"
+            if several and result.of:
+                some = f"wish.some && {some}"
+            commands.append(f"es_ask(&es_ports[{number}], {some});")
+            if result is not NONE:
+                value = f"{wish}.value" if kind.of else wish
+                commands.append(f"if ({some}) said_{number} = fit_{name}({value});")
+        self._lines += [
+            *functions.lines(),
+            *_function(f"react_{task.name}", [*lines, *commands]),
+        ]
+
+    def _guard(self, task: Any, terms: Any, first: int) -> None:
+        if len(task.ports) > 1:
+            raise ExceptionGroup(
+                "", [RefusedError("it guards and has another port: make two of it")]
+            )
+        ((key, port),) = task.ports.items()
+        name, reaction = port.output.name, task.reaction
+        kind = self._outputs[name]
+        functions = Functions(reaction, self._types, self._constants, {key: kind})
+        command = Value(kind, f"pass_{name}", True)
+        args = _bound(
+            functions, reaction.react, {**self._readings(terms, first), key: command}
+        )
+        roots = [(reaction.react, args)]
+        blind = reaction.blind
+        if getattr(blind, "__func__", None) not in _SAYS_NOTHING:
+            roots.append((blind, _bound(functions, blind, {}, command)))
+        made = functions.translate(roots)
+        if made[1:] and made[1].timed:
+            raise ExceptionGroup(
+                "",
+                [
+                    RefusedError(
+                        "blind() asks for the time: it has none, only react has"
+                    )
+                ],
+            )
+        self._lines += functions.lines()
+        for what, function, given in zip(
+            ("react", "blind"), made, (r[1] for r in roots), strict=False
+        ):
+            result = function.result or NONE
+            lines = [
+                f"{'' if result is NONE else f'{result.c} wish = '}{_called(function, given)};"
+            ]
+            if result is not NONE:
+                test = "if (wish.some) " if result.of else ""
+                lines.append(f"{test}let_{name}(wish{'.value' if result.of else ''});")
+            self._lines += _function(f"{what}_{task.name}", lines)
+        self._blind_of[task.name] = f"blind_{task.name}" if made[1:] else "NULL"
+
+    @functools.cached_property
+    def _blind_of(self) -> dict[str, str]:
+        return {}
+
+    def _input_row(self, name: str) -> str:
+        node = self._loop.inputs[name]
+        return f"{{take_{name}, {node.pace}, ES_EVERY, ES_OLD, ROBOT_SENSOR_{name.upper()}, false}}"
+
+    def _port_row(self, port: Any) -> str:
+        bar = "ES_NEVER" if math.isinf(port.bar) else str(port.bar)
+        number = next(
+            n
+            for n, each in enumerate(
+                p for o in self._loop.outputs.values() for p in o.ports
+            )
+            if each is port
+        )
+        if not -30000 <= port.priority <= 30000:
+            self._refuse(
+                port.task.reaction,
+                RefusedError("a priority beyond 30000: take a smaller one"),
+            )
+        return (
+            f"{{{self._task_of(port)}, {self._output_of(port)}, &said_{number}, {port.hold}, "
+            f"{port.priority}, {bar}, false}}"
+        )
+
+    def _guard_row(self, port: Any) -> str:
+        name = port.task.name
+        return (
+            f"{{{self._task_of(port)}, {self._output_of(port)}, react_{name}, "
+            f"{self._blind_of.get(name, 'NULL')}, {_c(port.latch)}, false}}"
+        )
+
+    def _output_row(self, name: str, ports: list[Any], guards: list[Any]) -> str:
+        output = self._loop.outputs[name]
+        lessen = f"lessen_{name}, &safe_{name}, &pass_{name}, &last_{name}"
+        if not output.guards:
+            lessen = f"NULL, &safe_{name}, NULL, NULL"
+        first = [
+            len([p for p in each if self._before(p, name)]) for each in (ports, guards)
+        ]
+        return (
+            f"{{send_{name}, {lessen}, es_ports + {first[0]}, es_guards + {first[1]}, "
+            f"{output.timeout}, 0, NULL, NULL, NULL, sizeof safe_{name}, {len(output.ports)}, "
+            f"{len(output.guards)}, ROBOT_ACTUATOR_{name.upper()}, false, false, false}}"
+        )
+
+    def _before(self, port: Any, name: str) -> bool:
+        names = [*self._outputs]
+        return names.index(port.output.name) < names.index(name)
+
+    def _task_of(self, port: Any) -> str:
+        return f"&es_tasks[{self._tasks.index(port.task)}]"
+
+    def _output_of(self, port: Any) -> str:
+        return f"&es_outputs[{[*self._outputs].index(port.output.name)}]"
+
+
+_FLOATS = """#define R(x) ((real)(x))
+#ifdef ROBOT_FLOAT
+#define M(name) name##f
+#else
+#define M(name) name
+#endif
+"""
+
+_SAYS_NOTHING = {minimal.Reaction.blind}
+
+
+def _template(name: str) -> str:
+    return (
+        importlib.resources.files(__package__)
+        .joinpath(name)
+        .read_text(encoding="utf-8")
+    )
+
+
+def _table(kind: str, name: str, rows: Iterable[str], count: str) -> list[str]:
+    found = [f"    {row}," for row in rows]
+    return [f"static {kind} {name}[ES_{count}] = {{", *found, "};", ""] if found else []
+
+
+def _function(name: str, lines: Sequence[str]) -> list[str]:
+    return [
+        f"static void {name}(void)",
+        "{",
+        *(f"    {each}" for each in lines),
+        "}",
+        "",
+    ]
+
+
+def _called(function: Function, args: dict[str, Value]) -> str:
+    given = ", ".join(each.text for each in args.values() if each.type is not NONE)
+    return f"{function.c}({given})"
+
+
+def _bound(
+    functions: Functions, method: Any, readings: dict[str, Value], *args: Value
+) -> dict[str, Value]:
+    """Return the values of all parameters of ``react`` or ``blind``."""
+    try:
+        bound = inspect.signature(method, follow_wrapped=False).bind(*args, **readings)
+    except TypeError as error:
+        raise ExceptionGroup(
+            "",
+            [RefusedError(f"{method.__name__} is called with its readings: {error}")],
+        ) from error
+    bound.apply_defaults()
+    return functions.values(bound.arguments)
+
+
+def _hints(method: Any) -> dict[str, Any]:
+    try:
+        return typing.get_type_hints(method)
+    except Exception:  # an annotation that only a type checker understands
+        return {}
+
+
+def _c(value: object) -> str:
+    return "true" if value else "false"

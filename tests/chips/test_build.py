@@ -1,0 +1,256 @@
+"""``esair min build --board c|avr``: what is written, how much it takes, what examples get."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from tests.chips import avr, robots
+
+from esair.cli import main
+from esair.config import load
+from esair.exceptions import ConfigError
+from esair.firmware.c import build
+
+pytestmark = [pytest.mark.promise("MIN-7"), pytest.mark.real_clock]
+
+ROOT = Path(__file__).parents[2]
+ROVER = ROOT / "examples" / "minimal_rover" / "robot.toml"
+REFLEX = ROOT / "docs" / "code" / "reflex.toml"
+
+GCC = ["gcc", *robots.FLAGS]
+
+
+def rover(folder: Path, *, guarded: bool = True) -> Path:
+    """Return the reflexes of the demo: the example has two of the three."""
+    name = f"rover_{folder.name}"  # a process has one module of a name
+    shutil.copy(ROVER.parent / "rover_pins.py", folder / f"{name}.py")
+    path = folder / "robot.toml"
+    text = ROVER.read_text().replace("rover_pins:", f"{name}:")
+    brake = '\n[behavior.brake]\ndriver = "esair.demo:Brake"\n'
+    path.write_text(text + brake * guarded)
+    return path
+
+
+@pytest.mark.parametrize("board", ["c", "avr"])
+@pytest.mark.parametrize("arm", ["always", "pin:7", "host"])
+def test_four_files_that_compile(tmp_path, capsys, board, arm) -> None:
+    out = tmp_path / "out"
+    words = [
+        "min",
+        "build",
+        str(REFLEX),
+        "--out",
+        str(out),
+        "--board",
+        board,
+        "--arm",
+        arm,
+    ]
+    with pytest.raises(SystemExit, match="0"):
+        main(words)
+
+    files = sorted(
+        str(each.relative_to(out)) for each in out.rglob("*") if each.is_file()
+    )
+    assert files == ["main.c", "robot/robot.c", "robot/robot.h", "robot/robot.ino"]
+    assert "20 steps per second" in capsys.readouterr().out
+    program = out / "robot.out"
+    sources = [out / "main.c", out / "robot" / "robot.c"]
+    subprocess.run([*GCC, *sources, "-o", program, "-lm"], check=True)
+    text = "a 1\ns 1 0.3 1\ns 1 0.1 1\n"
+    said = subprocess.run(
+        [program], input=text, capture_output=True, text=True, check=True
+    )
+    safe, half = "wheels 0x0p+0\n", "wheels 0x1p-1\n"
+    assert (
+        said.stdout == f"{safe}{half}= 1 0 0\n{safe}= 2 0 1\n{safe}"
+    )  # faults, refused
+
+
+def test_a_start_is_not_armed(tmp_path) -> None:
+    """Unless the file says so: what comes from a reset stands still."""
+    build(REFLEX, tmp_path)
+    program = tmp_path / "robot.out"
+    sources = [tmp_path / "main.c", tmp_path / "robot" / "robot.c"]
+    subprocess.run([*GCC, *sources, "-o", program, "-lm"], check=True)
+    said = subprocess.run(
+        [program], input="s 1 0.3 1\n", capture_output=True, text=True, check=True
+    )
+    assert said.stdout.splitlines() == ["wheels 0x0p+0", "= 1 0 1", "wheels 0x0p+0"]
+
+
+@pytest.mark.skipif(not shutil.which("g++"), reason="needs g++")
+def test_the_sketch_is_one_of_c_plus_plus(tmp_path) -> None:
+    """With what Arduino declares; every stub says that it has done nothing."""
+    build(rover(tmp_path), tmp_path / "out", target="avr", watchdog=0.5, arm="pin:7")
+    folder = tmp_path / "out" / "robot"
+    text = (folder / "robot.ino").read_text()
+    assert "wdt_enable(WDTO_500MS)" in text
+    (folder / "avr").mkdir()
+    (folder / "avr" / "wdt.h").write_text(
+        "#define WDTO_500MS 5\nvoid wdt_enable(int);\nvoid wdt_reset();\n"
+    )
+    arduino = (
+        "#include <stdint.h>\nuint32_t millis(); void delay(uint32_t); int digitalRead(int);\n"
+        "void pinMode(int, int);\n#define LOW 0\n#define INPUT_PULLUP 2\n"
+    )
+    (folder / "robot.cpp").write_text(arduino + text)
+    subprocess.run(
+        ["g++", "-fsyntax-only", "-I", folder, folder / "robot.cpp"], check=True
+    )
+    assert text.count("return false;") == 3
+
+
+def test_no_floats_where_the_reactions_have_none(tmp_path) -> None:
+    (tmp_path / "floatless.py").write_text(
+        "from esair.minimal import Actuator, Reaction, Sensor, guards, reads, writes\n"
+        "class Button(Sensor):\n    def read(self) -> bool: return False\n"
+        "class Step(Actuator):\n    safe = (0, 0)\n    limits = None\n"
+        "    def write(self, command): pass\n"
+        "class Go(Reaction):\n    button = reads(bool)\n    step = writes(tuple)\n    n = 0\n"
+        "    def react(self, button):\n        self.n = (self.n * 3 + 1) % 7 if button else 0\n"
+        "        return (self.n, -self.n // 2)\n"
+        "class Less(Reaction):\n    button = reads(bool)\n    step = guards(tuple)\n"
+        "    def react(self, button, step):\n        return step if button else None\n"
+    )
+    path = tmp_path / "robot.toml"
+    path.write_text(
+        '[sensor.button]\ndriver = "floatless:Button"\n[actuator.step]\ndriver = "floatless:Step"\n'
+        '[behavior.go]\ndriver = "floatless:Go"\n[behavior.less]\ndriver = "floatless:Less"\n'
+    )
+    made = build(path, tmp_path / "out")
+    written = "".join(
+        (tmp_path / "out" / "robot" / name).read_text()
+        for name in ("robot.c", "robot.h")
+    )
+
+    assert not made.has_floats
+    assert re.findall(r"\b(?:real|float|double|math\.h)\b", written) == []
+    sources = [tmp_path / "out" / "main.c", tmp_path / "out" / "robot" / "robot.c"]
+    subprocess.run([*GCC, *sources, "-o", tmp_path / "out" / "a"], check=True)
+    assert "malloc" not in written
+
+
+@pytest.mark.skipif(avr.why_not() is not None, reason=str(avr.why_not()))
+@pytest.mark.parametrize(
+    ("guarded", "flash", "cycles"),
+    [
+        pytest.param(False, 6500, 8000, id="as in the example: 0.5 ms a step at most"),
+        pytest.param(
+            True, 8192, 12000, id="with the guard, which looks at the scan too"
+        ),
+    ],
+)
+def test_the_reflexes_of_the_demo_fit_into_an_atmega328p(
+    tmp_path, guarded, flash, cycles
+) -> None:
+    """In 8 KB of flash and, with its stack, in 1 KB of RAM; cycles at 16 MHz."""
+    build(rover(tmp_path, guarded=guarded), tmp_path, target="avr", arm="always")
+    folder = tmp_path / "robot"
+    endless = FIXED + "int main(void) { robot_open(); for (;;) robot_step(); }"
+    program, ram = avr.sizes(avr.compiled(folder, endless))
+    lines = avr.printed(avr.compiled(folder, FIXED + TIMED))
+    worst, stack = map(int, lines[-1].split()[1:])
+
+    assert program <= flash
+    assert ram + stack <= 1024
+    assert worst <= cycles
+
+
+FIXED = """
+static volatile real near = 1.0f;
+static volatile bool touched;
+static real told;
+bool read_ranges(Robot_Scan *v)
+{
+    *v = (Robot_Scan){-0.6f, 0.6f, {{near, near, near}}};
+    return true;
+}
+bool read_bumper(Robot_Touch *v)
+{
+    v->left = touched;
+    v->right = false;
+    return true;
+}
+bool write_wheels(Robot_Twist v)
+{
+    told = v.linear;
+    return true;
+}
+"""
+
+TIMED = """
+extern uint8_t __heap_start;
+int main(void)
+{
+    uint16_t worst = 0;
+    uint8_t *top = (uint8_t *)SP, *low = &__heap_start;
+    begin();
+    for (uint8_t *p = low; p < top - 8; p++) *p = 0xA5;
+    robot_open();
+    for (int i = 0; i < 200; i++) {
+        near = i % 40 < 20 ? 1.0f : 0.18f;
+        touched = i % 60 == 30;
+        uint16_t from = TCNT1;
+        robot_step();
+        uint16_t took = TCNT1 - from;
+        if (took > worst) worst = took;
+    }
+    while (*low == 0xA5) low++;
+    printf("= %u %u\\n", worst, (unsigned)(RAMEND - (uint16_t)low));
+    end();
+}
+"""
+
+TRANSLATED = {
+    "docs/code/reflex.toml": True,
+    "examples/minimal_rover/robot.toml": True,
+    "examples/board_rover/base.toml": True,
+}
+
+
+@pytest.mark.parametrize("name", TRANSLATED)
+def test_examples_for_boards_are_translated(tmp_path, name) -> None:
+    build(ROOT / name, tmp_path)
+    sources = [tmp_path / "main.c", tmp_path / "robot" / "robot.c"]
+    subprocess.run([*GCC, *sources, "-o", tmp_path / "a", "-lm"], check=True)
+
+
+@pytest.mark.parametrize(
+    ("said", "options"),
+    [
+        ("pic", {"target": "pic"}),
+        ("arm", {"arm": "pin:x"}),
+        ("watchdog", {"watchdog": 9.0}),
+        ("watchdog", {"watchdog": 0.001}),
+        ("rate", {"rate": 2000.0}),
+    ],
+)
+def test_wrong_words_are_told_and_nothing_is_written(tmp_path, said, options) -> None:
+    with pytest.raises((ExceptionGroup, ConfigError)) as caught:
+        build(REFLEX, tmp_path / "out", **options)
+
+    error = caught.value
+    told = " ".join(map(str, getattr(error, "exceptions", [error])))
+    assert said in told
+    assert not (tmp_path / "out").exists()
+    assert load(REFLEX) is not None
+
+
+def test_a_link_needs_python(tmp_path, capsys) -> None:
+    words = [
+        "min",
+        "build",
+        str(REFLEX),
+        "--out",
+        str(tmp_path / "o"),
+        "--board",
+        "c",
+        "--link",
+    ]
+
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    assert "no line to a computer" in capsys.readouterr().err
