@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from esair.torture import Report, Target, torture, write_test
+from esair.torture import Report, Step, Story, Target, tell, torture, write_test
 
 FOLDER = Path(__file__).parents[2] / "docs" / "code" / "torture"
 SEED = 7
@@ -38,3 +38,13 @@ def test_a_guard_mends_it() -> None:
     _, report = tortured("guarded", 500)
     assert report.findings == []
     assert report.done == report.survived
+
+
+@pytest.mark.promise("TOR-1")
+def test_what_may_rest_owes_nothing() -> None:
+    """One comes to its end, the other one works once in 25 seconds."""
+    target = Target.of(f"{FOLDER / 'habits.py'}:robot")
+    steps = (Step(26.0, "crash", "patrol"), Step(26.0, "crash", "greet"))
+    assert tell(target, Story(1, steps, lasts=70.0)).violations == ()
+    found = tell(target, Story(1, (Step(26.0, "hang", "patrol", lasts=60.0),), 130.0))
+    assert found.violations == ()
