@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 import pytest
 
-from esair.connections._weaker import is_same, is_weaker, weaker_of
+from esair.connections._values import is_same, is_weaker, weaker_of
 
 pytestmark = pytest.mark.promise("PRO-6", "PRO-8")
 

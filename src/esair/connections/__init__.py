@@ -4,12 +4,7 @@ from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._actuator_connection import ActuatorConnection
 from esair.connections._applied_channel import Applied, AppliedChannel
 from esair.connections._call import Call, End, GivenUpError
-from esair.connections._command_check import (
-    CommandCheck,
-    changed,
-    limits_by_field,
-    part_of,
-)
+from esair.connections._checks import CommandCheck
 from esair.connections._decision import Decision, Sight
 from esair.connections._derived_channel import DerivedChannel, Source
 from esair.connections._device import OfRobot
@@ -26,6 +21,7 @@ from esair.connections._registrations import (
 )
 from esair.connections._sensor_channel import Follower, SensorChannel
 from esair.connections._sensor_connection import SensorConnection
+from esair.connections._values import changed, limits_by_field, part_of
 
 __all__ = [
     "BLIND",

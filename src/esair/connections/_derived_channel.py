@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from esair.connections._reading_check import measured_at
+from esair.connections._checks import measured_at
 from esair.connections._sensor_channel import SensorChannel
 from esair.messages import Reading, ResourceState, Stamped
 

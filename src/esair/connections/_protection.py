@@ -13,7 +13,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
-from esair.connections._weaker import is_opaque, is_same, is_weaker
+from esair.connections._values import is_opaque, is_same, is_weaker
 from esair.exceptions import BadValueError, describe
 from esair.loop import OneShot, Order, Scheduler, clock_of, ignore
 from esair.messages import Refused

@@ -8,10 +8,10 @@ import math
 from collections.abc import Awaitable
 from typing import Any, Protocol
 
+from esair.connections._checks import FrozenCheck, ReadingCheck, measured_at
 from esair.connections._device import OfRobot
 from esair.connections._driver import translate_call
 from esair.connections._listening import Listening
-from esair.connections._reading_check import FrozenCheck, ReadingCheck, measured_at
 from esair.connections._registrations import Registration
 from esair.connections._sensor_device import READY, SensorDevice
 from esair.exceptions import (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from esair.connections._call import Apply, Call
 from esair.connections._gate import EARLY, Gate, Hold, verdict
 from esair.connections._protection import Protection
-from esair.connections._weaker import is_same, weaker_of
+from esair.connections._values import is_same, weaker_of
 from esair.connections._wire import IDLE, SafeCommand, Wire
 from esair.exceptions import BadValueError, EsairError
 from esair.loop import DeadMan, OneShot, Order, Scheduler

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import attrs
 
 from esair.connections._call import Apply, Call
-from esair.connections._command_check import CommandCheck
+from esair.connections._checks import CommandCheck
 from esair.connections._driver import Guard, translate_call
 from esair.connections._halt import LastCommand
 from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe

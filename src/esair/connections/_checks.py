@@ -1,25 +1,44 @@
-"""The check of a command before it may leave: type, finite, limits, slew."""
+"""The checks of what comes and what leaves: type, finite, limits, slew, time.
+
+A reading is checked before it reaches an action, a command before it may leave, and what
+a guard returns before it takes a command's place: by the same walk over values.
+"""
 
 from __future__ import annotations
 
 import copy
 import enum
-import inspect
 import math
 import numbers
 import operator
-import types
 import typing
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 import attrs
 
+from esair.connections._values import (
+    ATOMS_AND_NUMBERS,
+    DEPTH,
+    NUMBER,
+    TOO_DEEP,
+    Flaw,
+    changed,
+    equal,
+    flaw,
+    limits_by_field,
+    part_of,
+    parts_of,
+)
 from esair.exceptions import BadValueError, describe
-from esair.resources import HOLD, Actuator
+from esair.messages import Stamped
+from esair.resources import HOLD, Actuator, Sensor
 from esair.values import checked_class, passes_as, type_name
 
-_DEPTH = 8  # How deep parts of a command are looked at
+AHEAD = 0.01  # how far in the future a device may say that it has measured, in seconds
+
+_WHOLE = (str, bytes, bytearray, memoryview, bool, int, type(None))
+"""What a reading may be as a whole without a look into it."""
 
 
 class CommandCheck:
@@ -105,9 +124,9 @@ class CommandCheck:
                 raise self._bad(
                     "", f"expected {self._length} values, not {command!r:.80}"
                 )
-            if not isinstance(command, _ATOMS_AND_NUMBERS):
+            if not isinstance(command, ATOMS_AND_NUMBERS):
                 command = copy.deepcopy(command)  # what is checked is what leaves
-            self._check_finite("", command)
+            self._check_finite(command)
             if self._of_numbers:
                 for field, value in command.items():
                     if not isinstance(value, numbers.Number):
@@ -156,24 +175,14 @@ class CommandCheck:
             return wanted(command)
         raise self._bad("", f"expected {type_name(wanted)}, not {command!r:.80}")
 
-    def _check_finite(self, field: str, value: Any, depth: int = _DEPTH) -> None:
-        if isinstance(value, numbers.Number):
-            if not (value - value == 0):  # type: ignore[operator]
-                raise self._bad(field, f"expected a finite number, not {value!r:.80}")
-            kind = self._kinds.get(field, _NUMBER)
-            if kind != _NUMBER:
-                raise self._bad(field, f"expected {kind}, not {value!r:.80}")
+    def _check_finite(self, command: Any) -> None:
+        found = flaw(command, self._kinds)
+        if found is None:
             return
-        parts = _parts(value)
-        kind = self._kinds.get(field, "")
-        if kind == _NUMBER or (kind and not parts):
-            raise self._bad(field, f"expected {kind}, not {value!r:.80}")
-        if depth == 0:
-            raise self._bad(field, "it is nested too deeply")
-        for name, part in parts:
-            self._check_finite(
-                f"{field}.{name}" if field else str(name), part, depth - 1
-            )
+        if found.expected == TOO_DEEP:
+            raise self._bad(found.place(), "it is nested too deeply")
+        told = f"expected {found.expected}, not {found.value!r:.80}"
+        raise self._bad(found.place(), told)
 
     def _limited(self, command: Any) -> Any:
         changes: dict[str, float] = {}
@@ -211,17 +220,10 @@ def _is_frozen(wanted: Any) -> bool:
 
 def _is_fixed(value: Any) -> bool:
     """Whether nobody can change a value, nor a part of it."""
-    if value is HOLD or isinstance(value, _ATOMS_AND_NUMBERS):
+    if value is HOLD or isinstance(value, ATOMS_AND_NUMBERS):
         return True
-    parts = [part for _, part in _parts(value)]
+    parts = [part for _, part in parts_of(value)]
     return _is_frozen(type(value)) and all(map(_is_fixed, parts))
-
-
-def limits_by_field(value: Any) -> dict[str, Any]:
-    """One entry for each field; the command itself is the field without a name."""
-    if value is None:
-        return {}
-    return dict(value) if isinstance(value, Mapping) else {"": value}
 
 
 def _length_of(kind: Any) -> int:
@@ -240,11 +242,11 @@ def _is_of_numbers(kind: Any) -> bool:
 def _kinds_in(safe: Any, place: str = "") -> Iterator[tuple[str, str]]:
     """What commands have in the places where the safe one has numbers, and around them."""
     fields = _number_fields(safe)
-    for name, part in _parts(safe) if fields or _has_fields(safe) else ():
+    for name, part in parts_of(safe) if fields or _has_fields(safe) else ():
         where = f"{place}.{name}" if place else str(name)
         if str(name) in fields:
-            yield where, _NUMBER
-        elif not _has_fields(part) or where.count(".") >= _DEPTH:
+            yield where, NUMBER
+        elif not _has_fields(part) or where.count(".") >= DEPTH:
             continue
         elif inside := list(_kinds_in(part, where)):
             yield where, type_name(type(part))
@@ -261,73 +263,122 @@ def _number_fields(safe: Any) -> list[str]:
         return []
     return [
         str(name)
-        for name, part in _parts(safe)
+        for name, part in parts_of(safe)
         if isinstance(part, int | float) and not isinstance(part, bool)
     ]
 
 
 def _all_numbers(safe: Any, fields: list[str]) -> bool:
     """Whether a structured command has no other parts than its number fields."""
-    return bool(fields) and len(fields) == len(_parts(safe))
+    return bool(fields) and len(fields) == len(parts_of(safe))
 
 
-_NUMBER = "a number"
+class ReadingCheck:
+    """Says what is wrong with a value of one sensor, if anything is.
 
-_ATOMS_AND_NUMBERS = (int, float, complex, str, bytes, enum.Enum, type(None))
-"""What cannot be changed."""
+    NaN compares as false with everything, so a reaction would take it for "nothing is
+    near". A number of its own, and one in a field, must be finite; in a row of numbers,
+    such as a scan, infinity stands for "nothing in reach".
+    """
 
-_ATOMS = (str, bytes, bytearray, memoryview, range, type, types.ModuleType)
-"""What cannot hide a number that is not finite."""
+    def __init__(self, sensor: Sensor[Any]) -> None:
+        self._wanted = checked_class(sensor.value_type)
+        self._limits = limits_by_field(sensor.limits)
+        self._low, self._high = self._limits.get("", (math.nan, math.nan))
+        bounded = math.isfinite(self._low) and math.isfinite(self._high)
+        self.wrong: Callable[[Any], str | None] = self._any
+        """Return what is wrong with a value, in words; None if nothing is."""
+        if self._wanted is float and not self._limits:
+            self.wrong = self._number
+        elif self._wanted is float and bounded:
+            self.wrong = self._number_in_limits
+        elif self._wanted in _WHOLE and not self._limits:
+            self.wrong = self._atom
+
+    def _number(self, value: Any) -> str | None:
+        if type(value) is float and math.isfinite(value):
+            return None
+        return self._any(value)
+
+    def _number_in_limits(self, value: Any) -> str | None:
+        # Between two numbers, which NaN never is.
+        if type(value) is float and self._low <= value <= self._high:
+            return None
+        return self._any(value)
+
+    def _atom(self, value: Any) -> str | None:
+        return None if type(value) is self._wanted else self._any(value)
+
+    def _any(self, value: Any) -> str | None:
+        wanted = self._wanted
+        if wanted is not None and type(value) is not wanted:
+            number = wanted is int or wanted is float
+            if (number and isinstance(value, bool)) or not (
+                isinstance(value, wanted) or passes_as(value, wanted)
+            ):
+                return f"expected {type_name(wanted)}, it gave {value!r:.80}"
+        if type(value) is float:
+            if not math.isfinite(value):
+                return f"expected a finite number, it gave {value!r}"
+            if not self._limits:
+                return None
+        try:
+            if wanted is float:
+                float(value)  # a whole number may be too large for one
+            found = flaw(value, rows=True)
+            return self._outside(value) if found is None else _told(found, value)
+        except Exception as error:  # a value may be an object of any class
+            return f"it cannot be checked: {describe(error)}"
+
+    def _outside(self, value: Any) -> str | None:
+        for field, (low, high) in self._limits.items():
+            number = part_of(value, field)
+            if not low <= number <= high:
+                what = f"{field} = {number!r:.80}" if field else f"{number!r:.80}"
+                return f"expected {low:g} to {high:g}, it gave {what}"
+        return None
 
 
-def _parts(value: Any) -> list[tuple[object, Any]]:
-    """The parts of a value by their names or places: fields, entries, attributes."""
-    if value is None or isinstance(value, _ATOMS) or inspect.isroutine(value):
-        return []
-    if isinstance(value, enum.Enum):
-        return [("value", value.value)]
-    if isinstance(value, Mapping):
-        return [*value.items(), *enumerate(value)]
-    if hasattr(value, "__array__"):
-        return list(enumerate(value.ravel().tolist()))
-    parts: dict[object, Any] = {}
-    if isinstance(value, Collection):
-        parts.update(enumerate(value))
-    for cls in type(value).__mro__:
-        for name, slot in vars(cls).items():
-            if isinstance(slot, types.MemberDescriptorType) and hasattr(value, name):
-                parts[name] = getattr(value, name)
-    parts.update(getattr(value, "__dict__", {}))
-    return list(parts.items())
+def measured_at(stamped: Stamped[Any], now: float) -> float | str:
+    """Return when a value was measured, or say what is wrong with its stamp."""
+    try:
+        at = now - stamped.age if stamped.time is None else stamped.time
+        if math.isfinite(at) and at <= now + AHEAD:
+            return min(at, now)
+    except TypeError:
+        pass
+    return f"expected a time of measurement until now ({now:.3f} s), it gave {stamped!r:.120}"
 
 
-def part_of(command: Any, field: str) -> Any:
-    """Return a field of a command; the command itself if the field has no name."""
-    if not field:
-        return command
-    if isinstance(command, Mapping):
-        return command[field]
-    return getattr(command, field)
+class FrozenCheck:
+    """Says so when a device gives the same value too often: it may be frozen."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._last: Any = None
+        self._repeats = 0
+
+    def begin_anew(self) -> None:
+        """Count from one: the device was opened."""
+        self._repeats = 0
+
+    def __call__(self, value: Any) -> str | None:
+        """Return what is wrong, in words; None if nothing is."""
+        if self._repeats == 0 or not equal(value, self._last):
+            self._last, self._repeats = value, 0
+        self._repeats += 1
+        if self._repeats <= self._limit:
+            return None
+        return f"frozen: it gave {value!r:.80} {self._repeats} times in a row"
 
 
-def changed(command: Any, changes: Mapping[str, Any]) -> Any:
-    """Return a command like another one, with some fields changed."""
-    if not changes:
-        return command
-    if "" in changes:
-        return type(command)(changes[""])
-    if isinstance(command, Mapping):
-        return {**command, **changes}
-    if attrs.has(type(command)):
-        aliases = {each.name: each.alias for each in attrs.fields(type(command))}
-        return attrs.evolve(command, **{aliases[n]: v for n, v in changes.items()})
-    if hasattr(command, "__dataclass_fields__"):
-        import dataclasses  # only for the robots that use them
-
-        return dataclasses.replace(command, **changes)
-    if isinstance(command, tuple):
-        return command._replace(**changes)  # type: ignore[attr-defined]
-    other = copy.copy(command)
-    for field, value in changes.items():
-        setattr(other, field, value)
-    return other
+def _told(found: Flaw, value: Any) -> str:
+    """Say what is wrong with a reading, and where."""
+    where = found.place_in(value)
+    if found.row:
+        return f"expected numbers, it gave NaN in {where or found.row}"
+    if found.expected == TOO_DEEP:
+        return f"{where or 'it'} is nested too deeply"
+    return (
+        f"expected {found.expected}, it gave {where or 'value'} = {found.value!r:.80}"
+    )
