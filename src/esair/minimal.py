@@ -23,7 +23,7 @@ No memory is allocated in the steady state. What is wrong with the parts is foun
 there is room for it: by ``esair min build``.
 """
 
-# ruff: noqa: A002, B905, T201, UP031, UP037
+# ruff: noqa: A002, B905, UP031, UP037
 # MicroPython knows less of the language: what is newer is not used here.
 
 import time
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
     from typing import Any, Literal
 
-_ENDLESS = (-float("inf"), float("inf"))
+_ENDS = (-float("inf"), float("inf"))
 _ROWS = (tuple, list)
 
 # Moments are whole milliseconds that wrap, on boards at this or a multiple of it.
@@ -193,13 +193,15 @@ class Reaction(_Part):
 class _Input:
     """A sensor, if it is due in this step, its newest value, and the time of that."""
 
+    name: str
     time: int
 
     def __init__(self, loop: "Any", part: "Any") -> None:
         self.due = True
         self.value: "Any" = None
         self.last: "Any" = None
-        self.name, self.read = part.name, part.read
+        self.read = part.read
+        loop.insert(loop.inputs, self, part)
         loop.pace(self, part.rate)
 
 
@@ -211,7 +213,7 @@ class _Task:
 
     def __init__(self, loop: "Any", reaction: "Any") -> None:
         self.due: "bool | None" = None if reaction.rate is None else True
-        self.reaction, self.name, self.said = reaction, reaction.name, self
+        self.reaction, self.name, self.said = reaction, give_name(reaction), self
         self.ports: "Any" = {}
         self.values: "Any" = {}
         loop.pace(self, reaction.rate)
@@ -233,7 +235,7 @@ class _Task:
         place = len(loop.tasks) if timed is self else 0  # guards last
         loop.tasks.insert(place, (self, timed, terms, react, port, self.values))
 
-    def lose_sight(self) -> None:
+    def go_dark(self) -> None:
         """Be blind: whatever it moves, or bars, is safe until it sees again."""
         if not self.blind:
             self.blind = True
@@ -242,7 +244,7 @@ class _Task:
     def wake(self, **readings: "Any") -> None:
         """Let what it writes or guards be looked at closely."""
         for port in self.ports.values():
-            port.output.steady = None
+            port.output.sure = None
             port.time = -1
             if hasattr(port, "latch"):
                 port.output.news = True
@@ -264,8 +266,8 @@ class _Port:
 
     time: int
     command: "Any"
-    bar = _ENDLESS[0]
-    latched = False
+    bar = _ENDS[0]
+    shut = False
 
     def __init__(self, task: "Any", key: str, need: "Any", output: "Any") -> None:
         self.said: "Any" = self
@@ -296,7 +298,7 @@ class _Port:
         """Return what a guard lets pass of a command: None, or never more than it."""
         task, output = self.task, self.output
         reaction, now, passed = task.reaction, output.loop.now_ms, None
-        if self.latched:
+        if self.shut:
             return None
         try:
             if not task.blind:
@@ -311,28 +313,31 @@ class _Port:
             if passed is not None and passed is not command:
                 passed = output.checked(passed)
                 if passed != _less(passed, command, output.safe):
-                    raise ValueError("too much", passed)
+                    raise ValueError("more", passed)
         except Exception as error:
             output.loop.note(task.name, error)
             passed = None
         if passed is None:
-            self.latched = self.latch and not (task.blind and output.writer is None)
+            self.shut = self.latch and not (task.blind and output.writer is None)
         return passed
 
 
 class _Output:
     """An actuator, and whose will it does."""
 
+    name: str
     writer: "Any"  # the port whose command stands; None if it is safe
     last: "Any"  # that command
     since = 0  # when it was sent
     holder: "Any" = None  # the port that keeps lower priorities away
-    steady: "Any"  # the writer, if nothing can be in its way
+    sure: "Any"  # the writer, if nothing can be in its way
     bad: bool  # it has not taken its safe command
     news = False  # a guard sees something new
 
     def __init__(self, loop: "Any", part: "Any") -> None:
-        self.loop, self.name, self.send = loop, part.name, part.write
+        self.loop, self.send = loop, part.write
+        loop.insert(loop.outputs, self, part)
+        loop.parts.append(self)
         self.safe, self.type = part.safe, type(part.safe)
         self.timeout = _ms(part.command_timeout)
         self.clamp, limits = part.clamp, part.limits or {}
@@ -344,17 +349,17 @@ class _Output:
         """Return a command of somebody as it may be sent; raise if it is a fault."""
         # With one more name, or a `try`, its frame would be taken from the heap.
         if type(command) is not self.type or self.limits:
-            command = self.fitted(command)
-        _check(command, _ENDLESS)
+            command = self.fit(command)
+        _check(command, _ENDS)
         return command
 
-    def fitted(self, command: "Any") -> "Any":
+    def fit(self, command: "Any") -> "Any":
         """Return a command in the type and the limits of the actuator, or raise."""
         kind = self.type
         if kind is float and type(command) is int:
             command = float(command)
         elif not isinstance(command, kind) or (type(command) is bool and kind is int):
-            raise ValueError("wrong type", command)
+            raise ValueError("type", command)
         for field in self.limits:
             low, high = self.limits[field]
             each = getattr(command, field) if field else command
@@ -371,8 +376,8 @@ class _Output:
             if self.bad:
                 return
         loop, holder, age = self.loop, self.holder, now - late - self.since
-        self.steady = best = None
-        bar = _ENDLESS[not loop.armed]
+        self.sure = best = None
+        bar = _ENDS[not loop.armed]
         over = not holder or age >= holder.hold
         for port in self.ports:
             if port.task.blind:
@@ -387,7 +392,7 @@ class _Output:
             ):
                 best = port
         lost = not holder or age > holder.hold or holder.priority <= bar
-        if lost and bar > _ENDLESS[0] and self.writer:
+        if lost and bar > _ENDS[0] and self.writer:
             holder = self.writer = None
         if over:
             holder = None
@@ -397,18 +402,18 @@ class _Output:
         if best and best.priority > bar:
             self.holder, self.since, age = best, now, 0
             if not self.guards:
-                self.steady = best
+                self.sure = best
         else:
             loop.refused += best is not None
             best = None
         if age >= self.timeout:
             self.writer = None  # before a guard looks at what it stopped
         if best or self.news:
-            self.review(best)
+            self.look(best)
         if self.last is not None and not self.writer:
             self.tell()
 
-    def review(self, port: "Any") -> None:
+    def look(self, port: "Any") -> None:
         """Send what the guards let pass: of a new command, or less of what stands."""
         self.news = False
         writer = port or self.writer
@@ -433,15 +438,19 @@ class _Output:
         # Safe is tried again at each step, and no other command goes before it.
         self.writer, self.last, self.bad = writer, command, not writer
         if self.bad:
-            self.steady, command = None, self.safe
+            self.sure, command = None, self.safe
         try:
             self.send(command)
             self.bad = False
         except Exception as error:
             self.loop.note(self.name, error)
             if not self.bad:
-                self.holder = None
-                self.tell()
+                self.open()
+
+    def open(self) -> None:
+        """Begin anew: nobody holds it, and it is safe."""
+        self.holder = None
+        self.tell()
 
     def close(self) -> None:
         """Send the safe command, unless it has taken it already."""
@@ -477,9 +486,10 @@ class Loop:
             what is wrong.
     """
 
-    now_ms = steps = late = refused = faults = silent = 0
-    fault: "Any" = None
-    _turns: "Any" = None
+    now_ms = steps = late = refused = faults = said = 0
+    fault: "Any"
+    _run: "Any"
+    fault = _run = None
 
     def __init__(
         self,
@@ -490,31 +500,33 @@ class Loop:
         armed: bool = True,
     ) -> None:
         self.armed = armed
+        self.say: "Callable[[str], Any]" = print
         self.inputs: "Any" = {}
         self.outputs: "Any" = {}
         self.every = _ms(rate)  # steps in 1000 s
-        self._paced: "Any" = []
-        self._parts: "Any" = []
+        self._slow: "Any" = []
+        self.parts: "Any" = []
         self.tasks: "Any" = []
-        for part in sensors:
-            self.inputs[self._named(part)] = _Input(self, part)
         for part in actuators:
-            self.outputs[self._named(part)] = _Output(self, part)
+            _Output(self, part)
+        for part in sensors:
+            _Input(self, part)
         for reaction in reactions:
-            give_name(reaction)
             _Task(self, reaction)
 
-    def _named(self, part: "Any") -> str:
+    def insert(self, nodes: "Any", node: "Any", part: "Any") -> None:
+        """Take a part in, under its name."""
+        node.name = give_name(part)
+        nodes[node.name] = node
         if isinstance(part, _Part):  # one of STD opens elsewhere
-            self._parts.append(part)
-        return give_name(part)
+            self.parts.append(part)
 
     def pace(self, part: "Any", rate: "float | None") -> None:
         """Give a sensor or a reaction its turns, if it is slower than the loop."""
         part.pace = self.every if rate is None else _ms(rate)
         if part.pace < self.every:
             part.phase = self.every
-            self._paced.append(part)
+            self._slow.append(part)
 
     def step(self) -> None:
         """Make one step, for tests and for boards with a loop of their own.
@@ -522,13 +534,13 @@ class Loop:
         Time is counted in periods: such a loop calls `skip` when it has missed some,
         and `close` at its end.
         """
-        if not self._turns:
+        if not self._run:
             self.open()
-        next(self._turns)
+        next(self._run)
 
     def _steps(self) -> "Generator[None]":
         """Make a step each time: a generator has at hand what it works with."""
-        paced, every = self._paced, self.every
+        paced, every = self._slow, self.every
         gap, odd = divmod(1000000, every)
         inputs, outputs = self.inputs.values(), self.outputs.values()
         odd += len(paced)
@@ -540,7 +552,7 @@ class Loop:
                 node.phase %= every
             while dark:  # as it was since the last step, before anybody sees again
                 node = dark.pop(0)  # reactions, then guards
-                node.lose_sight()
+                node.go_dark()
                 for port in node.ports.values():
                     port.output.settle(now, 1)
             for node in inputs:
@@ -567,7 +579,7 @@ class Loop:
                     elif now - source.time > age - gap:
                         dark.append(node)
                         if now - source.time > age:
-                            node.lose_sight()
+                            node.go_dark()
                             break
                     values[key] = value
                 else:
@@ -588,7 +600,7 @@ class Loop:
                                 port.ask(command, now)
                         except Exception as error:
                             self.note(node.name, error)
-                            node.lose_sight()
+                            node.go_dark()
                             dark.append(node)
                     elif node.blind:
                         dark.append(node)
@@ -600,14 +612,13 @@ class Loop:
                             best = port
                         else:
                             self.refused += 1
-                if best is node.steady:
+                if best is node.sure:
                     node.since = now
                     try:
                         node.send(best.command)
                     except Exception as error:
                         self.note(node.name, error)
-                        node.holder = None
-                        node.tell()
+                        node.open()
                 else:
                     node.settle(now)
             self.steps += 1
@@ -624,7 +635,7 @@ class Loop:
         self.phase += 1000000 * steps
         self.now_ms += self.phase // self.every
         self.phase %= self.every
-        for node in self._paced:
+        for node in self._slow:
             node.phase += node.pace * steps
 
     def run(
@@ -636,12 +647,13 @@ class Loop:
             steps: How many steps; None for ever.
             feed: Called after each step: the hook for a hardware watchdog.
         """
-        last = None if steps is None else self.steps + steps
         try:
             self.open()
             begin = _ticks()
-            while self.steps != last:
+            while steps != 0:
                 self.step()
+                if steps:
+                    steps -= 1
                 if feed:
                     feed()
                 left = ((begin + self.now_ms - _ticks() + _HALF) & _MASK) - _HALF
@@ -657,30 +669,33 @@ class Loop:
 
         `run` does this, and the first `step`.
         """
-        self.now_ms = self.phase = self.silent = 0
+        self.now_ms = self.phase = self.said = 0
         for node in self.inputs.values():
             node.time = _NEVER
         for wired in self.tasks:
             task = wired[0]
             task.reaction.now_ms = -1
-            task.blind = False
-            task.lose_sight()
-        for part in self._parts:
-            part.open()
-        for output in self.outputs.values():
-            output.holder = None
-            output.tell()
-        self._turns = self._steps()
-        self.step = self._turns.__next__  # type: ignore[method-assign]
+            task.blind = True
+            task.wake()
+        failed: "Any" = None
+        for part in self.parts:  # actuators first, each made safe on its own
+            try:
+                part.open()
+            except Exception as error:
+                failed = error
+        if failed:
+            raise failed
+        self._run = self._steps()
+        self.step = self._run.__next__  # type: ignore[method-assign]
 
     def close(self) -> None:
         """Give each actuator its safe command, three tries each, and close all."""
-        if self._turns:
+        if self._run:
             del self.step
-        self._turns = stop = None
+        self._run = stop = None
         for output in self.outputs.values():
             output.bad = True
-        for each in list(self.outputs.values()) * 3 + self._parts:
+        for each in list(self.outputs.values()) * 3 + self.parts:
             try:
                 each.close()
             except Exception as error:
@@ -694,38 +709,38 @@ class Loop:
         """Let actuators move from the next step on, or keep them safe."""
         self.armed = armed
         for output in self.outputs.values():
-            output.steady = None
+            output.sure = None
 
     def reset(self, name: str) -> bool:
-        """Let a guard that has latched decide again; tell whether it does."""
+        """Let a guard that has shut decide again; tell whether it does."""
         for output in self.outputs.values():
             for port in output.guards:
                 if port.task.name == name:
-                    port.latched = port.latched and port.task.blind
-                    return not port.latched
+                    port.shut = port.shut and port.task.blind
+                    return not port.shut
         return False
 
     def note(self, name: str, fault: BaseException) -> None:
         """Count a fault, and print it: a line a second at most."""
         self.faults += 1
         self.fault = (name, fault)
-        if self.now_ms >= self.silent:
-            self.silent = self.now_ms + 1000  # a serial line is slow
-            print("esair: %s: %r, fault %d" % (name, fault, self.faults))
+        if self.now_ms >= self.said:  # until then enough was said
+            self.said = self.now_ms + 1000
+            self.say("esair: %s: %r, fault %d" % (name, fault, self.faults))
 
 
-def _check(value: "Any", endless: "Any" = ()) -> "Any":
+def _check(value: "Any", most: "Any" = ()) -> "Any":
     """Return a finite number, None for a row, which may change; raise for what is NaN.
 
     In a row of readings, such as a scan, infinity stands for "nothing in reach".
     """
     if isinstance(value, _ROWS):
         for each in value:
-            if each != each or each in endless:
+            if each != each or each in most:
                 break
         else:
             return None
-    elif value == value and value not in _ENDLESS:
+    elif value == value and value not in _ENDS:
         return value
     raise ValueError("not finite", value)
 

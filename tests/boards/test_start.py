@@ -9,6 +9,7 @@ from tests.minimal import rules
 
 from esair.boards import link, stand_in
 from esair.boards.start import Start
+from esair.drivers.board import wire
 from esair.minimal import Loop
 
 pytestmark = pytest.mark.promise("MIN-5")
@@ -71,26 +72,26 @@ def test_only_a_board_that_the_host_arms_is_armed_by_it(
     pins, monkeypatch, arm, pin, told
 ) -> None:
     """On the link too: a switch is there so that nobody else decides."""
-    said = [link.stuffed(b"B%d" % link.VERSION) + link.stuffed(b"A1"), b""]
-    said.append(link.stuffed(b"A0"))
-
-    def heard(_most: int) -> bytes:
-        return said.pop(0) if said else b""
-
-    monkeypatch.setattr(link, "_standard_input", lambda: heard)
-    monkeypatch.setattr(link, "_standard_output", lambda: lambda _data: None)
+    near, far = os.pipe()
+    stdin = io.TextIOWrapper(io.FileIO(near))
+    monkeypatch.setattr(sys, "stdin", stdin)
     pins.inputs[14] = pin
     motor = rules.Motor()
     orders = link.from_host((motor,))
     loop = Loop(
         [rules.Go(), *orders],
-        [rules.Sonar(0.5), link.Host("host")],
+        [rules.Sonar(0.5), link.Host(link.HOST)],
         [motor],
         rate=50,
         armed=False,
     )
     start = Start(loop, arm=arm, link=link.Link, orders=orders)
-    steps(loop, start, 4 if arm == "host" else 3)
+    with stdin, io.FileIO(far, "w") as line:
+        for flags in (2, None, 4):
+            if flags is not None:
+                line.write(wire.stuffed(bytes([ord("h"), link.VERSION, flags])))
+            steps(loop, start, 1)
+        steps(loop, start, arm == "host")
 
     assert motor.told == told
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +13,8 @@ import pytest
 import esair
 from esair.boards.link import VERSION
 from esair.buses.serial import FakeSerial
-from esair.drivers.board import BoardActuator, BoardSensor, _signed
+from esair.drivers.board import BoardActuator, BoardSensor
+from esair.drivers.board.wire import signed
 from esair.messages import ResourceState
 
 pytestmark = pytest.mark.promise("MIN-4")
@@ -24,7 +26,9 @@ def beating(line: FakeSerial, *now_ms: int) -> FakeSerial:
 
     def beat() -> bytes:
         now = times.pop(0) if len(times) > 1 else times[0]
-        return line.framing.encode(_signed(b"B\0[%d, %d]" % (VERSION, now)))
+        whole = struct.pack("<BBBBHIIIIHH", ord("b"), VERSION, *[0] * 3, now, *[0] * 5)
+        names = signed(b"n" + struct.pack("<II", 50_000, 0) + b"light;wheels")
+        return line.framing.encode(signed(whole)) + line.framing.encode(names)
 
     line.repeat(beat, 0.1)
     return line

@@ -12,9 +12,9 @@ import pytest
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
+from tests.minimal.cable import WAYS, Cable  # noqa: E402
 from tests.minimal.hw.board import Board, why_not  # noqa: E402
-from tests.minimal.linked import Plugged, plug_in  # noqa: E402
-from tests.minimal.terminal import Machine  # noqa: E402
+from tests.minimal.linked import Plugged, built  # noqa: E402
 
 from esair.firmware import find_micropython  # noqa: E402
 
@@ -84,29 +84,44 @@ def small_board(board: Path) -> Iterator[Board]:
         yield started
 
 
-def machine_in(folder: Path, *, ctrl_c: bool) -> Iterator[Machine]:
-    program = program_or_skip()
-    pytest.importorskip("mpremote")
-    found = Machine(program, folder / "flash", ctrl_c=ctrl_c)
-    yield found
-    found.stop()
+EACH_WAY = [
+    each if each == "plain" else pytest.param(each, marks=pytest.mark.long)
+    for each in WAYS
+]
+"""The ways of a cable; tests of what is on it run in each of them."""
+
+
+@pytest.fixture(params=EACH_WAY)
+def way(request: pytest.FixtureRequest) -> str:
+    """How the cable is."""
+    return str(request.param)
 
 
 @pytest.fixture
-def machine(tmp_path) -> Iterator[Machine]:
+def machine(tmp_path: Path, way: str) -> Iterator[Cable]:
     """A board with nothing on it but a REPL, at a port of its own."""
-    yield from machine_in(tmp_path, ctrl_c=True)
+    with Cable(program_or_skip(), tmp_path / "board", **WAYS[way]) as found:
+        yield found
 
 
 @pytest.fixture
-def linked_machine(tmp_path) -> Iterator[Machine]:
+def linked_machine(tmp_path: Path, way: str) -> Iterator[Cable]:
     """The same, for programs that take the byte of Ctrl-C for themselves."""
-    yield from machine_in(tmp_path, ctrl_c=False)
+    place = tmp_path / "board"
+    with Cable(program_or_skip(), place, ctrl_c=False, **WAYS[way]) as found:
+        yield found
 
 
 @pytest.fixture
-def plugged(tmp_path) -> Iterator[Plugged]:
+def plugged(tmp_path: Path, way: str) -> Iterator[Plugged]:
     """A board with two wheels, a bumper, a reflex and a guard, plugged in."""
-    board = plug_in(program_or_skip(), tmp_path)
-    yield board
-    board.unplug()
+    cable = Cable(program_or_skip(), tmp_path / "board", ctrl_c=False, **WAYS[way])
+    board = Plugged(cable, built(tmp_path, link=True))
+    with cable:
+        yield board
+
+
+@pytest.fixture
+def soak(request: pytest.FixtureRequest) -> bool:
+    """Whether there is time for the whole counts."""
+    return bool(request.config.getoption("--esair-soak"))

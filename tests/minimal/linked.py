@@ -1,15 +1,14 @@
-"""A robot on a board: its files, and a MicroPython that runs it on a pseudo-terminal."""
+"""A robot on a board: its files, and a MicroPython that runs it on a cable."""
 
-import os
-import pty
-import subprocess
+import shutil
 import sys
 import textwrap
-import tty
 from pathlib import Path
+from typing import Any
+
+from tests.minimal.cable import Cable
 
 from esair import firmware
-from esair.boards import stand_in
 
 PARTS = """
 from esair.minimal import Actuator, Reaction, Sensor, guards, reads, writes
@@ -71,47 +70,27 @@ driver = "linked_parts:Avoid"
 driver = "linked_parts:Slow"
 """
 
-RUN = """
-import sys
-sys.path.append("esair/boards")
-import stand_in
-sys.modules["machine"] = stand_in
-import main
-"""
-
 
 class Plugged:
-    """The folder of a board, and a MicroPython that runs it on a pseudo-terminal."""
+    """A board that runs a built folder, with its link, at the end of a cable."""
 
-    def __init__(self, program: str, folder: Path) -> None:
-        self._program = program
-        self.folder = folder
-        self.port = folder / "tty"
-        self.process: subprocess.Popen[bytes] | None = None
-        self._ends: list[int] = []
+    def __init__(self, cable: Cable, files: Path) -> None:
+        self.cable = cable
+        self.folder = cable.folder
+        self.port = cable.port
+        shutil.copytree(files, self.folder, dirs_exist_ok=True)
+        self.bump(False)
+        (self.folder / "light.txt").write_text("0.5")
+        (self.folder / "told.txt").write_text("")
 
     def plug(self) -> None:
         """Let the board start; its port appears."""
         (self.folder / "told.txt").write_text("")
-        mine, other = pty.openpty()
-        tty.setraw(other)
-        self._ends = [mine, other]
-        self.process = subprocess.Popen(
-            [self._program, "run.py"], cwd=self.folder, stdin=mine, stdout=mine
-        )
-        self.port.unlink(missing_ok=True)
-        self.port.symlink_to(os.ttyname(other))
+        self.cable.power()
 
     def unplug(self) -> None:
         """Cut its power: the port is gone."""
-        self.port.unlink(missing_ok=True)
-        if self.process is not None:
-            self.process.kill()
-            self.process.wait()
-            self.process = None
-        for each in self._ends:
-            os.close(each)
-        self._ends = []
+        self.cable.power(on=False)
 
     def bump(self, yes: bool) -> None:
         """Press the bumper, or let it go."""
@@ -125,23 +104,10 @@ class Plugged:
         return [tuple(map(float, each.split())) for each in lines if each.count(" ")]
 
 
-def built(folder: Path, *, link: bool = False, arm: str = "host") -> Path:
+def built(folder: Path, **options: Any) -> Path:
+    """Build the robot; the options are those of `firmware.build`."""
     sys.modules.pop("linked_parts", None)  # of another test
     (folder / "linked_parts.py").write_text(textwrap.dedent(PARTS))
     (folder / "base.toml").write_text(ROBOT)
-    firmware.build(folder / "base.toml", folder / "built", rate=50, link=link, arm=arm)
+    firmware.build(folder / "base.toml", folder / "built", rate=50, **options)
     return folder / "built"
-
-
-def plug_in(program: str, folder: Path) -> Plugged:
-    """Build the robot in a folder, with its link, and let it start."""
-    there = built(folder, link=True)
-    board = Plugged(program, there)
-    board.bump(False)
-    (there / "light.txt").write_text("0.5")
-    (there / "esair" / "boards" / "stand_in.py").write_text(
-        Path(stand_in.__file__).read_text()
-    )
-    (there / "run.py").write_text(RUN)
-    board.plug()
-    return board

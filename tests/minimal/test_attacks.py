@@ -23,7 +23,9 @@ def test_on_cpython(attack) -> None:
 def folder_of(board: Path) -> Path:
     shutil.copy(attacks.__file__, board / "attacks.py")
     (board / "esair" / "boards").mkdir()
-    shutil.copy(link.__file__, board / "esair" / "boards" / "link.py")
+    for name in ("line", "link", "start"):
+        source = Path(link.__file__).with_name(f"{name}.py")
+        shutil.copy(source, board / "esair" / "boards")
     return board
 
 
@@ -47,17 +49,18 @@ def test_on_micropython(micropython, board) -> None:
 
 
 TALK = """
-from esair.boards.link import _standard_output
-write = _standard_output()
+from esair.boards.line import Line
+line = Line()
 for _ in range(5000):
-    write(b"x" * 100)
+    line.say("x" * 100)
+    line.flush()
 with open("done.txt", "w") as file:
-    file.write("went on")
+    file.write("%d" % line.lost)
 """
 
 
 def test_a_host_that_reads_no_more_holds_no_board_up(micropython, board) -> None:
-    """Its end of the line is full: the board says nothing, and goes on."""
+    """Its end of the line is full: what is not said is counted, and the board goes on."""
     (folder_of(board) / "talk.py").write_text(TALK)
     ours, theirs = os.pipe()
     try:
@@ -73,7 +76,7 @@ def test_a_host_that_reads_no_more_holds_no_board_up(micropython, board) -> None
         os.close(ours)
         os.close(theirs)
 
-    assert (board / "done.txt").read_text() == "went on"
+    assert int((board / "done.txt").read_text()) > 4000
 
 
 @pytest.mark.long

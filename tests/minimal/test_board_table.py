@@ -144,9 +144,10 @@ def test_a_folder_is_put_on_a_board_and_again(machine, tmp_path, capsys) -> None
             main(["min", "deploy", str(folder), "--port", machine.port])
         said = capsys.readouterr().out
         assert not ended.value.code, said
-        assert "are on the board: esair: ready, power-on, not armed" in said
-    assert (machine.folder / "main.py").read_text() == (folder / "main.py").read_text()
-    assert (machine.folder / "esair" / "minimal.mpy").is_file()
+        assert "are on the board: esair: ready, soft reset, not armed" in said
+        slot = machine.folder / machine.slot
+        assert (slot / "main.py").read_text() == (folder / "main.py").read_text()
+        assert (slot / "esair" / "minimal.mpy").is_file()
 
 
 @pytest.mark.long
@@ -159,7 +160,7 @@ def test_a_program_that_moves_is_made_safe_before_the_next_one(
     (second / "main.py").write_text("print('esair: ready, and moves nothing')\n")
     (machine.folder / "bumper.txt").write_text("1")
     done = firmware.deploy(folder, port=machine.port)
-    assert done.ready == "esair: ready, power-on, armed"
+    assert done.ready == "esair: ready, soft reset, armed"
     told = machine.folder / "told.txt"
     while not told.exists() or "-0.5 -0.5\n" not in told.read_text():
         time.sleep(0.02)  # it moves a moment later
@@ -177,14 +178,14 @@ def test_a_linked_board_is_stopped_and_watched(linked_machine, tmp_path) -> None
         (machine.folder / name).write_text("0")
     for _ in range(2):
         done = firmware.deploy(folder, port=machine.port)
-        assert done.ready.startswith("esair: ready, power-on")
+        assert done.ready.startswith("esair: ready, soft reset")
     told: list[object] = []
     firmware.monitor(machine.port, told.append, seconds=2.0)
     (machine.folder / "bumper.txt").unlink()
     firmware.monitor(machine.port, told.append, seconds=1.0)
 
     text = "\n".join(map(str, told))
-    assert "esair: started by power-on, not armed, " in text
+    assert "esair: started by soft reset, not armed, " in text
     assert "last: bumper: OSError" in text
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.minimal.terminal import Machine
+from tests.minimal.cable import Cable
 
 import esair
 from esair import firmware
@@ -164,7 +164,7 @@ def commands(page: str) -> list[list[str]]:
 @pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-5")
-def test_the_page_is_followed_to_its_end(machine: Machine, tmp_path) -> None:
+def test_the_page_is_followed_to_its_end(machine: Cable, tmp_path) -> None:
     """In an empty folder: its files, then each command, on a board at a port."""
     for name in ("reflex.py", "reflex.toml"):
         shutil.copy(CODE / name, tmp_path)
@@ -226,7 +226,7 @@ asyncio.run(main())
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-4", "MIN-5")
 def test_the_page_is_followed_in_a_new_environment(
-    linked_machine: Machine, tmp_path
+    linked_machine: Cable, tmp_path
 ) -> None:
     """Nothing is there but what the page installs: to its end, board and link."""
     machine, home = linked_machine, tmp_path / "home"
@@ -276,7 +276,7 @@ def test_the_page_is_followed_in_a_new_environment(
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-4", "MIN-5")
 async def test_the_page_is_followed_with_the_board_on_a_link(
-    linked_machine: Machine, tmp_path
+    linked_machine: Cable, tmp_path
 ) -> None:
     """Built with --link, deployed, and its table in a robot.toml beside."""
     machine = linked_machine

@@ -9,12 +9,13 @@ import tty
 from collections.abc import Callable
 
 import pytest
+from tests.minimal import attacks
 from tests.minimal.linked import Plugged
 
 import esair
 from esair.boards import link
 from esair.buses import SerialBus
-from esair.drivers.board import Board, BoardActuator, BoardSensor
+from esair.drivers.board import Board, BoardActuator, BoardSensor, wire
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("MIN-4")]
 
@@ -196,9 +197,9 @@ async def test_a_board_that_has_restarted_is_lost_first() -> None:
     async def beat() -> None:
         async for _ in esair.every(0.05):
             now_ms[0] += 50
-            state = [link.VERSION, now_ms[0], *[0] * 4, "", 1000, "watchdog", True, 0]
+            state = [1, now_ms[0], *[0] * 4, "", 1000, "watchdog", True, 0]
             payload = b"B\0" + json.dumps([*state, [], []]).encode()
-            os.write(mine, link.stuffed(payload))
+            os.write(mine, wire.stuffed(payload))
 
     bus = SerialBus(name="base", port=os.ttyname(other), framing="cobs")
     robot = esair.Robot(resources=[Board(name="base", bus=bus)])
@@ -239,20 +240,62 @@ def test_both_sides_stuff_the_same_way(size) -> None:
     from cobs import cobs
 
     for payload in (bytes(size), b"x" * size, bytes(i % 256 for i in range(size))):
-        data = link.stuffed(payload)
+        data = wire.stuffed(payload)
         assert data[0] == data[-1] == 0
         assert b"\0" not in data[1:-1]
         assert cobs.decode(data[1:-1])[:-4] == payload
-        assert link.unstuffed(cobs.encode(cobs.decode(data[1:-1]))) == payload
+        assert wire.unstuffed(cobs.encode(cobs.decode(data[1:-1]))) == payload
 
 
 def test_a_damaged_message_is_none() -> None:
     """Each flipped bit is noticed."""
-    data = link.stuffed(b"W wheels\0[0.5, 0.25]")[1:-1]
+    data = wire.stuffed(b"W wheels\0[0.5, 0.25]")[1:-1]
 
     for at in range(len(data)):
         for bit in range(8):
             damaged = bytearray(data)
             damaged[at] ^= 1 << bit
             with contextlib.suppress(IndexError):
-                assert link.unstuffed(bytes(damaged)) is None
+                assert wire.unstuffed(bytes(damaged)) is None
+
+
+def test_a_reading_that_comes_with_each_beat_is_sent() -> None:
+    """A sensor of ten readings a second, as many as there are beats, is not left out."""
+    board = attacks.Board()
+    board.bumper.rate = 10.0
+    board = attacks.Board(bumper=board.bumper)
+    wire_ = wire.Wire()
+    values = []
+    for i in range(200):
+        board.step(1, [attacks.ASK, b"r\0\x64\0"][i % 2 :][:1])
+        for whole in b"".join(board.said).split(b"\0"):
+            said = wire.unstuffed(whole)
+            for each in wire_.said(said) if said else ():
+                values += [each] if isinstance(each, wire.Heard) else []
+        board.said.clear()
+    assert len(values) >= 35
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        (float("inf"), 1.0, -float("inf")),
+        (float("nan"), 0.25),
+        (1, float("inf")),
+        float("inf"),
+        0.1,
+        -3,
+        1 << 40,
+        True,
+        "näher",
+        ("a", (1.5, 2), ()),
+        [0.5, 0.25],
+        None,
+    ],
+)
+def test_each_value_crosses_as_what_it_is(value) -> None:
+    """Infinity and NaN in rows too, whole numbers and texts, both ways the same."""
+    buffer = bytearray(200)
+    end = link.packed(buffer, 3, value)
+    found, at = link.unpacked(bytes(buffer), 3)
+    assert (repr(found), at) == (repr(wire.tuples(value)), end)

@@ -1,22 +1,44 @@
 """A board as a part of a robot: its end of the serial line to a computer.
 
-Messages are stuffed by COBS between zeros, and end with a checksum (CRC 32). Both sides
-send beats. What the computer writes has the lowest priority of all: the reactions on the
-board outrank it. When its beats stay away, whatever it moved is safe at once. `VERSION` is
-the first number of each beat: sides of different versions only tell it to each other.
+Messages are stuffed by COBS and end with a checksum (CRC 32) and a zero. Both sides send
+beats. What the computer writes has the lowest priority of all: the reactions on the board
+outrank it. When its beats stay away, whatever it moved is safe at once. Each beat has
+`VERSION`: a board and a computer of other versions only tell it to each other.
+
+A step sends one message at most, and takes one at most: the computer sends none sooner
+than the next step, but for its first. All numbers are little-endian::
+
+    board to computer
+    b VERSION flags cause days:H now_ms:I late:I refused:I faults:I damaged:H lost:H
+      [fault]                          how it is; flags: 1 armed, 2 floats are doubles
+    s (index value)...                 readings; `x` for a sensor that gives none
+    n rate:I free:I sensors "," ... ";" actuators
+                                       steps in 1000 s, names in the order of indices
+    computer to board
+    h VERSION flags                    a beat; 1: tell the names, 2: arm, 4: disarm
+    w index value                      a command; none to give the actuator back
+    r index interval:H                 send this sensor so often, in milliseconds
+    q                                  end, safe, and make room
+
+A value is `f` or `d` and a float, `i` or `q` and a whole number, `T`, `F`, `s` and a
+text, `r` and a row of values, `R` and a row of floats, or `j` and JSON.
 """
 
-import json
-import sys
+import struct
 from binascii import crc32
 
+from esair.boards.line import PIECE, Line, take_ctrl_c
+from esair.boards.start import CAUSES
 from esair.minimal import Loop, Reaction, Sensor, reads, writes
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-VERSION = 1
+VERSION = 2
+
+HOST = "<host>"
+"""What the computer is called here; no part of a robot can have such a name."""
 
 PRIORITY = -1000
 """Of what the computer writes."""
@@ -26,43 +48,96 @@ SILENCE = 0.35
 """After so many seconds without a beat of the computer it counts as gone."""
 
 LONGEST = 512
-"""Bytes of a message; what is longer is thrown away."""
+"""Bytes of a message; what is longer is left out, or thrown away."""
 
-AT_ONCE = 512
+AT_ONCE = 96
 """Bytes that are read in one step: more of them wait, and no step is late for them."""
 
+DAY_MS = 1 << 28
+"""What a beat counts as days."""
 
-def stuffed(payload: bytes) -> bytes:
-    """Return a message with its checksum, stuffed so that only its ends are zero."""
-    data = payload + (crc32(payload) & 0xFFFFFFFF).to_bytes(4, "little")
-    found = bytearray(b"\0")
-    for piece in data.split(b"\0"):
-        while len(piece) >= 254:
-            found.append(255)
-            found += piece[:254]
-            piece = piece[254:]
-        found.append(len(piece) + 1)
-        found += piece
-    found.append(0)
-    return bytes(found)
+REFUSAL = b"B\0[%d, 0]" % VERSION
+"""A beat as a computer of version 1 reads it."""
+
+FLOAT = "d" if 1.0 + 2.0**-30 != 1.0 else "f"
+"""How a float goes over the line: as the board has them."""
 
 
-def unstuffed(data: bytes) -> "bytes | None":
-    """Return the payload of what was between two zeros; None if it is damaged."""
-    found = bytearray()
-    at = 0
-    while at < len(data):
-        code = data[at]
-        if code == 0 or at + code > len(data):
-            return None
-        found += data[at + 1 : at + code]
-        at += code
-        if code < 255 and at < len(data):
-            found.append(0)
-    payload = bytes(found[:-4])
-    if len(found) < 5 or bytes(found[-4:]) != crc32(payload).to_bytes(4, "little"):
-        return None
-    return payload
+def packed(buffer: bytearray, at: int, value: "Any", form: str = FLOAT) -> int:
+    """Write a value at a place of a buffer; return where the next one begins."""
+    if value is True or value is False:
+        buffer[at] = 84 if value else 70  # T, F
+        return at + 1
+    kind = type(value)
+    if kind is float:
+        buffer[at] = ord(form)
+        struct.pack_into("<" + form, buffer, at + 1, value)
+        return at + (5 if form == "f" else 9)
+    if kind is int:
+        if -0x80000000 <= value < 0x80000000:
+            struct.pack_into("<Bi", buffer, at, 105, value)
+            return at + 5
+        struct.pack_into("<Bq", buffer, at, 113, value)
+        return at + 9
+    if isinstance(value, (tuple, list)):
+        floats = all(type(each) is float for each in value)
+        struct.pack_into("<BH", buffer, at, 82 if floats else 114, len(value))
+        at += 3
+        if floats:
+            buffer[at] = ord(form)
+            at += 1
+        for each in value:
+            if floats:
+                struct.pack_into("<" + form, buffer, at, each)
+                at += 4 if form == "f" else 8
+            else:
+                at = packed(buffer, at, each, form)
+        return at
+    letter, text = 115, value
+    if kind is not str:
+        import json
+
+        letter, text = 106, json.dumps(value)
+    data = text.encode()
+    struct.pack_into("<BH", buffer, at, letter, len(data))
+    for each in data:
+        buffer[at + 3] = each
+        at += 1
+    return at + 3
+
+
+def unpacked(data: "Any", at: int) -> "tuple[Any, int]":
+    """Return the value at a place of some bytes, and where the next one begins."""
+    letter = chr(data[at])
+    at += 1
+    if letter in "fdiq":
+        return struct.unpack_from("<" + letter, data, at)[0], at + (
+            4 if letter in "fi" else 8
+        )
+    if letter == "T" or letter == "F":
+        return letter == "T", at
+    (count,) = struct.unpack_from("<H", data, at)
+    at += 2
+    if letter == "R":
+        form = chr(data[at])
+        size = struct.calcsize("<" + form)
+        return struct.unpack_from("<%d%s" % (count, form), data, at + 1), (
+            at + 1 + count * size
+        )
+    if letter == "r":
+        found = []
+        for _ in range(count):
+            value, at = unpacked(data, at)
+            found.append(value)
+        return tuple(found), at
+    text = bytes(data[at : at + count]).decode()
+    if letter == "j":
+        import json
+
+        return json.loads(text), at + count
+    if letter != "s":
+        raise ValueError("no value")
+    return text, at + count
 
 
 class Host(Sensor):
@@ -81,25 +156,31 @@ class FromHost(Reaction):
         seconds: How long a command is good, the actuator's command timeout.
     """
 
-    host = reads(int, max_age=SILENCE)
+    host = reads(int, name=HOST, max_age=SILENCE)
     actuator = writes(priority=PRIORITY)
     rate = 1000  # each step: only beats are news of the host
 
     def __init__(self, actuator: str, seconds: float) -> None:
-        Reaction.__init__(self, "host_" + actuator)
+        Reaction.__init__(self, HOST + " " + actuator)
         self.target = actuator
         self.good_ms = int(seconds * 1000)
         self.command: Any = None
-        self.until = 0
+        self.left = 0
 
-    def take(self, command: "Any", now: int) -> None:
-        """Want what the computer has written last; None to give it back."""
+    def take(self, command: "Any", gap: int) -> None:
+        """Want, from the next step on, what the computer has written last."""
         self.command = command
-        self.until = now + self.good_ms
+        self.left = self.good_ms - gap
+        self.fresh = True
 
     def react(self, host: int) -> "Any":
         """Go on with it while it is good."""
-        return self.command if self.now_ms < self.until else None
+        if self.left <= 0:
+            return None
+        if not self.fresh:
+            self.left -= self.elapsed_ms
+        self.fresh = False
+        return self.command if self.left > 0 else None
 
 
 def from_host(actuators: "tuple[Any, ...]") -> "list[FromHost]":
@@ -117,13 +198,12 @@ class Link:
     """Called after each step: takes what the computer says, and tells it the news.
 
     Args:
-        loop: What runs; it has a sensor `Host`, and the reactions of `from_host`.
+        loop: What runs; it has a sensor `Host` of the name `HOST`, and the reactions of
+            `from_host`.
         orders: Those reactions.
         cause: Why the board has started.
         arms: Whether the computer says when actuators may move.
-        read: Gives the bytes that have come, at most so many, without waiting; those
-            of the standard input unless given.
-        write: Sends bytes; to the standard output unless given.
+        line: The serial line.
     """
 
     def __init__(
@@ -131,112 +211,235 @@ class Link:
         loop: Loop,
         orders: "list[FromHost]",
         cause: str,
-        arms: bool = True,
-        read: "Any" = None,
-        write: "Any" = None,
+        arms: bool,
+        line: Line,
     ) -> None:
         self.loop = loop
-        self.orders = {each.target: each for each in orders}
-        self.cause = cause
+        self.orders = orders
+        self.cause = CAUSES.index(cause) if cause in CAUSES else 255
         self.arms = arms
-        self.read = read or _standard_input()
-        self.write = write or _standard_output()
-        self.waiting = b""
+        self.line = line
+        take_ctrl_c(-1)  # a byte 3 in a message is none
         self.damaged = 0
         """How many messages were damaged, too long, or made no sense."""
         self.version = 0
         """That of the computer; 0 before its first beat."""
-        self.next_beat = 0
-        self.told: dict[str, int] = {}
-        self.host: Any = loop.inputs["host"]
+        self.host: Any = loop.inputs[HOST]
         self.host.due = False  # it is never read
         self.host.value = 0
+        self.sensors = [each for each in loop.inputs.values() if each is not self.host]
+        self.every = [0] * len(self.sensors)  # what the computer asks for, in ms
+        self.due = [0] * len(self.sensors)
+        self.told = [-1] * len(self.sensors)
+        self.beat = 0
+        self.beats = 0
+        self.faults = 0
+        self.answer: "Any" = None  # what is to be told next
+        self.gap = 1000000 // loop.every
+        self.packet = bytearray(LONGEST)
+        self.message = bytearray(LONGEST)
+        self.view = memoryview(self.message)
+        self.sent = memoryview(self.packet)
+        self.used = self.left = 0
+        self.full = True
+        self.free = _free()  # once: to count takes longer than a step
 
     def __call__(self) -> None:
         """Do what is due after a step; what fails is a fault, and stops no reflex."""
         try:
-            data = self.read(AT_ONCE)
-            if data:
-                self._take(data)
+            self._hear()
             self._tell()
         except Exception as error:
             self.loop.note("link", error)
 
     def _tell(self) -> None:
+        """Send one message: an answer, a beat, or the readings that are asked for."""
         now = self.loop.now_ms
-        beats = now >= self.next_beat
-        for name, node in self.loop.inputs.items():
-            if node is self.host:
-                continue
-            age = now - max(0, node.time)
-            if node.time >= 0 and node.time != self.told.get(name):
-                self.told[name] = node.time
-                self._send("S" + name, [age, node.value])
-            elif beats and age > 3000000 // node.pace:
-                self.told.pop(name, None)
-                self._send("S" + name, [])  # it fails: after three periods, as here
-        if beats:
-            self.next_beat = now + BEAT_MS
-            self._beat()
+        if self.answer is not None:
+            data, self.answer = self.answer, None
+            self.packet[: len(data)] = data
+            self._send(len(data))
+            return
+        ahead = self.beat - now
+        if ahead <= 0 or ahead > BEAT_MS:
+            self.beat = now + BEAT_MS
+            self._beat(now)
+            return
+        packet, due = self.packet, self.due
+        # One that came in a step of a beat, or of an answer, goes in the next.
+        at, fresh = 1, now - 4 * self.gap
+        i = -1
+        for gap in self.every:  # what `enumerate` makes would be new in each step
+            i += 1  # noqa: SIM113
+            if gap:
+                ahead = due[i] - now
+                node = self.sensors[i]
+                time = node.time
+                if (ahead <= 0 or ahead > gap) and fresh <= time != self.told[i]:
+                    self.told[i] = time
+                    ahead += gap
+                    due[i] = now + (ahead if 0 < ahead <= gap else gap)
+                    packet[at] = i
+                    at = packed(packet, at + 1, node.value)
+        if at > 1:
+            packet[0] = 115  # s
+            self._send(at)
 
-    def _take(self, data: bytes) -> None:
-        pieces = (self.waiting + data).split(b"\0")
-        self.waiting = pieces.pop()[: LONGEST + 1]
-        for whole in pieces:
-            if not whole:
-                continue
-            payload = unstuffed(whole) if len(whole) <= LONGEST else None
-            try:
-                if payload is None or not self._obey(payload):
-                    self.damaged += 1
-            except Exception:  # what is no message of this version
-                self.damaged += 1
+    def _beat(self, now: int) -> None:
+        loop, packet = self.loop, self.packet
+        struct.pack_into(
+            "<BBBBHIIIIHH",
+            packet,
+            0,
+            98,  # b
+            VERSION,
+            (1 if loop.armed else 0) + (2 if FLOAT == "d" else 0),
+            self.cause,
+            now // DAY_MS & 0xFFFF,
+            now % DAY_MS,
+            loop.late & 0xFFFFFFFF,
+            loop.refused & 0xFFFFFFFF,
+            loop.faults & 0xFFFFFFFF,
+            self.damaged & 0xFFFF,
+            self.line.lost & 0xFFFF,
+        )
+        at = 26
+        self.beats += 1
+        if loop.fault and (loop.faults != self.faults or self.beats >= 10):
+            self.beats, self.faults = 0, loop.faults
+            for each in ("%s: %r" % loop.fault).encode()[:80]:
+                packet[at] = each
+                at += 1
+        self._send(at)
+        if now - self.host.time > 1000 * SILENCE:
+            self.every = [0] * len(self.every)  # nobody reads
+        gone = b""
+        for i in range(len(self.every)):
+            node = self.sensors[i]
+            if self.every[i] and now - max(0, node.time) > 3000000 // node.pace:
+                gone += bytes([i, 120])  # x
+        if gone:
+            self.answer = b"s" + gone
 
-    def _obey(self, payload: bytes) -> bool:
-        kind, name = payload[:1], ""
-        body = payload[1:]
-        if kind == b"W":
-            first, body = body.split(b"\0", 1)
-            name = first.decode()
-        value = json.loads(body)
-        now = self.loop.now_ms
-        if kind == b"B":
-            self.version = value if type(value) is int else 0
+    def _send(self, count: int) -> None:
+        """Give the first bytes of the packet to the line, with checksum and stuffing."""
+        packet, line = self.packet, self.line
+        struct.pack_into("<I", packet, count, crc32(self.sent[:count]) & 0xFFFFFFFF)
+        count += 4
+        size = count + 2 + count // 254
+        size += -size % PIECE
+        if not line.has_room(size):
+            return
+        out, code = line.buffer, line.used
+        to, end = code + 1, code + size
+        for i in range(count):
+            byte = packet[i]
+            if byte:
+                out[to] = byte
+                to += 1
+                if to - code < 255:
+                    continue
+            out[code] = to - code
+            code = to
+            to += 1
+        out[code] = to - code
+        for i in range(to, end):
+            out[i] = 0
+        line.used = end
+
+    def _hear(self) -> None:
+        """Take what the line has brought, one message at most."""
+        line = self.line
+        came = line.came
+        for _ in came(0):
+            break
+        else:
+            return
+        read, message, one = line.read, self.message, line.one
+        used, left, full = self.used, self.left, self.full
+        for _ in range(AT_ONCE):
+            for _ in came(0):
+                break
+            else:
+                break
+            if not read(one):
+                break
+            byte = one[0]
+            if byte == 0:
+                count = used
+                whole = left == 0
+                used, left, full = 0, 0, True
+                if count:
+                    self.used, self.left, self.full = 0, 0, True
+                    if not whole or not self._is_obeyed(count - 4):
+                        self.damaged += 1
+                    return
+            elif left:
+                left -= 1
+                if used < LONGEST:
+                    message[used] = byte
+                    used += 1
+            else:
+                left = byte - 1
+                if not full and used < LONGEST:
+                    message[used] = 0
+                    used += 1
+                full = byte == 255
+        self.used, self.left, self.full = used, left, full
+
+    def _is_obeyed(self, count: int) -> bool:
+        try:
+            return self._obey(count)
+        except Exception:  # what is no message of this version
+            return False
+
+    def _obey(self, count: int) -> bool:
+        message = self.message
+        (check,) = struct.unpack_from("<I", message, count)
+        if count < 1 or check != crc32(self.view[:count]) & 0xFFFFFFFF:
+            return False
+        kind = message[0]
+        if kind == 104 and count == 3:  # h
+            self.version = message[1]
             if self.version == VERSION:
-                self.host.value += 1
-                self.host.time = now
+                self._beaten(message[2])
+        elif kind == 113 or kind == 81:  # q, or Q of version 1
+            take_ctrl_c(3)
+            raise KeyboardInterrupt  # it ends as by Ctrl-C, with safe commands
+        elif kind == 66:  # B, of version 1
+            self.version, self.answer = 1, REFUSAL
         elif self.version != VERSION:
             return False
-        elif kind == b"Q":
-            _take_ctrl_c(3)
-            raise KeyboardInterrupt  # it ends as by Ctrl-C, with safe commands
-        elif kind == b"A" and self.arms:
-            self.loop.arm(bool(value))
-        elif kind == b"W" and name in self.orders:
-            if isinstance(value, list):
-                value = _like(self.loop.outputs[name].safe, value)
-            self.orders[name].take(value, now)
+        elif kind == 119:  # w
+            order = self.orders[message[1]]
+            value, end = unpacked(message, 2)
+            if end != count:
+                return False  # it says more than it has
+            if isinstance(value, tuple):
+                value = _like(self.loop.outputs[order.target].safe, value)
+            order.take(value, self.gap)
+        elif kind == 114 and count == 4:  # r
+            self.every[message[1]] = struct.unpack_from("<H", message, 2)[0]
         else:
             return False
         return True
 
-    def _beat(self) -> None:
-        loop = self.loop
-        fault = "" if loop.fault is None else "%s: %r" % loop.fault
-        state: "list[Any]" = [VERSION, loop.now_ms, loop.steps, loop.late]
-        state += [loop.refused, loop.faults, fault, _free(), self.cause]
-        state += [loop.armed, self.damaged, list(self.told), list(self.orders)]
-        self._send("B", state)
+    def _beaten(self, flags: int) -> None:
+        self.host.value = self.host.value + 1 & 0xFFFF
+        self.host.time = self.loop.now_ms
+        if flags & 1:
+            names = ",".join([each.name for each in self.sensors])
+            names += ";" + ",".join([each.target for each in self.orders])
+            self.answer = (
+                b"n" + struct.pack("<II", self.loop.every, self.free) + names.encode()
+            )
+        if self.arms and flags & 6 and self.loop.armed != bool(flags & 2):
+            self.loop.arm(bool(flags & 2))
 
-    def _send(self, kind: str, value: "Any") -> None:
-        self.write(stuffed(kind.encode() + b"\0" + json.dumps(value).encode()))
 
-
-def _like(safe: "Any", values: "list[Any]") -> "Any":
-    """Return a list of the wire as the tuple that an actuator takes."""
-    if type(safe) is tuple:
-        return tuple(values)
-    return type(safe)(*values)
+def _like(safe: "Any", values: "tuple[Any, ...]") -> "Any":
+    """Return a row of the wire as the tuple that an actuator takes."""
+    return values if type(safe) is tuple else type(safe)(*values)
 
 
 def _free() -> int:
@@ -244,52 +447,3 @@ def _free() -> int:
     import gc
 
     return gc.mem_free() if hasattr(gc, "mem_free") else 0
-
-
-def _take_ctrl_c(byte: int) -> None:
-    """Let a byte be Ctrl-C; -1 for none."""
-    try:
-        import micropython
-
-        micropython.kbd_intr(byte)  # type: ignore[attr-defined]
-    except (ImportError, AttributeError):
-        pass
-
-
-def _standard_input() -> "Any":
-    import select
-
-    poll = select.poll()
-    poll.register(sys.stdin, select.POLLIN)
-    _take_ctrl_c(-1)  # a byte 3 in a message is none
-    stdin = sys.stdin.buffer
-
-    def read(most: int) -> bytes:
-        found = bytearray()
-        while len(found) < most and poll.poll(0):
-            byte = stdin.read(1)
-            if not byte:
-                break
-            found += byte
-        return bytes(found)
-
-    return read
-
-
-def _standard_output() -> "Any":
-    import select
-
-    poll = select.poll()
-    poll.register(sys.stdout, select.POLLOUT)
-    told = [False]  # whether this port tells when it takes something
-
-    def write(data: bytes) -> None:
-        # A computer that reads no more would hold up each step, on USB by half a second.
-        for at in range(0, len(data), 64):
-            if poll.poll(0):
-                told[0] = True
-            elif told[0]:
-                return
-            sys.stdout.buffer.write(data[at : at + 64])
-
-    return write

@@ -250,6 +250,29 @@ class WDT:
         fed[1:] = [0]
 
 
+def streams() -> "tuple[Any, ...]":
+    """Give what a `Line` works with where it is no board that it runs on."""
+    import select
+    import sys
+
+    poll = select.poll()
+    try:
+        poll.register(sys.stdin, select.POLLIN)
+        came: Any = poll.poll
+    except (OSError, ValueError):  # it is none that can be waited for
+        came = lambda _ms: ()  # noqa: E731
+
+    def write(data: bytearray, at: int, count: int) -> None:
+        sys.stdout.write(data[at : at + count].decode("utf-8", "replace"))
+
+    def read(into: bytearray) -> int:
+        found = sys.stdin.buffer.read(1)
+        into[: len(found)] = found
+        return len(found)
+
+    return came, read, lambda _ms: (1,), write
+
+
 def time_pulse_us(pin: Pin, level: int, timeout_us: int) -> int:
     """Give the length of a pulse; -1 if it does not end, -2 if it does not begin."""
     us = int(echoes.get(pin.number, -2))

@@ -1,15 +1,29 @@
-"""How a board starts and stays well: arming, watchdog, reset cause, brown-outs.
+"""How a board starts and stays well: arming, watchdog, reset cause, brown-outs, words.
 
 ``main.py`` makes one `Start` and hands it to the loop, which calls it after each step.
 """
 
-import sys
-
+from esair.boards.line import Line
 from esair.minimal import Loop
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
+
+ROOM = "esair.room"
+"""The file that keeps the program, and its watchdog, off at the next start."""
+
+STARTS = "esair.starts"
+"""The file with a byte for each quick start; `esair min deploy` puts a starter on a
+board that counts them, and goes to the prompt after three."""
+
+QUICK_MS = 10000
+"""After so long a start was none of them."""
+
+LATEST_MS = 60000
+"""Until then that is written down only while nothing moves: flash memory takes a while."""
+
+CAUSES = ("power-on", "hard reset", "watchdog", "deep sleep", "soft reset", "start")
 
 _CAUSES = ("PWRON_RESET", "HARD_RESET", "WDT_RESET", "DEEPSLEEP_RESET", "SOFT_RESET")
 
@@ -18,11 +32,10 @@ def reset_cause() -> str:
     """Return why the board has started, as ``"power-on"`` or ``"watchdog"``."""
     import machine
 
-    words = ("power-on", "hard reset", "watchdog", "deep sleep", "soft reset")
     if not hasattr(machine, "reset_cause"):
         return "start"
     cause = machine.reset_cause()
-    for name, word in zip(_CAUSES, words):
+    for name, word in zip(_CAUSES, CAUSES):
         if getattr(machine, name, None) == cause:
             return word
     return "cause %d" % cause
@@ -31,11 +44,15 @@ def reset_cause() -> str:
 class Start:
     """Called after each step: feeds the watchdog, arms the loop, looks after parts.
 
+    At its first call it says that the board is ready, and why it has started. On a
+    serial line without a link it takes words: ``who`` asks how it is; ``room`` ends the
+    program, safe, for `esair min deploy`; ``arm`` and ``disarm``, if the host arms it.
+
     Args:
         loop: What runs; made with ``armed=False`` unless it is armed always.
-        arm: ``"always"``, the number of a pin with a switch to ground, or ``"host"``:
-            a line ``arm`` or ``disarm`` on the serial line; ``who`` asks how it is.
+        arm: ``"always"``, the number of a pin with a switch to ground, or ``"host"``.
         watchdog: The time-out of the hardware watchdog, in milliseconds; 0 for none.
+            It runs from the first step on.
         parts: The devices. One that has a method ``is_set_up`` is asked once a second,
             and set up again, made safe, when it says no: its supply had failed.
         link: `esair.boards.link.Link`, if the host speaks by that; it then arms by it.
@@ -54,62 +71,73 @@ class Start:
         self.loop = loop
         self.arm = arm
         self.parts = [each for each in parts if hasattr(each, "is_set_up")]
-        self.line = b""
+        self.word = b""
         self.pin: "Any" = None
         self.armed = arm == "always"
-        self.second = 0
+        self.second = -1
+        self.count = True
         self.repaired = 0
         """How many times a part was set up again."""
         self.cause = reset_cause()
+        self.watchdog = watchdog
         self.feed: "Any" = None
         loop.arm(self.armed)
-        self.poll: "Any" = None
+        self.line = Line(8000000 // loop.every)
         # Given, not imported here: a board without a link has no file of it.
-        self.link = link and link(loop, orders, self.cause, arm == "host")
-        if arm == "host":
-            if link is None:
-                self.poll = _polled_stdin()
-        elif not self.armed:
+        self.link = link and link(loop, orders, self.cause, arm == "host", self.line)
+        loop.say = self.line.say
+        if link:  # a fault travels in the beat
+            loop.say = str
+        if type(arm) is int:
             from machine import Pin
 
             self.pin = Pin(arm, Pin.IN, Pin.PULL_UP)
-        self._tell()
-        if watchdog:
-            from machine import WDT
-
-            self.feed = WDT(timeout=watchdog).feed
 
     def _tell(self) -> None:
-        print("esair: ready, %s, %s" % (self.cause, self._waits()))
+        self.loop.say("esair: ready, %s, %s" % (self.cause, self._waits()))
 
     def _waits(self) -> str:
         if self.arm == "always":
             return "armed"
         if self.pin is not None:
             return "armed by pin %s" % self.arm
-        return "not armed: it waits for the host"
+        return "armed" if self.armed else "not armed: it waits for the host"
 
     def __call__(self) -> None:
-        """Do what is due after a step."""
+        """Do what is due after a step; none of it waits."""
         if self.feed is not None:
             self.feed()
         if self.pin is not None:
             self._arm(not self.pin.value())
-        elif self.poll is not None:
-            self._listen()
         if self.link is not None:
             self.link()
+        else:
+            self._listen()
         if self.loop.now_ms // 1000 != self.second:
+            if self.second < 0:
+                self._begin()
             self.second = self.loop.now_ms // 1000
             self._look_after()
+        self.line.flush()
+
+    def _begin(self) -> None:
+        self._tell()
+        if self.watchdog:
+            from machine import WDT
+
+            self.feed = WDT(timeout=self.watchdog).feed
 
     def _arm(self, armed: bool) -> None:
         if armed != self.armed:
             self.armed = armed
             self.loop.arm(armed)
-            print("esair: armed" if armed else "esair: disarmed")
+            self.loop.say("esair: armed" if armed else "esair: disarmed")
 
     def _look_after(self) -> None:
+        now = self.loop.now_ms
+        if self.count and now >= QUICK_MS and (now >= LATEST_MS or not self._moves()):
+            self.count = False
+            forget_starts()
         for part in self.parts:
             try:
                 if not part.is_set_up():
@@ -117,29 +145,36 @@ class Start:
                     self.repaired += 1
                     if part.name in self.loop.outputs:
                         self.loop.outputs[part.name].tell()
-                    print("esair: %s: set up again" % part.name)
+                    self.loop.say("esair: %s: set up again" % part.name)
             except Exception as error:
                 self.loop.note(part.name, error)
+
+    def _moves(self) -> bool:
+        return any(each.writer for each in self.loop.outputs.values())
 
     def _listen(self) -> None:
         """Take what the serial line has brought, without waiting; of a flood, some."""
         for _ in range(64):
-            byte = self.poll(0) and sys.stdin.buffer.read(1)  # it may be no text
-            if not byte:
+            byte = self.line.byte()  # it may be no text
+            if byte < 0:
                 return
-            if byte not in b"\r\n":
-                self.line = (self.line + byte)[-16:]
+            if byte != 10 and byte != 13:
+                self.word = (self.word + bytes([byte]))[-16:]
                 continue
-            word, self.line = self.line.strip(), b""
-            if word in (b"arm", b"disarm"):
-                self._arm(word == b"arm")
-            elif word == b"who":
+            word, self.word = self.word.strip(), b""
+            if word == b"who":
                 self._tell()
+            elif word == b"room":
+                raise KeyboardInterrupt  # it ends as by Ctrl-C, with safe commands
+            elif word in (b"arm", b"disarm") and self.arm == "host":
+                self._arm(word == b"arm")
 
 
-def _polled_stdin() -> "Any":
-    import select
+def forget_starts() -> None:
+    """Let the starts up to now be none of the quick ones."""
+    import os
 
-    poll = select.poll()
-    poll.register(sys.stdin, select.POLLIN)
-    return poll.poll
+    try:
+        os.remove(STARTS)
+    except OSError:  # it was not started by that
+        return

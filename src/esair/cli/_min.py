@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from cyclopts import App
 from rich import box
@@ -29,7 +30,7 @@ def build(
     out: Path,
     board: str = "pico",
     rate: float | None = None,
-    watchdog: float | None = None,
+    watchdog: float | Literal["off"] | None = None,
     arm: str = "host",
     link: bool = False,
 ) -> int:
@@ -45,7 +46,8 @@ def build(
         board: "pico", "pico2", "esp32", or "esp32s3"; "c" or "avr" for a chip without
             Python: the reactions as C99, on pins that you read and write yourself.
         rate: Steps per second; the highest rate of a part, or 50, unless given.
-        watchdog: Time-out of the board's hardware watchdog, in seconds.
+        watchdog: Time-out of the board's hardware watchdog, in seconds, or "off"; two
+            seconds, or four steps, unless given.
         arm: When the board may move after a start: "host" (it is told so), "pin:NUMBER"
             (while that pin is low), or "always".
         link: The board is a part of a robot on a computer, on its serial line.

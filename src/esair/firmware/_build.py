@@ -8,7 +8,7 @@ import shutil
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import attrs
 
@@ -21,6 +21,8 @@ from esair.firmware._main_file import main_file
 from esair.firmware._micropython import Trial, find_micropython, run_folder
 from esair.firmware._modules import FACADE, Modules
 from esair.values import check_choice
+
+_WATCHDOG = 2.0  # seconds
 
 ARMED = ("host", "always")
 """How a board may be armed, beside ``pin:NUMBER``."""
@@ -53,7 +55,7 @@ def build(
     *,
     board: str = "pico",
     rate: float | None = None,
-    watchdog: float | None = None,
+    watchdog: float | Literal["off"] | None = None,
     arm: str = "host",
     link: bool = False,
 ) -> Built:
@@ -67,8 +69,9 @@ def build(
         folder: Where the files go. It may exist; files of the same names are replaced.
         board: One of `BOARDS`.
         rate: Steps per second; the highest rate of a part, or 50, unless given.
-        watchdog: The time-out of the board's hardware watchdog, in seconds; none unless
-            given. It is fed after each step, and resets a board that hangs.
+        watchdog: The time-out of the board's hardware watchdog, in seconds; two, or
+            four steps, unless given; ``"off"`` for none. It is fed after each step, and
+            resets a board that hangs.
         arm: When actuators may move after a start: ``"always"``, ``"pin:NUMBER"`` while
             that pin is low, or ``"host"`` when the computer says so.
         link: Whether the board is a part of a robot on a computer, on its serial line.
@@ -97,7 +100,11 @@ def build(
     parts = fitting_parts(path, described, misfit)
     steps = rate if rate is not None else rate_of(parts)
     loop_mistakes(parts, steps, misfit)
-    if watchdog is not None and not 1 / steps <= watchdog <= kind.watchdog:
+    if watchdog is None and steps > 0:
+        watchdog = min(max(_WATCHDOG, 4 / steps), kind.watchdog)
+    if watchdog == "off":
+        watchdog = 0.0
+    elif watchdog is not None and not 1 / steps <= watchdog <= kind.watchdog:
         misfit(
             "",
             f"a watchdog of {watchdog} s: a {kind.name} takes from one step, 1/rate, "

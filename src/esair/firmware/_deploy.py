@@ -1,13 +1,14 @@
-"""Puts a built folder on a board, over its serial line, and waits until it runs."""
+"""Puts a built folder on a board, over its serial line, and waits until it runs.
+
+A board has two folders for programs, and its ``main.py`` says which of them runs. The
+other one is written and compared; then ``main.py`` is replaced, which is one act. So what
+runs after a cut at any moment is the old program, the new one, or the safe prompt.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib.util
-import re
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,13 +16,14 @@ from typing import Any, Final
 
 import attrs
 
-from esair.boards.link import VERSION, stuffed
+from esair.boards.start import ROOM, STARTS
 from esair.buses.serial import devices, find_port
 from esair.exceptions import ConfigError, EsairError
 from esair.firmware._lines import Lines
+from esair.firmware._prompt import Prompt
+from esair.firmware._starter import AT_PROMPT, MARK, SLOTS, starter
 
-SILENCE: Final = 60.0
-"""How long one act of mpremote may take, in seconds."""
+_PIECE: Final = 768  # bytes of a file in one message
 
 
 @attrs.frozen
@@ -49,18 +51,20 @@ def deploy(
     """Copy a built folder to a board, compare, reset it, and wait until it is ready.
 
     What was compiled is copied rather than its text. A program that runs there is
-    stopped first; its actuators get their safe commands.
+    asked to make room: it ends with its safe commands, and the board starts without it,
+    and without its watchdog. If this is cut at any moment, the board starts the old
+    program, the new one, or none.
 
     Args:
         folder: What `build` has written.
         port: The serial port of the board, a path or ``usb:...``; the only one that
             there is, unless given.
-        seconds: How long to wait for the board after its reset.
+        seconds: How long to wait for the board, before and after its reset.
         say: Told what is done, line by line.
 
     Raises:
-        ConfigError: There is no ``main.py`` in the folder, no board, no mpremote, or
-            the board does not do what is asked, in its own words.
+        ConfigError: There is no ``main.py`` in the folder, no board, another program
+            has its port, or the board does not do what is asked, in its own words.
     """
     source = (
         folder / "compiled" if (folder / "compiled" / "main.py").is_file() else folder
@@ -68,21 +72,22 @@ def deploy(
     if not (source / "main.py").is_file():
         raise ConfigError("esair min deploy", str(folder), "there is no main.py in it")
     files = {
-        path.relative_to(source).as_posix(): path
+        path.relative_to(source).as_posix(): path.read_bytes()
         for path in sorted(source.rglob("*"))
         if path.is_file() and _is_copied(path.relative_to(source))
     }
-    path = port_of(port)
-    stop_program(path)
-    say(f"copying {len(files)} files to the board on {path}")
-    _copy(path, files)
-    say("comparing")
-    _compare(path, files)
-    say("resetting")
-    ready = _restart(path, seconds)
-    return Deployed(
-        path, {name: each.stat().st_size for name, each in files.items()}, ready
-    )
+    place = place_of(port)
+    with Lines(place) as lines:
+        prompt = Prompt(lines, place)
+        say(f"making room on the board at {place}")
+        before = _make_room(prompt, seconds)
+        slot = SLOTS[before == SLOTS[0]]
+        say(f"copying {len(files)} files")
+        _copy(prompt, slot, files)
+        say("starting it")
+        _switch(prompt, slot)
+        ready = _restart(prompt, lines, place, seconds)
+    return Deployed(place, {name: len(data) for name, data in files.items()}, ready)
 
 
 def _is_copied(path: Path) -> bool:
@@ -92,17 +97,18 @@ def _is_copied(path: Path) -> bool:
     }
 
 
-def port_of(port: str) -> str:
-    """Return the path of a board's serial port.
+def place_of(port: str) -> str:
+    """Return where a board's serial port is found: its path, or ``usb:...``.
 
     Raises:
         ConfigError: There is none, or there are several to choose from.
     """
     if port.startswith("usb:"):
         try:
-            return find_port(port)
+            find_port(port)
         except EsairError as error:
             raise ConfigError("esair min", "port", str(error)) from error
+        return port
     if port != "auto":
         if not Path(port).exists():
             raise ConfigError(
@@ -111,7 +117,7 @@ def port_of(port: str) -> str:
         return port
     found = [each for each in devices() if each.address.startswith("usb:")]
     if len(found) == 1:
-        return find_port(found[0].address)
+        return found[0].address
     told = ", ".join(each.address for each in found)
     raise ConfigError(
         "esair min",
@@ -122,99 +128,113 @@ def port_of(port: str) -> str:
     )
 
 
-def stop_program(path: str) -> None:
-    """Stop what runs on a board: by the link's own word, and by Ctrl-C."""
-    with Lines(path) as lines:
-        # A linked board takes no Ctrl-C: its bytes may be in a message.
-        for message in (b"B" + str(VERSION).encode(), b"Q1"):
-            lines.write(stuffed(message))
-        time.sleep(0.3)
-        lines.write(b"\r\x03\x03")
-        time.sleep(0.1)
+_LOOK: Final = f"""
+_r = globals().get("_esair"), ""
+try:
+    with open("main.py") as file:
+        _text = file.read()
+    _r = _r[0], _text.split('["')[1].split('"')[0] if "{MARK}" in _text else "?"
+except OSError:
+    pass
+"""
+"""Asks how the prompt was reached, and which program the board would start."""
 
-
-_PREPARE: Final = """
-import os
-def attempt(act, name):
-    try:
-        act(name)
-    except OSError:
-        pass
-for name in {folders!r}:
-    attempt(os.mkdir, name)
-for name in {others!r}:
-    attempt(os.remove, name)
+_LEAVE: Final = """
+if "esair.was" in os.listdir():
+    os.remove("esair.was")
+if "main.py" in os.listdir():
+    os.rename("main.py", "esair.was")
 """
 
 
-def _copy(path: str, files: Mapping[str, Path]) -> None:
-    folders = sorted({str(each) for name in files for each in Path(name).parents})
-    # An older text or compiled module of the same name would win, or be in the way.
-    swapped = {".mpy": ".py", ".py": ".mpy"}
-    others = [str(each.with_suffix(swapped[each.suffix])) for each in map(Path, files)]
-    _mpremote(path, "exec", _PREPARE.format(folders=folders, others=others))
-    acts: list[str] = []
-    for name, file in files.items():
-        acts += [*(["+"] if acts else []), "fs", "cp", str(file), f":{name}"]
-    _mpremote(path, *acts)
+def _make_room(prompt: Prompt, seconds: float) -> str:
+    """Have the board at a prompt without a watchdog; return the folder that it starts."""
+    for _ in range(5):
+        prompt.enter(seconds)
+        state, slot = _pair(prompt.ask(_LOOK))
+        if state == AT_PROMPT or (not slot and state != "reset"):
+            return slot  # nothing has run that a watchdog could be of
+        if not slot:
+            pass  # it has not heard the last word
+        elif slot == "?":  # a program of another make starts no more, and makes room so
+            prompt.ask(_LEAVE)
+        else:
+            prompt.ask(f"open({ROOM!r}, 'w').close()")
+        _reset(prompt)
+    raise ConfigError("esair min deploy", "board", "it makes no room: it resets itself")
 
 
-def _compare(path: str, files: Mapping[str, Path]) -> None:
-    told = _mpremote(path, "fs", "sha256sum", *(f":{name}" for name in files))
-    there = re.findall(r"^[0-9a-f]{64}\b", told, re.MULTILINE)
-    for (name, file), found in zip(files.items(), there, strict=True):
-        if found != hashlib.sha256(file.read_bytes()).hexdigest():
-            raise ConfigError(
-                "esair min deploy",
-                name,
-                "what is on the board is not what was copied: is it full?",
-            )
+def _pair(said: str) -> tuple[str, str]:
+    first, _, second = said.strip("()").partition(", ")
+    return first.strip("'"), second.strip("'")
 
 
-def _restart(path: str, seconds: float) -> str:
-    with Lines(path) as lines:
-        # Into the raw REPL, and the line stays open: what it says at its start counts.
-        lines.write(b"\r\x03\x03\x01")
-        time.sleep(0.2)
-        lines.write(b"import machine\nmachine.reset()\n\x04")
-        end = time.monotonic() + seconds
-        heard: list[str] = []
-        asked = 0.0
-        while time.monotonic() < end:
-            for line in lines.read():
-                heard.append(line)
-                if "esair: ready" in line:
-                    return line[line.index("esair: ready") :].strip()
-            if time.monotonic() - asked > 1.0:
-                asked = time.monotonic()
-                lines.write(b"who\r\n")  # it may have said so before the port was back
-    tail = "\n".join(heard[-15:]) or "nothing"
+def _reset(prompt: Prompt) -> None:
+    """Reset the board; what is asked is answered first, so that it comes once."""
+    prompt.ask("_esair = 'reset'")
+    prompt.send("machine.reset()")
+
+
+def _copy(prompt: Prompt, slot: str, files: Mapping[str, bytes]) -> None:
+    prompt.ask(f"_clear({slot!r})")
+    folders = {str(each) for name in files for each in Path(slot, name).parents}
+    for each in sorted(folders - {"."}):
+        prompt.ask(f"if not _there({each!r}): os.mkdir({each!r})")
+    for name, data in files.items():
+        _put(prompt, f"{slot}/{name}", data)
+
+
+def _put(prompt: Prompt, name: str, data: bytes) -> None:
+    """Write a file, and read it again."""
+    for _ in range(3):
+        prompt.ask(f"_file = open({name!r}, 'wb')")
+        for at in range(0, len(data), _PIECE):
+            prompt.write(at, data[at : at + _PIECE])
+        prompt.ask("_file.close()")
+        if prompt.ask(f"_r = _sum({name!r})")[1:-1] == hashlib.sha256(data).hexdigest():
+            return
     raise ConfigError(
         "esair min deploy",
-        path,
-        f"the board was not ready within {seconds:g} s; it said: {tail}",
+        name,
+        "what is on the board is not what was copied: is it full?",
     )
 
 
-def _mpremote(path: str, *words: str) -> str:
-    """Do something by mpremote; return what it printed."""
-    if importlib.util.find_spec("mpremote") is None:
-        raise ConfigError(
-            "esair min deploy", "mpremote", "it is missing: pip install 'esair[min]'"
-        )
-    command = [sys.executable, "-m", "mpremote", "connect", path, "resume", *words]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=SILENCE, check=False
-        )
-    except subprocess.TimeoutExpired as error:
-        raise ConfigError(
-            "esair min deploy", path, "the board does not answer: is it a MicroPython?"
-        ) from error
-    if done.returncode:
-        text = (done.stderr or done.stdout).strip()
-        raise ConfigError("esair min deploy", path, f"mpremote: {text[-500:]}")
-    return done.stdout
+def _switch(prompt: Prompt, slot: str) -> None:
+    """Let the board start the other program: one act, of its file system."""
+    _put(prompt, "main.new", starter(slot).encode())
+    prompt.ask(f"if _there({STARTS!r}): os.remove({STARTS!r})")
+    prompt.ask("if hasattr(os, 'sync'): os.sync()")
+    prompt.ask("if _there('main.new'): os.rename('main.new', 'main.py')")
+
+
+def _restart(prompt: Prompt, lines: Lines, place: str, seconds: float) -> str:
+    """Reset the board, and wait for any sign of life of its program."""
+    _reset(prompt)
+    end = time.monotonic() + seconds
+    heard: list[str] = []
+    asked = time.monotonic()
+    while time.monotonic() < end:
+        for line in lines.read():
+            heard.append(line)
+            if "esair: ready" in line:
+                return line[line.index("esair: ready") :].strip()
+        if lines.beat is not None:  # one with a link says no words
+            how = "armed" if lines.beat.armed else "not armed"
+            return f"esair: ready, {lines.beat.cause}, {how}, linked"
+        if time.monotonic() - asked > 1.0:
+            asked = time.monotonic()
+            if any("NameError" in each for each in heard[-3:]):  # it is at a prompt
+                heard.clear()
+                prompt.enter(seconds)
+                _reset(prompt)
+            lines.write(b"\r\nwho\r\n\x04")  # it said so before the port was back
+    tail = "\n".join(heard[-15:]) or "nothing"
+    raise ConfigError(
+        "esair min deploy",
+        place,
+        f"the board was not ready within {seconds:g} s; it said: {tail}",
+    )
 
 
 def monitor(
@@ -228,12 +248,13 @@ def monitor(
         seconds: How long; for ever unless given.
 
     Raises:
-        ConfigError: There is no board.
+        ConfigError: There is no board, another program has its port, or it speaks
+            another version of the link.
     """
-    path = port_of(port)
+    place = place_of(port)
     end = None if seconds is None else time.monotonic() + seconds
     before: Any = None
-    with contextlib.suppress(KeyboardInterrupt), Lines(path) as lines:
+    with contextlib.suppress(KeyboardInterrupt), Lines(place) as lines:
         while end is None or time.monotonic() < end:
             for line in lines.read():
                 show(line)

@@ -65,6 +65,7 @@ def main_file(
     orders = ""
     if link:
         host = imports.add("esair.boards.link", "Host")
+        body.append(f"_computer = {host}({imports.add('esair.boards.link', 'HOST')})")
         moved = "".join(
             f"{each.variable}, " for each in parts if each.kind == "actuator"
         )
@@ -80,7 +81,7 @@ def main_file(
     ):
         names = ", ".join(part.variable for part in parts if part.kind == kind)
         if link and kind == "sensor":
-            names += f", {host}('host')" if names else f"{host}('host')"
+            names += ", _computer" if names else "_computer"
         more = " + _host" if link and kind == "behavior" else ""
         body.append(f"    {word}=[{names}]{more},")
     devices = "".join(f"{each.variable}, " for each in parts if each.kind != "behavior")

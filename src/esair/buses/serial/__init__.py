@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from esair.buses.serial._fake import FakeSerial
     from esair.buses.serial._far_end import MemoryLine, PtyLine
     from esair.buses.serial._line import SerialLink, SerialWire
+    from esair.buses.serial._owner import explain
     from esair.buses.serial._place import SerialPlace
     from esair.buses.serial._port import (
         OPEN_TIMEOUT,
@@ -36,6 +37,7 @@ __all__ = [
     "SerialWire",
     "close_port",
     "devices",
+    "explain",
     "find_port",
     "open_port",
     "reach_port",
@@ -51,6 +53,7 @@ __getattr__, __dir__ = late(
         "_far_end": "MemoryLine PtyLine",
         "_bus": "SerialBus",
         "_line": "SerialLink SerialWire",
+        "_owner": "explain",
         "_place": "SerialPlace",
         "_ports": "devices find_port serial_identity toml",
     },

@@ -38,18 +38,23 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
-import json
 import logging
-from binascii import crc32
 from collections.abc import AsyncIterator
 from typing import Any, Unpack
-
-import attrs
 
 from esair.boards.link import BEAT_MS, VERSION
 from esair.buses import Inbox, SerialBus
 from esair.drivers._on_bus import SharedTask, shared
-from esair.exceptions import DeviceFaultError, DeviceLostError
+from esair.drivers.board.wire import (
+    SPOKEN,
+    Beat,
+    BoardState,
+    Heard,
+    Wire,
+    refusal,
+    tuples,
+)
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Actuator, ActuatorSettings, Sensor, SensorSettings
 
 __all__ = ["Board", "BoardActuator", "BoardSensor", "BoardState"]
@@ -59,45 +64,18 @@ _log = logging.getLogger("esair")
 SILENCE = 0.5
 """After so many seconds without a beat the board is lost."""
 
+_ASK_AGAIN = 1.0
+"""The board is asked again for its readings, so often: a message may be lost."""
+
 _RESTARTED = -2
 """The time of a board that has gone back: it forgot what it was told."""
 
 
-@attrs.frozen
-class BoardState:
-    """How a board is.
-
-    Attributes:
-        now_ms: Its time, in milliseconds since its start.
-        steps: How many steps it has made.
-        late: How many steps it has left out because they came too late.
-        refused: How many commands it has refused.
-        faults: How many times a part of it has failed.
-        fault: The last fault; empty if there was none.
-        memory: The bytes of memory that are free on it.
-        cause: Why it has started: ``"power-on"``, ``"watchdog"``, ...
-        armed: Whether its actuators may move.
-        damaged: How many messages of this computer it could not read.
-        sensors: The names of those of its sensors that have given a reading.
-        actuators: The names of its actuators.
-    """
-
-    now_ms: int
-    steps: int
-    late: int
-    refused: int
-    faults: int
-    fault: str
-    memory: int
-    cause: str
-    armed: bool
-    damaged: int
-    sensors: tuple[str, ...]
-    actuators: tuple[str, ...]
-
-
 class _Beats(SharedTask):
-    """What all devices of one board share: the beats, one task of a bus that is open."""
+    """What all devices of one board share: a task of a bus that is open.
+
+    It sends the beats, asks for the readings, and hands on what the board says.
+    """
 
     @classmethod
     def of(cls, bus: SerialBus) -> _Beats:
@@ -113,15 +91,19 @@ class _Beats(SharedTask):
         self._now_ms = -1
         """The board's own time at its last beat."""
         self._first: asyncio.Event = asyncio.Event()
-        self.version = 0
-        """What the board speaks; 0 before its first beat."""
+        self.wire = Wire()
+        self._turn = 0.0
         self.armed: bool | None = None
         """What the board is told; None to leave it as it is."""
+        self.rates: dict[str, float] = {}
+        """How often each of its sensors is read, in Hz."""
+        self.listeners: dict[str, Inbox[Any]] = {}
+        """Who hears the readings, by sensor, and the states, by no name."""
 
     async def join(self, user: object, bus: SerialBus, name: str) -> None:
-        """Wait for the first beat of the board."""
+        """Wait for the first beat of the board, and its names."""
         if self.begin(user, functools.partial(self._run, bus)):
-            self._heard, self._now_ms, self.version = -1.0, -1, 0
+            self._heard, self._now_ms, self.wire = -1.0, -1, Wire()
             self._first = asyncio.Event()
         try:
             async with asyncio.timeout(1.6 * SILENCE):
@@ -132,13 +114,9 @@ class _Beats(SharedTask):
         except BaseException:
             await self.leave(user)
             raise
-        if self.version != VERSION:
+        if self.wire.version not in SPOKEN:
             await self.leave(user)
-            raise DeviceFaultError(
-                name,
-                f"the board speaks version {self.version} of the link, this computer "
-                f"{VERSION}: build and deploy it anew",
-            )
+            raise DeviceFaultError(name, refusal(self.wire.version))
 
     def check(self, name: str) -> None:
         """Raise if the board has been silent for too long, or has started anew."""
@@ -150,29 +128,55 @@ class _Beats(SharedTask):
 
     async def _run(self, bus: SerialBus) -> None:
         loop = asyncio.get_running_loop()
-        with bus.frames(b"B\0") as inbox:
-            due = loop.time()
+        with bus.frames() as inbox:
+            due = asks = loop.time()
             while True:
                 if loop.time() >= due:
                     due = loop.time() + BEAT_MS / 1000
-                    await bus.send(_signed(b"B" + str(VERSION).encode()))
-                    if self.armed is not None:
-                        await bus.send(_signed(b"A" + str(int(self.armed)).encode()))
+                    for message in self.wire.beat(self.armed):
+                        await self.send(bus, message)
+                    if self.wire.named and loop.time() >= asks:
+                        asks = loop.time() + _ASK_AGAIN
+                        for message in self.wire.rates(self.rates):
+                            await self.send(bus, message)
                 try:
                     frame = await inbox.take(timeout=max(0.0, due - loop.time()))
                 except TimeoutError:
                     continue
-                value = _value_of(frame, b"B\0")
-                if not isinstance(value, list) or len(value) < 2:
-                    continue
-                self._heard = loop.time()
-                self.version, now_ms = value[:2]
-                self._first.set()
-                if isinstance(now_ms, int):
-                    if now_ms < self._now_ms:
-                        self._now_ms = _RESTARTED
+                for said in self.wire.read(frame):
+                    if isinstance(said, Heard):
+                        self._hand_on(said.name, said)
+                    elif self._beaten(said, loop.time()):
                         return
-                    self._now_ms = now_ms
+
+    async def send(self, bus: SerialBus, message: bytes) -> None:
+        """Send a message when the board has taken the one before it, in its step."""
+        now = asyncio.get_running_loop().time()
+        turn = max(now, self._turn)
+        self._turn = turn + 1.05 * self.wire.period * self.wire.named
+        if turn > now:
+            await asyncio.sleep(turn - now)
+        await bus.send(message)
+
+    def _hand_on(self, name: str, said: object) -> None:
+        inbox = self.listeners.get(name)
+        if inbox is not None:
+            inbox.offer(said)
+
+    def _beaten(self, beat: Beat, now: float) -> bool:
+        """Take a beat; tell whether the board has started anew."""
+        self._heard = now
+        state = beat.state
+        if state is None or beat.version == 1 or self.wire.named:
+            self._first.set()
+        if state is None:
+            return False
+        if state.now_ms < self._now_ms:
+            self._now_ms = _RESTARTED
+            return True
+        self._now_ms = state.now_ms
+        self._hand_on("", state)
+        return False
 
 
 class _OnBoard:
@@ -215,7 +219,8 @@ class Board(_OnBoard, Sensor[BoardState]):
         if beats.armed:
             beats.armed = None
             with contextlib.suppress(Exception):  # it is lost: it is safe by itself
-                await self.bus.send(_signed(b"A0"))
+                for message in beats.wire.beat(armed=False):
+                    await self.bus.send(message)
         await super().close()
 
     async def stream(self) -> AsyncIterator[BoardState]:
@@ -225,11 +230,8 @@ class Board(_OnBoard, Sensor[BoardState]):
             DeviceLostError: The beats stay away.
         """
         faults = None
-        with self.bus.frames(b"B\0") as inbox:
-            async for value in _values(self.bus, self.name, b"B\0", inbox):
-                state = _state(value)
-                if state is None:
-                    continue
+        with _listening(self.bus, "") as inbox:
+            async for state in _values(self.bus, self.name, inbox):
                 if faults is not None and state.faults > faults:
                     _log.warning(
                         "%s: %s, fault %d", self.name, state.fault, state.faults
@@ -241,24 +243,37 @@ class Board(_OnBoard, Sensor[BoardState]):
 class BoardSensor(_OnBoard, Sensor[Any]):
     """A sensor of the board, under the same name: its readings, as they come.
 
-    Numbers, truth values and texts come as they are, lists as tuples. If it has given
-    none for three of its periods, the board says so with each of its beats.
+    Numbers, truth values and texts come as they are, infinity and NaN in rows too, lists
+    as tuples. If it has given none for three of its periods, the board says so with each
+    of its beats.
+
+    Args:
+        link_rate: How often a reading is sent at most, in Hz. The reactions on the board
+            see each one; only those that are asked for go over the line.
     """
 
     bus: SerialBus
 
-    def __init__(self, **settings: Unpack[SensorSettings]) -> None:
+    def __init__(
+        self, *, link_rate: float = 10.0, **settings: Unpack[SensorSettings]
+    ) -> None:
         super().__init__(**settings)
-        self._inbox: Inbox[bytes] | None = None
+        if not 0.0 < link_rate <= 1000.0:
+            told = f"expected more than 0 and at most 1000 Hz, not {link_rate!r:.80}"
+            raise ConfigError(self.name, "link_rate", told)
+        self.link_rate = link_rate
+        self._inbox: Inbox[Heard] | None = None
 
     async def open(self) -> None:
-        """Wait until the board beats, and listen from now on."""
+        """Wait until the board beats, ask for the readings, and listen from now on."""
+        beats = _Beats.of(self.bus)
+        beats.rates[self.name] = self.link_rate
         await super().open()
-        self._prefix = b"S" + self.name.encode() + b"\0"
-        self._inbox = self.bus.frames(self._prefix)  # beyond an error of the stream
+        self._inbox = _listening(self.bus, self.name)  # beyond an error of the stream
 
     async def close(self) -> None:
         """Listen no more, and let the line go, with the last of the board's devices."""
+        _Beats.of(self.bus).rates.pop(self.name, None)
         if self._inbox is not None:
             self._inbox.close()
         await super().close()
@@ -271,11 +286,10 @@ class BoardSensor(_OnBoard, Sensor[Any]):
             DeviceFaultError: It gives no reading on the board.
         """
         assert self._inbox is not None
-        async for value in _values(self.bus, self.name, self._prefix, self._inbox):
-            if value == []:
+        async for said in _values(self.bus, self.name, self._inbox):
+            if said.gone:
                 raise DeviceFaultError(self.name, "it gives no reading on the board")
-            if isinstance(value, list) and len(value) == 2:
-                yield _tuples(value[1])
+            yield said.value
 
 
 class BoardActuator(_OnBoard, Actuator[Any]):
@@ -289,7 +303,7 @@ class BoardActuator(_OnBoard, Actuator[Any]):
 
     def __init__(self, *, safe: Any, **settings: Unpack[ActuatorSettings]) -> None:
         super().__init__(**settings)
-        self.safe = _tuples(safe)
+        self.safe = tuples(safe)
 
     @property
     def value_type(self) -> Any:
@@ -311,54 +325,33 @@ class BoardActuator(_OnBoard, Actuator[Any]):
         Raises:
             DeviceLostError: The board is silent.
         """
-        _Beats.of(self.bus).check(self.name)
-        body = json.dumps(command).encode()
-        await self.bus.send(_signed(b"W" + self.name.encode() + b"\0" + body))
+        beats = _Beats.of(self.bus)
+        beats.check(self.name)
+        message = beats.wire.command(self.name, command)
+        if message is None:
+            raise DeviceFaultError(self.name, "the board has no actuator of this name")
+        await beats.send(self.bus, message)
 
 
-async def _values(
-    bus: SerialBus, name: str, prefix: bytes, inbox: Inbox[bytes]
-) -> AsyncIterator[Any]:
+def _listening(bus: SerialBus, name: str) -> Inbox[Any]:
+    """Hear what the board says of a sensor, or of itself."""
+    listeners = _Beats.of(bus).listeners
+
+    def forget(inbox: Inbox[Any]) -> None:
+        if listeners.get(name) is inbox:
+            del listeners[name]
+
+    listeners[name] = Inbox(64, forget)
+    return listeners[name]
+
+
+async def _values(bus: SerialBus, name: str, inbox: Inbox[Any]) -> AsyncIterator[Any]:
     beats = _Beats.of(bus)
     while True:
         try:
-            frame = await inbox.take(timeout=SILENCE / 2)
+            value = await inbox.take(timeout=SILENCE / 2)
         except TimeoutError:
             beats.check(name)
             continue
         beats.check(name)
-        value = _value_of(frame, prefix)
-        if value is not None:
-            yield value
-
-
-def _signed(payload: bytes) -> bytes:
-    return payload + crc32(payload).to_bytes(4, "little")
-
-
-def _value_of(frame: bytes, prefix: bytes) -> Any:
-    """Return what a message says; None if it is damaged."""
-    payload = frame[:-4]
-    if frame != _signed(payload):
-        return None
-    try:
-        return json.loads(payload[len(prefix) :])
-    except ValueError:
-        return None
-
-
-def _state(value: Any) -> BoardState | None:
-    try:
-        words = [each.name for each in attrs.fields(BoardState)]
-        found = dict(zip(words, value[1:], strict=True))
-        found["sensors"] = tuple(found["sensors"])
-        found["actuators"] = tuple(found["actuators"])
-        return BoardState(**found)
-    except (TypeError, ValueError):
-        return None
-
-
-def _tuples(value: Any) -> Any:
-    if isinstance(value, list | tuple):
-        return tuple(map(_tuples, value))
-    return value
+        yield value
