@@ -225,3 +225,24 @@ def test_a_reflex_over_pins(machine) -> None:
 
     assert machine.outputs[2][-1] == 0
     assert loop.faults == 0
+
+
+def test_a_register_that_browned_out_is_set_up_again(machine) -> None:
+    """What it was set up with is asked back, but for what says something else at once."""
+    chip = machine.chips[0x48] = {}
+    part = opened(I2CRegister(0x48, 0x10, setup=((0x01, 0x60), (0x02, 0x80))))
+    assert part.is_set_up()
+    chip[0x01] = 0
+    assert not part.is_set_up()
+    part.open()
+    assert part.is_set_up()
+
+    class Clears(dict):
+        """A bit that starts something is clear when it is asked."""
+
+        def get(self, key, default):
+            return 0 if key == 0x02 else super().get(key, default)
+
+    machine.chips[0x48] = Clears()
+    part.open()
+    assert part.is_set_up()

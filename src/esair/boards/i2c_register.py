@@ -56,6 +56,7 @@ class I2CRegister(Sensor):
         self.sda = sda
         self.frequency = frequency
         self.setup = setup
+        self.one = bytearray(1)
 
     def open(self) -> None:
         """Take the bus, and set the part up.
@@ -67,6 +68,20 @@ class I2CRegister(Sensor):
         for register, value in self.setup:
             bus.writeto_mem(self.address, register, bytes([value]))
         self._read = bus.readfrom_mem_into
+        # A register that says something else at once tells nothing about its supply.
+        self.kept = [each for each in self.setup if self._at(each[0]) == each[1]]
+
+    def is_set_up(self) -> bool:
+        """Tell whether its set-up is still there: not after its supply has failed.
+
+        Raises:
+            OSError: The part does not answer.
+        """
+        return all(self._at(register) == value for register, value in self.kept)
+
+    def _at(self, register: int) -> int:
+        self._read(self.address, register, self.one)
+        return self.one[0]
 
     def read(self) -> float:
         """Return the number in its unit.
