@@ -55,9 +55,8 @@ def build(
     if board in TARGETS:
         if link:
             raise ConfigError("esair min build", "link", "C has no line to a computer")
-        translated = build_c(
-            file, out, target=board, rate=rate, watchdog=watchdog, arm=arm
-        )
+        bite = None if watchdog == "off" else watchdog
+        translated = build_c(file, out, target=board, rate=rate, watchdog=bite, arm=arm)
         for name, size in translated.files.items():
             _say(f"{translated.folder / name}: {size} bytes")
         floats = "counts with floats" if translated.has_floats else "has no floats"
