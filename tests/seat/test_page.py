@@ -523,6 +523,32 @@ class Person:
         find = self.chromium.find_element
         return await asyncio.to_thread(find, "css selector", selector)
 
+    async def sees(self, selector):
+        """Wait until it is shown."""
+        script = (
+            "const found = document.querySelector(arguments[0]);"
+            "return found !== null && found.checkVisibility();"
+        )
+        for _ in range(100):
+            if await self.runs(script, selector):
+                return
+            await asyncio.sleep(0.05)
+        raise TimeoutError
+
+    async def measures(self, selector):
+        """Return where it is in the window: left, top, right, bottom."""
+        script = (
+            "const box = document.querySelector(arguments[0]).getBoundingClientRect();"
+            "return [box.left, box.top, box.right, box.bottom];"
+        )
+        return await self.runs(script, selector)
+
+    async def has_window(self, width, height):
+        size = {"width": width, "height": height, "deviceScaleFactor": 1}
+        command = self.chromium.execute_cdp_cmd
+        override = "Emulation.setDeviceMetricsOverride"
+        await asyncio.to_thread(command, override, {**size, "mobile": width < 500})
+
     async def clicks(self, selector):
         await asyncio.to_thread((await self.finds(selector)).click)
 
@@ -574,6 +600,7 @@ async def test_in_a_browser(served, chromium):
         await person.clicks("#halt")
         await robot.wheels.until(STILL, timeout=5.0)
         await eventually(lambda: robot.halted == "the page")
+        await person.sees("#resume")
         await person.clicks("#resume")
         await robot.wheels.until(Twist(0.3, 0.0), timeout=5.0)
 
@@ -594,6 +621,147 @@ async def test_in_a_browser(served, chromium):
     # The robot has ended: grey within 1 s.
     await asyncio.sleep(1.2)
     assert await person.sees_grey()
+
+
+class Long(esair.Sensor[str]):
+    rate = 20.0
+    threshold_of_the_first_derivative_above_which_it_is_told = esair.setting(
+        1.0, unit="mg/m^3/s", min=0.0, max=5e12
+    )
+
+    def __init__(self) -> None:
+        super().__init__(name="l" + 20 * "ong")
+
+    async def read(self) -> str:
+        return "w" * 300
+
+    @esair.operation
+    async def calibrate_against_the_reference_chamber(self, samples: int) -> str:
+        return "done" * samples
+
+
+SIZES = [(320, 568), (390, 844), (1280, 800)]
+
+
+@pytest.mark.promise("OPS-5")
+@pytest.mark.parametrize("size", SIZES)
+async def test_the_page_fits_where_it_is_looked_at(served, chromium, size):
+    """On a phone, too: nothing wider, the pad in sight, STOP and resume to be hit."""
+    robot = served(
+        Wander(), *(Reads(name=f"r{n}") for n in range(8)), resources=[Long(), Label()]
+    )
+    person = Person(chromium, robot)
+    width, height = size
+    await person.has_window(*size)
+    async with robot:
+        await person.opens()
+        await person.sees("#resources tr")
+        wide = (
+            "return [...document.querySelectorAll('table, section, pre, header, html')]"
+            ".filter((each) => each.scrollWidth > Math.max(each.clientWidth, 1)"
+            " || each.getBoundingClientRect().right > innerWidth)"
+            ".map((each) => `${each.tagName} ${each.id} ${each.scrollWidth}`)"
+        )
+        assert await person.runs(wide) == []
+        left, top, right, bottom = await person.measures("#pad")
+        assert left >= 0
+        assert right <= width
+        assert top >= 0
+        assert bottom <= height
+
+        resume = await person.finds("#resume")
+        assert not resume.is_displayed()
+        robot.halt("because of " + "a very long reason " * 8)
+        await person.sees("#resume")
+        assert await person.runs(wide) == []
+        left, top, right, bottom = await person.measures("#resume")
+        assert bottom - top >= 44  # what a thumb hits
+        assert right - left >= 88
+        # Scrolled it stays on top, to be hit and read.
+        await person.runs("window.scrollTo(0, 99999)")
+        on_top = (
+            "const box = document.querySelector(arguments[0]).getBoundingClientRect();"
+            "const [x, y] = [(box.left + box.right) / 2, (box.top + box.bottom) / 2];"
+            "return document.elementFromPoint(x, y).id"
+        )
+        for name in ("halt", "resume", "link"):
+            assert await person.runs(on_top, f"#{name}") == name
+        await person.clicks("#resume")
+        await eventually(lambda: robot.halted is None)
+    for _ in range(100):
+        if await person.sees_grey():
+            break
+        await asyncio.sleep(0.05)
+    for name in ("halt", "link"):
+        assert await person.runs(on_top, f"#{name}") == name
+    await person.clicks("#halt")
+    told = await person.finds("#told")
+    await eventually(lambda: "STOP was not sent" in told.text)
+    await person.has_window(1000, 1100)
+
+
+@pytest.mark.promise("OPS-5")
+async def test_what_is_driven_is_no_accident_of_names(served, chromium, fake_actuator):
+    """The one that steers; if there are several it is asked, and what is chosen stays."""
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.ui import Select
+
+    arm = fake_actuator("arm", safe=0.0)
+    person = Person(chromium, served(Wander(), resources=[arm]))
+    value = "return document.querySelector('#actuator').value"
+    async with person.robot:
+        await person.opens()
+        assert await person.runs(value) == "wheels"
+    tracks = fake_actuator("tracks", safe=Twist(0.0, 0.0))
+    arm = fake_actuator("arm", safe=0.0)
+    person = Person(chromium, served(Wander(), resources=[arm, tracks]))
+    async with person.robot as robot:
+        await person.opens()
+        assert await person.runs(value) == ""
+        await person.key(Keys.ARROW_DOWN, down=True)
+        driving = await person.finds("#driving")
+        await eventually(lambda: driving.text == "choose what to drive first")
+        await person.key(Keys.ARROW_DOWN, down=False)
+        assert not any(arm.commands)
+        button = await person.finds("#pad button")
+        assert not button.is_enabled()
+        chosen = Select(await person.finds("#actuator"))
+        await asyncio.to_thread(chosen.select_by_visible_text, "wheels")
+        await robot.resources.remove("tracks")
+        await asyncio.sleep(0.6)
+        assert await person.runs(value) == "wheels"
+        await person.drives(
+            lambda: person.key(Keys.ARROW_DOWN, down=True),
+            lambda: person.key(Keys.ARROW_DOWN, down=False),
+        )
+        await person.key(Keys.ARROW_DOWN, down=False)
+        assert not any(arm.commands)
+
+
+@pytest.mark.promise("SEC-1")
+async def test_a_browser_without_the_token_is_asked_for_it(served, chromium):
+    """It leaves the address bar; the whole address may be pasted, too."""
+    person = Person(chromium, served(Wander()))
+    async with person.robot as robot:
+        address = f"http://127.0.0.1:{port_of(robot)}/"
+        await asyncio.to_thread(chromium.get, address)
+        await person.runs("localStorage.clear()")
+        await asyncio.to_thread(chromium.get, address)
+        await person.sees("#token")
+        assert await person.sees_grey()
+        field = await person.finds("#token")
+        await asyncio.to_thread(field.send_keys, "y" * 22)
+        await person.clicks("#login button")
+        told = await person.finds("#told")
+        await eventually(lambda: "the token is wrong" in told.text)
+        await asyncio.to_thread(field.send_keys, f"{address}#{token_of(robot)}")
+        await person.clicks("#login button")
+        await person.sees("#resources tr")
+        assert await asyncio.to_thread(lambda: chromium.current_url) == address
+        await person.opens()
+        assert await asyncio.to_thread(lambda: chromium.current_url) == address
+        login = await person.finds("#login")
+        assert not login.is_displayed()
 
 
 PAD = """

@@ -15,8 +15,12 @@ const own = Math.random().toString(36).slice(2);
 const waiting = new Map(); // id -> what to do with the answer
 const past = new Map(); // device -> [[time, numbers by name], ...]
 
+function isConnected() {
+  return link !== null && link.readyState === WebSocket.OPEN;
+}
+
 function send(act, fields, then) {
-  if (link === null || link.readyState !== WebSocket.OPEN) return;
+  if (!isConnected()) return;
   number += 1;
   const id = `${own}-${number}`;
   waiting.set(id, then || (() => {}));
@@ -103,7 +107,8 @@ function take(found) {
 setInterval(() => {
   const silent = performance.now() - heard > SILENT;
   document.body.classList.toggle("silent", silent);
-  byId("link").textContent = silent ? "nothing heard: what is shown is old" : "live";
+  byId("link").textContent = silent ? "nothing heard: this is old" : "live";
+  byId("resume").disabled = silent;
   if (silent) drop();
 }, 100);
 
@@ -116,6 +121,13 @@ function cell(row, text, kind) {
   return found;
 }
 
+// A phone shows numbers with their names, and none that is nothing.
+function numbers(row, found) {
+  for (const [label, text] of Object.entries(found)) {
+    cell(row, text, text ? "number" : "number none").dataset.label = label;
+  }
+}
+
 const hertz = (rate) => (rate === null ? "" : rate.toFixed(rate >= 10 ? 0 : 1));
 function age(seconds) {
   if (seconds === null) return "";
@@ -126,33 +138,31 @@ function show(status) {
   byId("name").textContent = status.robot;
   document.title = `${status.robot} - esair`;
   byId("halted").hidden = status.halted === null;
-  byId("halted").textContent = `HALTED: ${status.halted}`;
+  byId("reason").textContent = `HALTED: ${status.halted}`;
   const resources = document.createDocumentFragment();
   for (const each of status.resources) {
     const row = resources.appendChild(document.createElement("tr"));
-    cell(row, each.name);
+    cell(row, each.name).title = each.name;
     cell(row, each.state, each.state);
     const holder = each.kind === "actuator" ? `${each.holder || "free"}  ` : "";
     const why = each.error || each.stands;
     cell(row, why || holder + (each.value || ""), why ? "text why" : "text").title = each.rule || "";
-    plot(cell(row, ""), each, status.time);
-    for (const text of [hertz(each.rate), age(each.age), each.late, each.losses, each.refusals]) {
-      cell(row, text, "number");
-    }
+    plot(cell(row, "", "plot"), each, status.time);
+    const { rate, late, losses: lost, refusals: refused } = each;
+    numbers(row, { Hz: hertz(rate), age: age(each.age), late, lost, refused });
   }
   byId("resources").replaceChildren(resources);
   const behaviors = document.createDocumentFragment();
   for (const each of status.behaviors) {
     const row = behaviors.appendChild(document.createElement("tr"));
-    cell(row, each.name);
+    cell(row, each.name).title = each.name;
     cell(row, each.state, each.state);
-    cell(row, each.detail || each.error || each.kind, "text");
-    for (const text of [hertz(each.rate), each.late, each.restarts, each.refusals]) {
-      cell(row, text, "number");
-    }
+    cell(row, each.detail || each.error || each.kind, "text").title = each.detail || each.error || "";
+    const { rate, late, restarts, refusals: refused } = each;
+    numbers(row, { Hz: hertz(rate), late, restarts, refused });
   }
   byId("behaviors").replaceChildren(behaviors);
-  choose(status.resources.filter((each) => each.kind === "actuator").map((each) => each.name));
+  choose(status.resources.filter((each) => each.kind === "actuator"));
   showOperations(status.resources);
   showSettings(status.resources);
 }
@@ -184,11 +194,28 @@ function plot(place, each, now) {
   });
 }
 
-function choose(names) {
+// What is driven: the only actuator, or the only one with two axes to steer by; else it is asked.
+const STEERS = [["linear", "angular"], ["left", "right"]];
+function choose(actuators) {
   const list = byId("actuator");
-  if ([...list.options].map((each) => each.value).join() === names.join()) return;
-  list.replaceChildren(...names.map((name) => new Option(name, name)));
+  const names = actuators.map((each) => each.name);
+  if ([...list.options].slice(1).map((each) => each.value).join() !== names.join()) {
+    const before = list.value;
+    list.replaceChildren(new Option("what to drive?", ""), ...names.map((name) => new Option(name, name)));
+    list.value = names.includes(before) ? before : "";
+  }
+  if (list.value === "" && !list.dataset.touched) {
+    const steered = actuators.filter((each) => STEERS.some((axes) => axes.every((axis) => axis in each.numbers)));
+    const found = names.length === 1 ? actuators : steered;
+    if (found.length === 1) list.value = found[0].name;
+  }
+  for (const button of document.querySelectorAll("#pad button")) button.disabled = list.value === "";
 }
+byId("actuator").onchange = (event) => {
+  drop(); // what is held was for another one
+  event.target.dataset.touched = "yes";
+  event.target.blur();
+};
 
 function showProtection(found) {
   if (found) byId("protection").textContent = found.map((each) => each.text).join("\n\n");
@@ -266,12 +293,19 @@ function operation(resource, each) {
 
 // What is done.
 
-byId("halt").onclick = () => send("stop", { reason: "the page" });
+byId("halt").onclick = () => {
+  tell(isConnected() ? "" : "STOP was not sent: there is no connection to the robot");
+  send("stop", { reason: "the page" });
+};
 byId("resume").onclick = () => send("resume", {});
 
 const KEYS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
 
 function hold(direction) {
+  if (byId("actuator").value === "") {
+    byId("driving").textContent = "choose what to drive first";
+    return;
+  }
   held = direction;
   if (lease !== null) {
     push();
