@@ -232,7 +232,10 @@ def main(program: Program) -> str:
         read += [f"next_{name}.some = whole();", f"if (next_{name}.some) {{"]
         read += [*(f"    {each}" for each in _scanned(kind, f"next_{name}.value")), "}"]
     read += [f"takes_{name} = whole();" for name in program.actuators]
-    number = 'static real number(void) { double x = 0; got += scanf("%lf", &x); return (real)x; }'
+    number = (
+        "static inline real number(void) "
+        '{ double x = 0; got += scanf("%lf", &x); return (real)x; }'
+    )
     return _MAIN.format(
         number=number if program.has_floats else "",
         parts="\n".join(lines),
@@ -342,7 +345,7 @@ _MAIN: Final = """\
 #include "robot/robot.h"
 
 static int got;
-static int32_t whole(void) {{ long x = 0; got += scanf("%ld", &x); return (int32_t)x; }}
+static inline int32_t whole(void) {{ long x = 0; got += scanf("%ld", &x); return (int32_t)x; }}
 {number}
 
 {parts}

@@ -61,7 +61,7 @@ _TO_INT: Final[dict[Any, str]] = {
     math.ceil: "es_int(M(ceil)({}))",
 }
 _TO_BOOL: Final = {math.isnan: "isnan", math.isinf: "isinf", math.isfinite: "isfinite"}
-_MANY: Final = {inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD}
+MANY: Final = {inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD}
 _INSTEAD: Final = {
     sum: "its floats are rounded in another way in each Python: add in a for loop",
     math.hypot: "C rounds it in another way: write math.sqrt(x * x + y * y)",
@@ -486,7 +486,7 @@ class Expressions:
         except (TypeError, ValueError) as error:
             raise RefusedError(f"it cannot be called so: {error}") from error
         bound.apply_defaults()
-        if any(each.kind in _MANY for each in signature.parameters.values()):
+        if any(each.kind in MANY for each in signature.parameters.values()):
             raise RefusedError("* or ** in its parameters: write each of them")
         return {
             name: each if isinstance(each, Value) else self.scope.constant(each)

@@ -173,7 +173,7 @@ class Types:
         if isinstance(value, list):
             raise RefusedError("a list may change: write a tuple")
         raise RefusedError(
-            f"{type(value).__name__} {value!r:.40}: C has numbers, truth values and tuples of them"
+            f"{value!r:.60}: C has numbers, truth values and tuples of them; write a namedtuple"
         )
 
     def of_annotation(self, hint: Any) -> Type | None:
@@ -193,6 +193,10 @@ class Types:
             names, cls = hint._fields, hint
             hints = typing.get_type_hints(hint)
             inside = tuple(hints.get(each) for each in names)
+        elif isinstance(hint, type) and hint not in {tuple, object, Any}:
+            raise RefusedError(
+                f"{hint.__name__}: C has numbers, truth values and tuples; write a namedtuple"
+            )
         elif typing.get_origin(hint) is not tuple or Ellipsis in inside:
             return None
         fields = [self.of_annotation(each) for each in inside]
@@ -250,5 +254,7 @@ def equal(kind: Type, one: str, other: str) -> str:
 def in_c(name: str) -> str:
     """Return what a field is called in C: no word of the language, and no macro."""
     if not re.fullmatch(r"[A-Za-z_][A-Za-z_0-9]*", name):
-        raise RefusedError(f"the name {name!r}: names of C have the letters a to z")
+        raise RefusedError(
+            f"the name {name!r}: names of C have letters, digits and _: take another"
+        )
     return f"{name}_" if name in WORDS or name.isupper() else name

@@ -13,7 +13,8 @@ from typing import Any
 
 import attrs
 
-from esair import minimal
+from esair import actions, minimal
+from esair.firmware.c._expressions import MANY
 from esair.firmware.c._functions import Functions
 from esair.firmware.c._scope import Function, Value
 from esair.firmware.c._types import (
@@ -91,7 +92,7 @@ class Wiring:
         guards = [port for output in outputs for port in output.guards]
         for name, kind in self._inputs.items():
             self._lines += self._input(name, kind)
-        for name in self._outputs:
+        for name in self._outputs.keys() - self._unknown:
             self._lines += self._output(name)
         rows = [self._task(wired, ports, guards) for wired in self._loop.tasks]
         every = self._loop.every
@@ -509,7 +510,7 @@ _FLOATS = """#define R(x) ((real)(x))
 #endif
 """
 
-_SAYS_NOTHING = {minimal.Reaction.blind}
+_SAYS_NOTHING = {minimal.Reaction.blind, actions.Reaction.blind}
 
 
 def _template(name: str) -> str:
@@ -551,6 +552,10 @@ def _bound(
             "",
             [RefusedError(f"{method.__name__} is called with its readings: {error}")],
         ) from error
+    if any(each.kind in MANY for each in bound.signature.parameters.values()):
+        raise ExceptionGroup(
+            "", [RefusedError("* or ** in its parameters: name each reading")]
+        )
     bound.apply_defaults()
     return functions.values(bound.arguments)
 
