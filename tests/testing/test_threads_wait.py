@@ -185,3 +185,33 @@ async def test_what_a_busy_loop_does_next_depends_on_no_thread(real: float) -> N
     await asyncio.sleep(0.5)
 
     assert order == ["thread", "ready", "timer"]
+
+
+def test_a_call_of_a_thread_waits_for_no_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It came while the loop was held: the threads come first, and so does what they call."""
+    monkeypatch.setattr("esair.testing._threads.BLOCKED", 1.0)
+    called = threading.Event()
+
+    def work(loop: VirtualLoop) -> bool:
+        loop.wait_in_thread(0.3)
+        answered = threading.Event()
+        loop.call_soon_threadsafe(answered.set)
+        called.set()
+        return answered.wait(20.0)
+
+    def hold(loop: VirtualLoop) -> None:
+        called.wait(20.0)
+        loop.advance(2.0)
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.call_later(
+            0.3 + 5e-10, hold, loop
+        )  # in the turn in which the thread wakes
+        assert await loop.run_in_executor(None, work, loop)
+
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        runner.run(main())

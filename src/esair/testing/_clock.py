@@ -101,6 +101,14 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         self.call_soon_threadsafe(begin)
         woken.wait()
 
+    def call_soon_threadsafe(  # type: ignore[override]
+        self, callback: Callable[..., object], *args: Any, context: Any = None
+    ) -> asyncio.Handle:
+        """Call a function soon; from another thread it comes in as what threads do."""
+        if threading.get_ident() != self._thread_id:  # type: ignore[attr-defined]
+            callback = _OfThread(callback)
+        return super().call_soon_threadsafe(callback, *args, context=context)
+
     def run_in_executor(  # type: ignore[override]
         self, executor: Any, func: Callable[..., Any], *args: Any
     ) -> asyncio.Future[Any]:
@@ -145,8 +153,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             # Threads do not wait for a loop that is busy: they come first now, then
             # what was ready, and the timers of the time that has passed at last.
             self._held = False
-            self._aside.extend(ready)
-            ready.clear()
+            for handle in tuple(ready):
+                ready.popleft()
+                # Its thread may wait for what a thread has called.
+                calls = isinstance(handle._callback, _OfThread)
+                (ready if calls else self._aside).append(handle)
             self._clock_resolution = -math.inf
         if ready:
             if self._random is not None and len(ready) > 1:
@@ -232,6 +243,18 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def _tasks(self) -> str:
         tasks = sorted(asyncio.all_tasks(self), key=lambda task: task.get_name())
         return "\n".join(f"  {task!r}" for task in tasks) or "  (no tasks)"
+
+
+class _OfThread:
+    """A function that a thread has called into the loop."""
+
+    __slots__ = ("_function",)
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        self._function = function
+
+    def __call__(self, *args: Any) -> None:
+        self._function(*args)
 
 
 def _settle(future: asyncio.Future[Any], inner: concurrent.futures.Future[Any]) -> None:
