@@ -213,7 +213,7 @@ class World:
         await behaviors.remove("actor")
         self.actor = Actor(name="actor")
         await behaviors.add(self.actor)
-        while self.robot._behaviors.members["peer"].inbox:
+        while self.robot._behaviors.members["peer"].mail.inbox:
             await self.peer.receive()
 
     def check(self) -> None:
@@ -224,14 +224,14 @@ class World:
         assert mediator.pending.of_asker == {}
         members = robot._behaviors.members
         for member in members.values():
-            assert member.senders.count == member.askers.count == 0
-            assert member.askers.task is None
-            assert member.takers is None
+            assert member.mail.senders.count == member.mail.askers.count == 0
+            assert member.mail.askers.task is None
+            assert member.mail.takers is None
             assert not member.steps.now
-            assert member.state in {
+            assert member.mail.state in {
                 esair.BehaviorState.RUNNING,
                 esair.BehaviorState.PARKED,
-            }, member.state
+            }, member.mail.state
         assert robot._behaviors.coming == []
         assert robot._behaviors.ending == []
         waiting = esair.SupervisorPhase.WAIT_REQUEST

@@ -60,7 +60,12 @@ PARTS_OF_ONE = {
         "_sensor_channel",
     },
     "esair.seat": {"_acts", "_operator"},
-    "esair.standard": {"_robot", "_seating"},
+    "esair.standard": {"_recording", "_robot", "_seating"},
+    "esair.supervisors": {
+        *("_behavior_deployment", "_member", "_grants", "_perform"),
+        *("_mailbox", "_mediator", "_requests", "_orders", "_circles"),
+        *("_resource_deployment", "_derived_life"),
+    },
     "esair.torture": {"_boxes", "_judge", "_kinds", "_life", "_world"},
 }
 """Parts that name the type of what they are parts of; they do not import it."""

@@ -354,7 +354,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         try:
             worker.offer(self.next())
         except esair.BusyError:
-            assert not self.robot._behaviors.members[name].askers.count
+            assert not self.robot._behaviors.members[name].mail.askers.count
         except esair.BehaviorFailedError:
             assert self.state(name) is esair.BehaviorState.FAILED
         self.settle()
@@ -363,7 +363,11 @@ class SupervisorMachine(RuleBasedStateMachine):
     def receive(self, name: str) -> None:
         worker = self.workers.get(name)
         member = self.robot._behaviors.members.get(name)
-        if worker is None or member is None or not (member.inbox and member.alive):
+        if (
+            worker is None
+            or member is None
+            or not (member.mail.inbox and member.mail.alive)
+        ):
             return
         self.seen.setdefault(name, []).append(self.run(worker.receive()))
         self.settle()
@@ -472,7 +476,8 @@ class SupervisorMachine(RuleBasedStateMachine):
         """INV1: delivered once, or not at all; in the order of its sender."""
         members = self.robot._behaviors.members
         inboxes = {
-            name: [data for _, data in member.inbox] for name, member in members.items()
+            name: [data for _, data in member.mail.inbox]
+            for name, member in members.items()
         }
         everywhere = [
             *self.handed_back,

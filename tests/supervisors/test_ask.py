@@ -1022,7 +1022,7 @@ async def test_nothing_is_kept_of_what_is_over(ends: str) -> None:
 
     a = Idle(name="a")
     async with esair.Robot(behaviors=[a, Bare(name="docking")]) as robot:
-        (queue,) = robot._behaviors.members["docking"].queues.values()
+        (queue,) = robot._behaviors.members["docking"].mail.queues.values()
         for number in range(3):
             await a.ask("docking", Dock(number))
         await asyncio.sleep(1.0)
@@ -1099,5 +1099,5 @@ async def test_who_gives_up_waiting_for_a_request_leaves_nothing() -> None:
 
     async with esair.Robot(behaviors=[Glance(name="docking")]) as robot:
         await asyncio.sleep(1.0)
-        (queue,) = robot._behaviors.members["docking"].queues.values()
+        (queue,) = robot._behaviors.members["docking"].mail.queues.values()
         assert queue._takers == []

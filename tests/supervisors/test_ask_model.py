@@ -285,7 +285,7 @@ class AskMachine(RuleBasedStateMachine):
         mediator = self.robot._behaviors.mediator
         assert mediator.pending.count == len(self.pending())
         members = self.robot._behaviors.members.values()
-        waiting = sum(q.count for m in members for q in m.queues.values())
+        waiting = sum(q.count for m in members for q in m.mail.queues.values())
         assert waiting <= len(self.pending())
         assert all(isinstance(each.outcome, Outcome) for each in mediator.outcomes())
 

@@ -470,7 +470,7 @@ async def test_a_full_inbox_follows_its_policy(
     async with esair.Robot(behaviors=[a, Box(name="b")]) as robot:
         for number in range(4):
             await a.put("b", number)
-        member = robot._behaviors.members["b"]
+        member = robot._behaviors.members["b"].mail
 
         assert member.dropped == dropped
         assert await robot.behaviors.remove("b") == left
@@ -625,7 +625,7 @@ async def test_a_provide_cancelled_before_its_first_step_blocks_no_other() -> No
 
     a, b = Idle(name="a"), Both(name="b")
     async with esair.Robot(behaviors=[a, b]) as robot:
-        member = robot._behaviors.members["b"]
+        member = robot._behaviors.members["b"].mail
         get = asyncio.ensure_future(a.get("b"))
         await asyncio.sleep(0)
         assert member.askers.task is not None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, overload
 
 from esair import minimal
 from esair.actions._from_minimal import adapt_action
-from esair.actions._host import Host
+from esair.actions._host import Host, Mail
 from esair.actions._needs import ProfiledAction, Unbound, not_bound
 from esair.actions._reaction import Reaction
 from esair.actions._request import Request
@@ -69,6 +69,7 @@ class Behavior(ProfiledAction):
     """How often it is started again after a crash."""
 
     _host = cast("Host", Unbound())
+    _mail = cast("Mail", Unbound())
 
     if TYPE_CHECKING:
 
@@ -112,13 +113,13 @@ class Behavior(ProfiledAction):
             BehaviorFailedError: It crashed meanwhile.
             BusyError: Too many requests wait.
         """
-        host = self._host
-        budget = host.budget
+        mail = self._mail
+        budget = mail.budget
         budget.left -= PUT_COST
         if budget.left < 0:
             await budget.give_way()
-        if not host.hand(receiver, data, interval):
-            await host.put(receiver, data, interval)
+        if not mail.hand(receiver, data, interval):
+            await mail.put(receiver, data, interval)
 
     async def get(
         self, sender: str, interval: float = 1.0, *, as_type: type[D] | None = None
@@ -141,14 +142,14 @@ class Behavior(ProfiledAction):
             BehaviorFailedError: It crashed meanwhile, or its ``provide`` did.
             BusyError: Too many requests wait.
         """
-        host = self._host
-        budget = host.budget
+        mail = self._mail
+        budget = mail.budget
         budget.left -= PUT_COST
         if budget.left < 0:
             await budget.give_way()
-        data = host.take(sender, interval)
+        data = mail.take(sender, interval)
         if data is NOTHING:
-            data = await host.get(sender, interval)
+            data = await mail.get(sender, interval)
         return data if as_type is None else self._checked(data, as_type, "get", sender)
 
     async def ask(
@@ -185,7 +186,7 @@ class Behavior(ProfiledAction):
             BusyError: Too many requests wait.
             StoppingError: The robot is stopping.
         """
-        return await self._host.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
+        return await self._mail.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
 
     async def receive(
         self, *, timeout: float | None = None, as_type: type[D] | None = None
@@ -236,7 +237,7 @@ class Behavior(ProfiledAction):
         Raises:
             BusyError: The outbox is full, and its policy is ``"reject"``.
         """
-        self._host.offer(data, latest)
+        self._mail.offer(data, latest)
 
     async def perform(
         self,
@@ -378,14 +379,14 @@ class Behavior(ProfiledAction):
         return type(self).provide is not Behavior.provide
 
     async def _take(self, timeout: float | None) -> tuple[str, Any]:
-        host = self._host
-        budget = host.budget
+        mail = self._mail
+        budget = mail.budget
         budget.left -= PUT_COST
         if budget.left < 0:
             await budget.give_way()
         if timeout is not None:
             check_duration(self.name, "timeout", timeout)
-        return await host.receive(timeout)
+        return await mail.receive(timeout)
 
     def _checked(self, data: Any, wanted: type[T], verb: str, sender: str) -> T:
         if isinstance(data, wanted) or passes_as(data, wanted):

@@ -1,4 +1,4 @@
-"""What a running behavior asks of its supervisor."""
+"""What a running behavior asks of its supervisor, and how it reaches others."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from esair.loop import Budget, Portal
 from esair.messages import Access, BehaviorStatus
 
 
-class Host(Protocol):
-    """What a running behavior asks of its supervisor."""
+class Mail(Protocol):
+    """How a running behavior exchanges data with others."""
 
     budget: Budget
 
-    @property
-    def portal(self) -> Portal | None: ...
     def hand(self, receiver: str, data: Any, interval: float) -> bool: ...
     def put(
         self, receiver: str, data: Any, interval: float
@@ -33,6 +31,13 @@ class Host(Protocol):
         progress: Callable[[Any], object] | None,
     ) -> Coroutine[Any, Any, Any]: ...
     def offer(self, data: Any, latest: bool) -> None: ...
+
+
+class Host(Protocol):
+    """What a running behavior asks of its supervisor."""
+
+    @property
+    def portal(self) -> Portal | None: ...
     async def perform(
         self,
         reaction: Reaction,

@@ -75,7 +75,7 @@ class BehaviorDeployment:
         self.journal = resources.journal
         self.commands = CommandQueue("behaviors", asleep=True)
         self.members: dict[str, Member] = {}
-        self.mediator = Mediator(self.members, self.journal)
+        self.mediator = Mediator(self.journal)
         self.coming: list[Member] = []  # those whose ``setup`` a command waits for
         self.ending: list[Member] = []
         self.grace = grace
@@ -133,7 +133,7 @@ class BehaviorDeployment:
             return
         behaviors = [m for m in self.members.values() if isinstance(m.action, Behavior)]
         over = {BehaviorState.FINISHED, BehaviorState.FAILED, BehaviorState.REMOVED}
-        if behaviors and all(member.state in over for member in behaviors):
+        if behaviors and all(member.mail.state in over for member in behaviors):
             self._all_ended.set_result(None)
 
     # What is asked about them.
@@ -164,10 +164,21 @@ class BehaviorDeployment:
     def failures(self) -> list[BehaviorFailedError]:
         members = self.members.values()
         return [
-            each.failure() for each in members if each.state is BehaviorState.FAILED
+            each.mail.failure()
+            for each in members
+            if each.mail.state is BehaviorState.FAILED
         ]
 
     # How one begins, and ends.
+
+    def take_in(self, member: Member) -> None:
+        """Give a member its name, or the place of the one that has it."""
+        self.members[member.name] = member
+        self.mediator.boxes[member.name] = member.mail
+
+    def take_out(self, member: Member) -> None:
+        del self.members[member.name]
+        del self.mediator.boxes[member.name]
 
     async def gone(self, name: str) -> None:
         """Wait until a removal of that name that runs is over; others do not wait."""
@@ -213,9 +224,9 @@ class BehaviorDeployment:
         undead = await member.stop(self.grace)
         zombies = [
             *(task.get_name() for task in undead),
-            *(thread.name for thread in member.owner.threads),
+            *(thread.name for thread in member.mail.owner.threads),
         ]
-        member.state = BehaviorState.REMOVED
+        member.mail.state = BehaviorState.REMOVED
         channels = self.resources.actuators.channels
         wrote = [channel for name, channel in channels.items() if name in member.used]
         if wrote:
@@ -243,7 +254,7 @@ class BehaviorDeployment:
         """Take the configuration list in: what it protects is protected from now on."""
         for behavior in behaviors:
             member = Member(behavior, self, behavior.name)
-            self.members[member.name] = member
+            self.take_in(member)
             member.sight.accept()
 
     async def start(self) -> None:
@@ -265,7 +276,7 @@ class BehaviorDeployment:
         """Whether a behavior that runs is who calls this."""
         owner, runs = current_owner(), BehaviorState.RUNNING
         return owner is not None and any(
-            member.owner is owner and member.state is runs
+            member.mail.owner is owner and member.mail.state is runs
             for member in self.members.values()
         )
 
@@ -292,7 +303,7 @@ class BehaviorDeployment:
         )
         rest = dict.fromkeys([*self.members.values(), *self.ending])
         await asyncio.gather(
-            *(self.end(m) for m in rest if m.state is not BehaviorState.REMOVED)
+            *(self.end(m) for m in rest if m.mail.state is not BehaviorState.REMOVED)
         )
         wake(self._all_ended)
 

@@ -75,7 +75,7 @@ class BehaviorSupervisor(abc.Supervisor):
         Raises:
             UnknownNameError: No behavior has the name.
         """
-        return tuple(self._deployment.member(name).queues)
+        return tuple(self._deployment.member(name).mail.queues)
 
     def query(self, name: str) -> BehaviorStatus:
         """Tell what a behavior is doing. Answers at any time, without a wait.
@@ -182,20 +182,20 @@ class BehaviorSupervisor(abc.Supervisor):
             await self._deployment.gone(name_of(action))
             refuse_all(examine_action(self._deployment.plan(action), action), action)
             member = Member(action, self._deployment, action.name)
-            self._deployment.members[member.name] = member
+            self._deployment.take_in(member)
             member.sight.accept()
             try:
                 await self._deployment.begin(member)
             except BaseException:
                 if self._deployment.members.get(member.name) is not member:
                     raise  # somebody has removed or replaced it meanwhile
-                if member.is_leaving:
+                if member.mail.is_leaving:
                     await self._deployment.gone(member.name)
                     raise
-                member.state = BehaviorState.STOPPING
-                self._deployment.mediator.peer_removed(member)
+                member.mail.state = BehaviorState.STOPPING
+                self._deployment.mediator.peer_removed(member.mail)
                 await self._deployment.end(member)
-                del self._deployment.members[member.name]
+                self._deployment.take_out(member)
                 member.sight.leave()
                 raise
             self._journal.publish(Kind.ADDED, member.name, "behavior")
@@ -221,18 +221,18 @@ class BehaviorSupervisor(abc.Supervisor):
         async def work() -> list[Any]:
             await self._deployment.gone(name)
             member = self._deployment.member(name)
-            member.state = BehaviorState.STOPPING
-            self._deployment.mediator.peer_removed(member)
+            member.mail.state = BehaviorState.STOPPING
+            self._deployment.mediator.peer_removed(member.mail)
             for coming in tuple(self._deployment.coming):
                 if coming.name == name:
                     coming.give_up()
             self._commands.changed()
             await self._deployment.end(member)
-            del self._deployment.members[name]
+            self._deployment.take_out(member)
             member.sight.removed()
             self._journal.publish(Kind.REMOVED, name, "behavior")
             self._deployment.ended()
-            return [data for _, data in member.inbox]
+            return [data for _, data in member.mail.inbox]
 
         return await self._commands.run(
             work, name=f"remove {name}", undo=False, lasts=True
@@ -276,7 +276,7 @@ class BehaviorSupervisor(abc.Supervisor):
                     self._commands.changed()
                     await asyncio.wait({new.sight.decided()}, timeout=TAKE_OVER)
                 old = self._deployment.member(name)  # it may be another one by now
-                if old.is_leaving:
+                if old.mail.is_leaving:
                     raise BehaviorRemovedError(name)
             except BaseException:
                 new.give_up()
@@ -284,13 +284,13 @@ class BehaviorSupervisor(abc.Supervisor):
                 new.sight.leave()
                 raise
             self._commands.no_return()
-            self._deployment.members[name] = new
+            self._deployment.take_in(new)
             new.sight.take_over(old.sight)
-            self._deployment.mediator.moved(old, new)
+            self._deployment.mediator.moved(old.mail, new.mail)
             new.gate.set_result(None)  # its run begins when the old one is fenced off
             await self._deployment.end(old)
             self._deployment.ended()
-            return [data for _, data in old.inbox]
+            return [data for _, data in old.mail.inbox]
 
         return await self._commands.run(work, name=f"replace {name}", undo=True)
 

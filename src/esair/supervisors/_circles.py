@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from esair.supervisors._requests import Peer, Request, chain
+from esair.supervisors._requests import Request, chain
+
+if TYPE_CHECKING:
+    from esair.supervisors._mailbox import Mailbox
 
 
 def circle_of_ask(
-    order: Request, busy: Sequence[Request | None], member: Peer
+    order: Request, busy: Sequence[Request | None], member: Mailbox
 ) -> list[str]:
     links = list(chain())
     peer = order.peer
@@ -34,7 +37,7 @@ def circle_of_ask(
 def circle_of_get(
     asker: str,
     giver: str,
-    members: Mapping[str, Peer],
+    members: Mapping[str, Mailbox],
     pending: Mapping[str, Iterable[Request]],
 ) -> list[str]:
     if asker == giver:
@@ -62,7 +65,7 @@ def _gets(pending: Mapping[str, Iterable[Request]], asker: str) -> list[Request]
     return [request for request in pending.get(asker, ()) if request.kind == "get"]
 
 
-def _waits(member: Peer | None, gets: list[Request]) -> list[Request]:
+def _waits(member: Mailbox | None, gets: list[Request]) -> list[Request]:
     """Return the gets that the next answer of a behavior waits for."""
     if member is None:
         return gets
@@ -73,7 +76,9 @@ def _waits(member: Peer | None, gets: list[Request]) -> list[Request]:
     return gets if gets and _all_wait(member, tasks) else []
 
 
-def _is_stuck(member: Peer | None, gets: list[Request], links: list[Request]) -> bool:
+def _is_stuck(
+    member: Mailbox | None, gets: list[Request], links: list[Request]
+) -> bool:
     """Tell whether the one that asks now has nobody else who would answer."""
     if member is None:
         return True
@@ -83,14 +88,14 @@ def _is_stuck(member: Peer | None, gets: list[Request], links: list[Request]) ->
     return _all_wait(member, [*tasks, asyncio.current_task()])
 
 
-def _all_wait(member: Peer, waits: list[asyncio.Task[Any] | None]) -> bool:
+def _all_wait(member: Mailbox, waits: list[asyncio.Task[Any] | None]) -> bool:
     """Tell whether nobody of a behavior is left who does not wait."""
     living = set(member.owner.living())
     if any(task not in living for task in waits):
         return True  # somebody else acts in its name: what is known are the requests
     threads = member.owner.threads
     if threads and len(waits) >= len(threads):
-        living.difference_update(member.run_tasks())
+        living.difference_update(member.carriers)
     return living.issubset(waits)
 
 

@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from esair.actions import Derivation, Derived
 from esair.connections import (
     DerivedChannel,
     Registration,
-    SensorConnection,
     Source,
     Terms,
 )
 from esair.exceptions import DeviceLostError, EsairError
 from esair.loop import Owner, Stream
 from esair.messages import Restart
-from esair.plan import Plan, unmet
-from esair.supervisors._control_path import ControlPath
+from esair.plan import unmet
 from esair.supervisors._resource_life import ResourceLife
 
-
-class Deployment(Protocol):
-    """What a derived sensor needs of the resources of its robot."""
-
-    seed: int
-    began: float
-    control: ControlPath
-    sensors: SensorConnection
-    lives: dict[str, ResourceLife]
-
-    def plan(self, behaviors: Sequence[Any]) -> Plan: ...
+if TYPE_CHECKING:
+    from esair.supervisors._resource_deployment import ResourceDeployment
 
 
 class DerivedLife(ResourceLife):
@@ -42,7 +30,7 @@ class DerivedLife(ResourceLife):
         derived: Derived[Any],
         channel: DerivedChannel,
         restart: Restart,
-        deployment: Deployment,
+        deployment: ResourceDeployment,
     ) -> None:
         super().__init__(derived, channel, restart)
         self._derived = derived

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import types
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from esair.actions import (
     ActuatorPort,
@@ -30,8 +30,10 @@ from esair.exceptions import EsairError, describe
 from esair.loop import Portal
 from esair.messages import Access
 from esair.plan import refuse, unmet
-from esair.supervisors._crew import Crew
-from esair.supervisors._orders import OrderQueue
+
+if TYPE_CHECKING:
+    from esair.supervisors._behavior_deployment import BehaviorDeployment
+    from esair.supervisors._member import Member
 
 Action = Behavior | Reaction
 Port = SensorPort[Any] | ActuatorPort[Any]
@@ -52,7 +54,7 @@ class Grants:
 
     __slots__ = ("_crew", "_name", "_ports", "registrations")
 
-    def __init__(self, name: str, crew: Crew) -> None:
+    def __init__(self, name: str, crew: BehaviorDeployment) -> None:
         self._name = name
         self._crew = crew
         self._ports: dict[str, Port] = {}
@@ -179,13 +181,12 @@ def bind(
 
 def fill(
     behavior: Behavior,
-    host: Any,
+    host: Member,
     grants: Grants,
-    queues: Mapping[Any, OrderQueue],
     portal: Portal | None,
 ) -> None:
     """Give a behavior what it declares; with a portal all of it waits, in its thread."""
-    behavior._host = host  # noqa: SLF001 - the behavior's own supervisor
+    behavior._host, behavior._mail = host, host.mail  # noqa: SLF001 - its own supervisor's
     if portal is not None and not isinstance(behavior, ThreadBehavior):
         for name, method in _METHODS.items():
             behavior.__dict__[name] = types.MethodType(method, behavior)
@@ -194,17 +195,17 @@ def fill(
         behavior.__dict__[attribute] = blocking(port, portal) if portal else port
     for attribute, each in behavior.takes.items():
         if isinstance(each, Takes) and each.method is None:
-            queue = queues[each.type]
+            queue = host.mail.queues[each.type]
             behavior.__dict__[attribute] = (
                 BlockingRequestPort(queue, portal) if portal else RequestPort(queue)
             )
 
 
-def empty(behavior: Behavior | Reaction, host: Any, portal: Portal | None) -> None:
+def empty(behavior: Behavior | Reaction, host: Member, portal: Portal | None) -> None:
     """Take a behavior its supervisor, if it has not another one by now."""
     if isinstance(behavior, Reaction) or vars(behavior).get("_host") is not host:
         return
-    del behavior._host  # noqa: SLF001 - the behavior's own supervisor
+    del behavior._host, behavior._mail  # noqa: SLF001 - as above
     if portal is not None:
         for method in _METHODS:
             behavior.__dict__.pop(method, None)

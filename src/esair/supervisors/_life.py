@@ -22,11 +22,12 @@ class Life:
         journal: Where it tells what becomes of it.
     """
 
-    __slots__ = ()
+    __slots__ = ("journal", "name", "restarts")
 
-    name: str
-    restarts: RestartBudget
-    journal: Journal
+    def __init__(self, name: str, policy: Restart, journal: Journal) -> None:
+        self.name = name
+        self.restarts = RestartBudget(policy)
+        self.journal = journal
 
     def tell(
         self, kind: Kind, error: BaseException | None = None, text: str = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from esair.actions import NOTHING, Behavior, Reaction, Takes
 from esair.connections import run_ended
@@ -22,6 +22,9 @@ from esair.supervisors._ledger import Outcome
 from esair.supervisors._orders import OrderQueue
 from esair.supervisors._requests import Request, RequestQueue, ServedQueue
 
+if TYPE_CHECKING:
+    from esair.supervisors._mediator import Mediator
+
 _NO_QUEUES: Mapping[Any, OrderQueue] = {}
 
 _ALIVE = frozenset(
@@ -35,30 +38,11 @@ _ALIVE = frozenset(
 )
 
 
-class Between(Protocol):
-    """Who hands data from one behavior to another: the mediator."""
-
-    def hand(self, data: Any, sender: str, receiver: str, interval: float) -> bool: ...
-    def take(self, sender: str, receiver: str, interval: float) -> Any: ...
-    async def put(
-        self, data: Any, sender: str, receiver: str, interval: float, by: Mailbox
-    ) -> None: ...
-    async def get(
-        self, sender: str, receiver: str, interval: float, by: Mailbox
-    ) -> Any: ...
-    async def ask(
-        self,
-        request: Any,
-        sender: str,
-        receiver: str,
-        timeout: float | None,
-        progress: Callable[[Any], object] | None,
-        by: Mailbox,
-    ) -> Any: ...
-
-
 class Mailbox:
-    """Holds what was put for a behavior and what it offers; the mediator fills it."""
+    """What others see of a behavior: its state, what it can receive and give.
+
+    It holds what was put for it and what it offers; the mediator fills it.
+    """
 
     __slots__ = (
         "_mediator",
@@ -67,6 +51,7 @@ class Mailbox:
         "alive",
         "askers",
         "budget",
+        "carriers",
         "dropped",
         "error",
         "inbox",
@@ -84,18 +69,16 @@ class Mailbox:
         "turned_away",
     )
 
-    def run_tasks(self) -> list[asyncio.Task[Any]]:
-        """Return the tasks that only wait for its threads."""
-        return []
-
     def __init__(
-        self, action: Behavior | Reaction, mediator: Between, name: str
+        self, action: Behavior | Reaction, mediator: Mediator, name: str
     ) -> None:
         self.action = action
         self.name = name
         self.room = action.inbox_size if isinstance(action, Behavior) else 0
         self.outlived = False
         """Tasks of a run that has ended may be there; they must not speak for it."""
+        self.carriers: tuple[asyncio.Task[Any], ...] = ()
+        """The tasks that only wait for its threads."""
         self.state = BehaviorState.STARTING
         self.error: BaseException | None = None
         self.inbox: list[tuple[str, Any]] = []  # who put what
@@ -181,6 +164,16 @@ class Mailbox:
         """Whether a put is delivered at once."""
         return not self.senders.count and self.has_room()
 
+    def make_room(self) -> bool:
+        """Drop what its policy says from a full inbox; tells whether there is room."""
+        policy = self.action.inbox_policy  # type: ignore[union-attr]
+        if policy == "reject":
+            return False
+        drop = len(self.inbox) if policy == "latest" else 1
+        del self.inbox[:drop]
+        self.dropped += drop
+        return True
+
     @property
     def can_provide(self) -> bool:
         """Whether the behavior makes data on demand, now."""
@@ -197,13 +190,10 @@ class Mailbox:
         return bool(self.outbox) or self.latest is not NOTHING or self.can_provide
 
     def deliver(self, data: Any, sender: str) -> None:
-        """Put data into the inbox; there is room, or a policy that makes some."""
-        inbox = self.inbox
-        if len(inbox) >= self.room:
-            drop = len(inbox) if self.action.inbox_policy == "latest" else 1  # type: ignore[union-attr]
-            del inbox[:drop]
-            self.dropped += drop
-        inbox.append((sender, data))
+        """Put data into the inbox, which has room."""
+        if len(self.inbox) >= self.room:
+            self.make_room()
+        self.inbox.append((sender, data))
         if self.takers:
             self.wake()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from esair.actions import NOTHING, Behavior
@@ -42,23 +42,24 @@ class Mediator(Ledger):
     wake-up; a task, a timer or a queue is made only when it has to wait.
     """
 
-    def __init__(self, members: Mapping[str, Mailbox], journal: Journal) -> None:
+    def __init__(self, journal: Journal) -> None:
         super().__init__(journal)
-        self._members = members
+        self.boxes: dict[str, Mailbox] = {}
+        """The mailboxes of the robot's behaviors and reactions, by their names."""
         self.closed = False
 
     # Put.
 
     def hand(self, data: Any, sender: str, receiver: str, interval: float) -> bool:
         """Deliver data at once if the receiver can take it; tells whether it did."""
-        member = self._members.get(receiver)
+        member = self.boxes.get(receiver)
         if (
             member is None
             or not member.receives
-            or len(member.inbox) >= member.room
             or self.closed
             or interval.__class__ is not float
             or not 0.0 < interval <= _LONGEST
+            or (len(member.inbox) >= member.room and not member.make_room())
         ):
             return False
         member.inbox.append((sender, data))
@@ -80,9 +81,7 @@ class Mediator(Ledger):
     ) -> None:
         """Hand data to a behavior; see `BehaviorSupervisor.put`."""
         member = self._check(receiver, "interval", interval, data)
-        if member.can_receive:
-            member.deliver(data, sender)
-            self.record("put", sender, receiver, _DELIVERED, data)
+        if self.hand(data, sender, receiver, float(interval)):
             return
         request = Request("put", data, sender, member.senders, by, self)
         self._begin(request, interval)
@@ -92,7 +91,7 @@ class Mediator(Ledger):
 
     def take(self, sender: str, receiver: str, interval: float) -> Any:
         """Return what the sender has offered; `NOTHING` if that has to be waited for."""
-        member = self._members.get(sender)
+        member = self.boxes.get(sender)
         if (
             member is None
             or not (member.outbox or member.latest is not NOTHING)
@@ -118,7 +117,7 @@ class Mediator(Ledger):
         if offered is not NOTHING:
             return offered
         request = Request("get", None, receiver, member.askers, by, self)
-        path = circle_of_get(receiver, sender, self._members, self.pending.of_asker)
+        path = circle_of_get(receiver, sender, self.boxes, self.pending.of_asker)
         self._begin(request, interval, path)
         member.askers.roused()
         try:
@@ -127,7 +126,7 @@ class Mediator(Ledger):
             if request.how is _DELIVERED:  # it came in this very instant
                 self.record("get", sender, receiver, Outcome.WITHDRAWN)
                 if request.offered:
-                    self._members.get(sender, member).put_back(request.value)
+                    self.boxes.get(sender, member).put_back(request.value)
             raise
         self.record("get", sender, receiver, _DELIVERED, data)
         return data
@@ -163,7 +162,7 @@ class Mediator(Ledger):
 
     def _queue(self, member: Mailbox, request: Asked[Any]) -> OrderQueue:
         if not isinstance(member.action, Behavior):
-            there = self._members.items()
+            there = self.boxes.items()
             names = [name for name, each in there if isinstance(each.action, Behavior)]
             raise UnknownNameError("behavior", member.name, names)
         queues = member.queues
@@ -226,7 +225,7 @@ class Mediator(Ledger):
     def close(self) -> None:
         """End every request: the robot stops."""
         self.closed = True
-        for member in self._members.values():
+        for member in self.boxes.values():
             for queue in _queues(member):
                 queue.end_all(
                     Outcome.STOPPING, lambda _: StoppingError("behaviors", "stopping")
@@ -240,9 +239,9 @@ class Mediator(Ledger):
         """Return a behavior that somebody asks something of, if it may be asked."""
         if self.closed:
             raise StoppingError("behaviors", "stopping")
-        member = self._members.get(peer)
+        member = self.boxes.get(peer)
         if member is None:
-            raise UnknownNameError("behavior", peer, self._members)
+            raise UnknownNameError("behavior", peer, self.boxes)
         if not member.alive:
             raise member.absence(data)
         if not is_positive(seconds) and (seconds, field) != (None, "timeout"):

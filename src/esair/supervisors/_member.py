@@ -7,7 +7,7 @@ import inspect
 import logging
 from collections.abc import Awaitable, Callable, Collection
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from esair.actions import (
     ActuatorPort,
@@ -37,19 +37,21 @@ from esair.loop import (
 )
 from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._absence import absent, absent_for
-from esair.supervisors._crew import Crew
 from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
 from esair.supervisors._grants import Grants, bind, empty, fill
-from esair.supervisors._life import Life, RestartBudget
+from esair.supervisors._life import Life
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._perform import Steps, runner_for
 from esair.supervisors._sight import Sight
 from esair.values import check_duration
 
+if TYPE_CHECKING:
+    from esair.supervisors._behavior_deployment import BehaviorDeployment
+
 _log = logging.getLogger("esair")
 
 
-class Member(Life, Mailbox):
+class Member:
     """Owns one behavior or reaction: its registrations, its task, its restarts.
 
     It is also the `Host` that the behavior talks to.
@@ -58,15 +60,17 @@ class Member(Life, Mailbox):
     __slots__ = (
         "_portal",
         "_timer",
+        "action",
         "crew",
         "detail",
         "gate",
         "given_up",
         "grants",
-        "journal",
+        "life",
+        "mail",
+        "name",
         "over",
         "ready",
-        "restarts",
         "runner",
         "sight",
         "steps",
@@ -75,8 +79,14 @@ class Member(Life, Mailbox):
         "used",
     )
 
-    def __init__(self, action: Behavior | Reaction, crew: Crew, name: str) -> None:
-        super().__init__(action, crew.mediator, name)
+    def __init__(
+        self, action: Behavior | Reaction, crew: BehaviorDeployment, name: str
+    ) -> None:
+        self.action = action
+        self.name = name
+        self.mail = Mailbox(action, crew.mediator, name)
+        """What others see of it: its state, and what they put there."""
+        self.life = Life(name, action.restart, crew.journal)
         self.detail = ""
         self.grants = Grants(name, crew)
         self.runner: ReactionRunner | None = None
@@ -91,11 +101,9 @@ class Member(Life, Mailbox):
         self.given_up = False
         """Nobody wants it any more: it is removed, or its place is."""
         self.crew = crew
-        self.journal = crew.journal
         self.stream = Stream(f"{crew.resources.seed}/{name}")
         """Its random numbers, made from the robot's seed and its name."""
-        self.owner.stream = self.stream
-        self.restarts = RestartBudget(action.restart)
+        self.mail.owner.stream = self.stream
         self._timer: asyncio.TimerHandle | None = None
         self._portal: Portal | None = None
         self.sight = Sight(crew.resources.actuators.protections, action, name)
@@ -111,7 +119,7 @@ class Member(Life, Mailbox):
     async def manage(self, verb: str, *args: Any) -> Any:
         """Add, remove, replace or restart a behavior, if a policy allows it."""
         await Budget.spend()
-        if speaks_for_nobody() or not self.alive:
+        if speaks_for_nobody() or not self.mail.alive:
             raise BehaviorRemovedError(self.name)
         return await self.crew.managed_by(self.name, verb, *args)
 
@@ -125,7 +133,7 @@ class Member(Life, Mailbox):
         max_age: float | None,
     ) -> SensorPort[Any] | ActuatorPort[Any]:
         await Budget.spend()
-        self.check_speaker()
+        self.mail.check_speaker()
         if max_age is not None:
             check_duration(self.name, f"{resource}.max_age", max_age)
         self.grants.check_type(self.action, resource, access, wanted)
@@ -141,9 +149,9 @@ class Member(Life, Mailbox):
         blind_timeout: float | None,
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
-        self.check_speaker()
+        self.mail.check_speaker()
         return await self.steps.perform(
-            reaction, self.owner, until, timeout, blind_timeout
+            reaction, self.mail.owner, until, timeout, blind_timeout
         )
 
     def halt_robot(self, reason: str) -> Halting:
@@ -171,7 +179,7 @@ class Member(Life, Mailbox):
         return [*own, *(step.runner for step in self.steps.now)]
 
     def start(self) -> None:
-        self.state = BehaviorState.STARTING
+        self.mail.state = BehaviorState.STARTING
         if isinstance(self.action, Reaction):
             self.sight.blind(UNDECIDED)
             self.runner = runner_for(
@@ -181,31 +189,33 @@ class Member(Life, Mailbox):
                 on_crash=self._crashed,
                 on_sight=self.sight.sees,
                 began=self.crew.resources.began,
-                owner=self.owner,
+                owner=self.mail.owner,
             )
             self._start_runner(self.runner, self.action)
             return
         if self.task is not None and (misfit := self._misfit()):
             self._runs(False, misfit)  # another device has come in the place of one
             return
-        survivors = self.owner.living()
-        self.owner = Owner(self.crew.context)
-        self.owner.stream = self.stream
+        survivors = self.mail.owner.living()
+        self.mail.owner = Owner(self.crew.context)
+        self.mail.owner.stream = self.stream
         for task in survivors:  # they would not end with the run before
-            self.owner.adopt(task)
-        self.outlived = bool(survivors)
+            self.mail.owner.adopt(task)
+        self.mail.outlived = bool(survivors)
         if not inspect.iscoroutinefunction(self.action.run):
-            self._portal = Portal(self.name, self.owner)
+            self._portal = Portal(self.name, self.mail.owner)
         try:
-            fill(self.action, self, self.grants, self.queues, self._portal)
+            fill(self.action, self, self.grants, self._portal)
         except BaseException:
             self.fence()
             raise
         loop = asyncio.get_running_loop()
         self.ready = loop.create_future()
         self.task = spawn(
-            loop, self._live(self.action), name=self.name, owner=self.owner
+            loop, self._live(self.action), name=self.name, owner=self.mail.owner
         )
+        if self._portal is not None:
+            self.mail.carriers = (self.task,)
         self.task.add_done_callback(self._ended)
 
     def try_to_start(self) -> None:
@@ -233,7 +243,7 @@ class Member(Life, Mailbox):
         except BaseException as raised:  # contained: one component's failure
             error = raised
         if asyncio.current_task() is self.task:  # else it is another run's by now
-            self.run_over(error)
+            self.mail.run_over(error)
         try:
             await self._run(behavior.teardown)
         except BaseException as raised:  # contained: one component's failure
@@ -246,25 +256,27 @@ class Member(Life, Mailbox):
     def _run(self, method: Callable[[], Any]) -> Awaitable[object]:
         if inspect.iscoroutinefunction(method):
             return method()  # type: ignore[no-any-return]
-        return (self._portal or Portal(self.name, self.owner)).run(method)
+        return (self._portal or Portal(self.name, self.mail.owner)).run(method)
 
     def _runs(self, running: bool, why: str) -> None:
         self.detail = why
-        if self.is_leaving:
+        if self.mail.is_leaving:
             return
-        before = self.state
-        self.state = BehaviorState.RUNNING if running else BehaviorState.PARKED
+        before = self.mail.state
+        self.mail.state = BehaviorState.RUNNING if running else BehaviorState.PARKED
         self._is_ready()
         if not running:
             self.sight.blind(why)
         elif isinstance(self.action, Behavior):
             self.sight.sees()
         if running:
-            self.admit()
-            for queue in self.served:
+            self.mail.admit()
+            for queue in self.mail.served:
                 queue.roused()
-        if before is not self.state:
-            self.tell(Kind.RUNNING if running else Kind.PARKED, self.error, why)
+        if before is not self.mail.state:
+            self.life.tell(
+                Kind.RUNNING if running else Kind.PARKED, self.mail.error, why
+            )
         if before is BehaviorState.RUNNING and not running:
             _log.info("%s: parked: %s", self.name, why)
         elif before is BehaviorState.PARKED and running:
@@ -275,59 +287,59 @@ class Member(Life, Mailbox):
         wake(ready)
 
     def _ended(self, task: asyncio.Task[BaseException | None]) -> None:
-        if task is not self.task or self.is_leaving:
+        if task is not self.task or self.mail.is_leaving:
             return
         error = asyncio.CancelledError() if task.cancelled() else task.result()
         if error is None:
-            self.state = BehaviorState.FINISHED
-            self.tell(Kind.FINISHED)
+            self.mail.state = BehaviorState.FINISHED
+            self.life.tell(Kind.FINISHED)
             self.fence()
             self._end_requests()
-            self.crew.mediator.peer_finished(self)
-            cancel(self.owner)
+            self.crew.mediator.peer_finished(self.mail)
+            cancel(self.mail.owner)
             self.crew.ended()
         else:
             self._crashed(error)
 
     def _crashed(self, error: BaseException) -> None:
         """Make safe what it held, and start it again unless its budget is spent."""
-        self.error = error
-        self.tell(Kind.CRASHED, error, describe(error))
+        self.mail.error = error
+        self.life.tell(Kind.CRASHED, error, describe(error))
         self.sight.blind(f"it failed: {describe(error)}")
         self._cut_off(error)
         ready = self.ready
         if ready is not None and not ready.done() and self in self.crew.coming:
-            self.state = BehaviorState.FAILED
+            self.mail.state = BehaviorState.FAILED
             fail(ready, raisable(error))
             return
         self._is_ready()
         missing = absent_for(error, self.action, self.crew.resources.is_ready)
         if missing:
             # Not its own fault: it begins anew when everything it uses is there.
-            self.state = BehaviorState.PARKED
+            self.mail.state = BehaviorState.PARKED
             verb = "is" if len(missing) == 1 else "are"
             self.detail = f"{', '.join(missing)} {verb} not there"
             self.sight.blind(self.detail)
-            self.tell(Kind.PARKED, error, self.detail)
+            self.life.tell(Kind.PARKED, error, self.detail)
             _log.info("%s: parked: %s", self.name, self.detail)
-            self.crew.mediator.peer_failed(self, error)
+            self.crew.mediator.peer_failed(self.mail, error)
             return
         loop = asyncio.get_running_loop()
-        pause = self.pause_after(error, loop.time())
+        pause = self.life.pause_after(error, loop.time())
         if pause is None:
-            self.state = BehaviorState.FAILED
+            self.mail.state = BehaviorState.FAILED
         else:
-            self.state = BehaviorState.RESTARTING
+            self.mail.state = BehaviorState.RESTARTING
             _log.warning(
                 "%s: failed: %s; restart %d in %g s",
                 self.name,
                 describe(error),
-                self.restarts.count,
+                self.life.restarts.count,
                 pause,
                 exc_info=raisable(error),
             )
             self._timer = loop.call_later(pause, self._restart)
-        self.crew.mediator.peer_failed(self, error)
+        self.crew.mediator.peer_failed(self.mail, error)
         if pause is None:
             self.crew.ended()
 
@@ -335,7 +347,7 @@ class Member(Life, Mailbox):
         """Begin anew if this was the last resource that was not there."""
         if (
             isinstance(self.action, Behavior)
-            and self.state is BehaviorState.PARKED
+            and self.mail.state is BehaviorState.PARKED
             and not absent(self.action, self.crew.resources.is_ready)
         ):
             _log.info("%s: goes on: %s is back", self.name, resource)
@@ -348,7 +360,7 @@ class Member(Life, Mailbox):
 
     def _restart(self) -> None:
         self._timer = None
-        self.tell(Kind.RESTARTED, self.error)
+        self.life.tell(Kind.RESTARTED, self.mail.error)
         self.try_to_start()
 
     def uses(self) -> list[Registration]:
@@ -371,25 +383,27 @@ class Member(Life, Mailbox):
 
     async def stop(self, grace: float) -> list[asyncio.Task[Any]]:
         """End it, whatever it does; returns the tasks that would not end."""
-        self.state = BehaviorState.STOPPING
+        self.mail.state = BehaviorState.STOPPING
         self._no_restart()
         self.fence(lambda: UserRemovedError(self.name))
         self.give_up()
         self._end_requests()
-        self.run_over(None)
-        wake(*self.takers or ())
-        undead = await end(self.owner, grace)
+        self.mail.run_over(None)
+        wake(*self.mail.takers or ())
+        undead = await end(self.mail.owner, grace)
         self.task = None
+        self.mail.carriers = ()
         empty(self.action, self, self._portal)
         return undead
 
     def end_run(self, grace: float) -> Awaitable[None]:
         """End the run, so that another may begin; awaiting waits until it has ended."""
-        self.state = BehaviorState.RESTARTING
+        self.mail.state = BehaviorState.RESTARTING
         self._no_restart()
         self._is_ready()
-        self.task = self.error = None
-        self.restarts.fill()
+        self.task = self.mail.error = None
+        self.mail.carriers = ()
+        self.life.restarts.fill()
         self.sight.blind("it is restarted by the user")
         self._cut_off(None)
         return self._run_ended(grace)
@@ -397,14 +411,14 @@ class Member(Life, Mailbox):
     def _cut_off(self, error: BaseException | None) -> None:
         """Let nothing of this run reach anything any more."""
         self.fence()
-        self.run_over(error)
+        self.mail.run_over(error)
         self._end_requests()
-        self.owner.over = self.outlived = True
-        cancel(self.owner)
+        self.mail.owner.over = self.mail.outlived = True
+        cancel(self.mail.owner)
 
     async def _run_ended(self, grace: float) -> None:
-        await until_ended(living(self.owner), grace)
-        if self.state is not BehaviorState.RESTARTING:
+        await until_ended(living(self.mail.owner), grace)
+        if self.mail.state is not BehaviorState.RESTARTING:
             raise BehaviorRemovedError(self.name)
 
     def give_up(self) -> None:
@@ -414,11 +428,8 @@ class Member(Life, Mailbox):
             fail(future, BehaviorRemovedError(self.name))
 
     def _end_requests(self) -> None:
-        removed = self.state is BehaviorState.STOPPING
-        self.crew.mediator.asker_ended(self, removed=removed)
-
-    def run_tasks(self) -> list[asyncio.Task[Any]]:
-        return [] if self.task is None or self._portal is None else [self.task]
+        removed = self.mail.state is BehaviorState.STOPPING
+        self.crew.mediator.asker_ended(self.mail, removed=removed)
 
     @property
     def portal(self) -> Portal | None:
@@ -447,7 +458,7 @@ class Member(Life, Mailbox):
             for registration in step.uses:
                 if registration.reason is not None:
                     step.crash(registration.reason())
-        if not self.alive or self.state is BehaviorState.RESTARTING:
+        if not self.mail.alive or self.mail.state is BehaviorState.RESTARTING:
             return  # it will be bound anew in any case
         is_gone = resource not in self.crew.resources.lives
         needs = (n for n in self.action.needs.values() if n.provider == resource)
@@ -465,26 +476,26 @@ class Member(Life, Mailbox):
             self.try_to_start()
 
     def counts(self) -> dict[str, int]:
-        found = {"restarts": self.restarts.count, "inbox": len(self.inbox)}
-        found["waiting"] = self.senders.count
-        found |= {"dropped": self.dropped, "turned_away": self.turned_away}
+        found = {"restarts": self.life.restarts.count, "inbox": len(self.mail.inbox)}
+        found["waiting"] = self.mail.senders.count
+        found |= {"dropped": self.mail.dropped, "turned_away": self.mail.turned_away}
         return found | (self.runner.counts() if self.runner is not None else {})
 
     def status(self) -> BehaviorStatus:
         runner = self.runner
         return BehaviorStatus(
             self.name,
-            self.state,
-            self.can_receive,
-            self.can_send,
-            self.restarts.count,
-            self.error,
+            self.mail.state,
+            self.mail.can_receive,
+            self.mail.can_send,
+            self.life.restarts.count,
+            self.mail.error,
             next(filter(None, (each.detail for each in self.steps.now)), self.detail),
             runner.steps if runner is not None else 0,
             runner.late if runner is not None else 0,
-            self.senders.count,
+            self.mail.senders.count,
             runner.overruns if runner is not None else 0,
-            sum(queue.count for queue in self.queues.values()),
-            sum(len(queue.working) for queue in self.queues.values()),
-            self.dropped,
+            sum(queue.count for queue in self.mail.queues.values()),
+            sum(len(queue.working) for queue in self.mail.queues.values()),
+            self.mail.dropped,
         )

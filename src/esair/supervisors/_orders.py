@@ -7,7 +7,7 @@ import logging
 import threading
 import weakref
 from collections.abc import AsyncIterator, Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from esair.actions import Request as Asked
 from esair.actions import Takes, taken
@@ -16,7 +16,10 @@ from esair.journal import Kind
 from esair.loop import wake, wake_one
 from esair.messages import BehaviorState
 from esair.supervisors._ledger import Ledger, Outcome
-from esair.supervisors._requests import Peer, Request, ServedQueue, served, serving
+from esair.supervisors._requests import Request, ServedQueue, served, serving
+
+if TYPE_CHECKING:
+    from esair.supervisors._mailbox import Mailbox
 
 _log = logging.getLogger("esair")
 
@@ -31,7 +34,7 @@ class Order(Request):
         data: Asked[Any],
         asker: str,
         queue: OrderQueue,
-        by: Peer | None,
+        by: Mailbox | None,
         ledger: Ledger,
     ) -> None:
         super().__init__("ask", data, asker, queue, by, ledger)
@@ -158,7 +161,7 @@ class OrderQueue(ServedQueue):
 
     outlives = True
 
-    def __init__(self, member: Peer, terms: Takes[Any]) -> None:
+    def __init__(self, member: Mailbox, terms: Takes[Any]) -> None:
         super().__init__(member, terms.method)
         self.limit = terms.queue
         self.bound = f"queue of {terms.type.__name__}"

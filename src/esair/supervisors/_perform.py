@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from esair.actions import GuardRunner, Reaction, ReactionRunner
 from esair.connections import Registration
 from esair.exceptions import ConfigError
 from esair.loop import Owner, fail, raisable
 from esair.plan import examine_step, refuse
-from esair.supervisors._crew import Crew
 from esair.supervisors._grants import Grants, bind
 from esair.supervisors._sight import Sight
 from esair.values import check_duration
+
+if TYPE_CHECKING:
+    from esair.supervisors._behavior_deployment import BehaviorDeployment
 
 
 class Steps:
@@ -22,7 +24,7 @@ class Steps:
 
     __slots__ = ("_crew", "_grants", "_name", "now")
 
-    def __init__(self, name: str, crew: Crew, grants: Grants) -> None:
+    def __init__(self, name: str, crew: BehaviorDeployment, grants: Grants) -> None:
         self._name = name
         self._crew = crew
         self._grants = grants

@@ -8,7 +8,7 @@ import contextvars
 import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import (
     BehaviorFailedError,
@@ -18,9 +18,11 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.loop import Deadline, Owner, Portal, current_task_of, spawn, wake
-from esair.messages import BehaviorState
+from esair.loop import Deadline, Portal, current_task_of, spawn, wake
 from esair.supervisors._ledger import Ledger, Outcome
+
+if TYPE_CHECKING:
+    from esair.supervisors._mailbox import Mailbox
 
 REQUESTS_PER_TARGET = 64  # how many puts, or gets, to one behavior may wait at a time
 
@@ -30,24 +32,6 @@ _DELIVERED = Outcome.DELIVERED
 
 _WANTED = {"put": "receive", "get": "send", "ask": "answer"}
 """What the other side could not do within the time of a request."""
-
-
-class Peer(Protocol):
-    """A behavior, as requests to it know it."""
-
-    name: str
-    action: Any
-    owner: Owner
-    turned_away: int
-
-    @property
-    def state(self) -> BehaviorState: ...
-    @property
-    def serves(self) -> Request | None: ...
-    @property
-    def can_provide(self) -> bool: ...
-    def check_speaker(self) -> None: ...
-    def run_tasks(self) -> list[asyncio.Task[Any]]: ...
 
 
 class Request:
@@ -92,7 +76,7 @@ class Request:
         data: Any,
         asker: str,
         queue: RequestQueue,
-        by: Peer | None,
+        by: Mailbox | None,
         ledger: Ledger,
     ) -> None:
         self.kind = kind
@@ -233,7 +217,7 @@ class RequestQueue:
     outlives = False  # whether what waits outlives a run of the behavior that fails
     working: Mapping[Request, None] = {}  # what was taken, and has no outcome
 
-    def __init__(self, member: Peer) -> None:
+    def __init__(self, member: Mailbox) -> None:
         self.member = member
         self._waiting: dict[str, collections.deque[Request]] = {}
         self.count = 0
@@ -298,7 +282,7 @@ class ServedQueue(RequestQueue):
 
     __slots__ = ("current", "method", "task")
 
-    def __init__(self, member: Peer, method: str | None) -> None:
+    def __init__(self, member: Mailbox, method: str | None) -> None:
         super().__init__(member)
         self.method = method
         self.task: asyncio.Task[Done] | None = None
@@ -367,7 +351,7 @@ class ServedQueue(RequestQueue):
 Done = tuple[Any, BaseException | None]
 
 
-async def do_for(request: Request, member: Peer, method: str) -> Done:
+async def do_for(request: Request, member: Mailbox, method: str) -> Done:
     """Have a behavior do something for a request; what it raises is returned.
 
     A plain function gets a thread of its own.

@@ -32,7 +32,7 @@ from esair.loop import (
 from esair.messages import ResourceState, ResourceStatus, Restart
 from esair.resources import Resource, settings_of, shown
 from esair.supervisors._absence import AnotherDeviceError, is_absence, is_silence
-from esair.supervisors._life import Life, RestartBudget
+from esair.supervisors._life import Life
 from esair.supervisors._watch import Armory, Watch
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ _THERE = {ResourceState.OPENING, ResourceState.READY}
 _log = logging.getLogger("esair")
 
 
-class ResourceLife(Life):
+class ResourceLife:
     """Owns one resource: its task opens it, waits for its loss, and opens it again."""
 
     def __init__(
@@ -69,8 +69,7 @@ class ResourceLife(Life):
     ) -> None:
         self.resource = resource
         self.name = resource.name
-        self.restarts = RestartBudget(restart)
-        self.journal = channel.registrations.journal
+        self.life = Life(resource.name, restart, channel.registrations.journal)
         self.watch: Watch | None = None
         """The watchdog's eye on it, if it is an actuator and there is a watchdog."""
         if isinstance(channel, ActuatorChannel) and armory is not None:
@@ -119,7 +118,7 @@ class ResourceLife(Life):
 
     def restart(self) -> None:
         """Close the device and open it again; its budget is full."""
-        self.restarts.fill()
+        self.life.restarts.fill()
         if self.tried.done():  # else somebody waits for it: one trial is for all
             self.tried = self._loop.create_future()
         if self.channel.state is ResourceState.READY:
@@ -346,13 +345,13 @@ class ResourceLife(Life):
                 pause: float | None = delay
                 delay = min(delay * 2, MAX_DELAY)
             else:
-                pause = self.pause_after(error, self._loop.time())
+                pause = self.life.pause_after(error, self._loop.time())
             if pause is None:
                 self.channel.state = ResourceState.FAILED
                 # A replug, or the user's restart, is the way out of it.
                 if not self._arrived:
                     await self._wait_for_news(None)
-                self.restarts.fill()
+                self.life.restarts.fill()
                 delay = FIRST_DELAY
                 continue
             await self._wait_for_news(
@@ -439,7 +438,7 @@ class ResourceLife(Life):
         self._faults_in_row = 0
         self.channel.up()
         self._look_after(self.resource.set_up_period)
-        self.tell(Kind.UP)
+        self.life.tell(Kind.UP)
         if self.losses:
             _log.info("%s: back", self.name)
 
@@ -452,7 +451,7 @@ class ResourceLife(Life):
         self.channel.down(ResourceState.LOST, cause)
         if first:
             self.losses += 1
-            self.tell(Kind.DOWN, cause, describe(cause))
+            self.life.tell(Kind.DOWN, cause, describe(cause))
             _log.warning("%s: lost: %s", self.name, describe(error))
         elif type(error) is AnotherDeviceError and type(before) is not type(error):
             _log.warning("%s: still lost: %s", self.name, describe(error))
