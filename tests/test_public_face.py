@@ -190,7 +190,7 @@ def test_importing_esair_loads_no_bus_and_no_command_line() -> None:
     """
     output = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(script)],
-        capture_output=True, text=True, check=True, timeout=30,
+        capture_output=True, text=True, check=True, timeout=60,
     )  # fmt: skip
 
     assert output.stdout.splitlines() == ["esair esair.minimal", "", ""]

@@ -61,7 +61,7 @@ async def live(
     stuck: str = "await asyncio.sleep(60)",
     main: str = "esair.run(robot, stall_warning=None)",
     options: tuple[str, ...] = (),
-    timeout: float = 15.0,
+    timeout: float = 60.0,
 ) -> tuple[int, list[str], str, float]:
     """Run a robot, send it signals; return code, commands, errors, seconds since."""
     code = ROBOT.format(stuck=stuck, main=textwrap.dedent(main))

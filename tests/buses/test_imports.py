@@ -32,7 +32,7 @@ def test_no_bus_package_is_imported_before_a_bus_is_opened(statement: str) -> No
         capture_output=True,
         text=True,
         check=True,
-        timeout=30,
+        timeout=60,
     )
 
     assert run.stdout.strip() == "[]"

@@ -16,7 +16,7 @@ from esair.config import check
 
 pytestmark = pytest.mark.promise("BUS-2")
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 
 
 class Computer:

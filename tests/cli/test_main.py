@@ -96,7 +96,7 @@ def test_a_missing_extra_is_one_line_with_the_command(
 ) -> None:
     """Never a traceback."""
     process = start(*words, cwd=tmp_path, code=WITHOUT.format(package=package))
-    _, told = process.communicate(timeout=20)
+    _, told = process.communicate(timeout=60)
 
     assert process.returncode == 2
     (line,) = told.splitlines()
@@ -110,7 +110,7 @@ def test_a_reader_that_has_seen_enough_is_no_error(start, tmp_path) -> None:
     process = start(cwd=tmp_path)
     process.stdout.close()
     process.stdout = None
-    _, told = process.communicate(timeout=20)
+    _, told = process.communicate(timeout=60)
 
     assert told == ""
 
@@ -133,7 +133,7 @@ def test_ctrl_c_before_a_verb_has_begun_is_no_traceback(
 def test_closed_output_is_no_error(start, tmp_path) -> None:
     """Who closes it wants only the exit code."""
     process = start("devices", "--json", cwd=tmp_path, code=CLOSED)
-    _, told = process.communicate(timeout=20)
+    _, told = process.communicate(timeout=60)
 
     assert process.returncode == 0, told
     assert not told
@@ -151,7 +151,7 @@ def test_closed_output_is_no_error(start, tmp_path) -> None:
 def test_a_full_disk_is_told_in_one_line(start, tmp_path, words) -> None:
     """``esair devices > file`` where there is no room."""
     process = start(*words, cwd=tmp_path, code=FULL)
-    _, told = process.communicate(timeout=20)
+    _, told = process.communicate(timeout=60)
 
     assert process.returncode == 1
     (line,) = told.splitlines()

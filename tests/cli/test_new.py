@@ -119,11 +119,11 @@ def test_its_tests_pass_and_it_drives_at_once(esair_command, start, tmp_path) ->
     assert " passed" in tests.stdout
 
     checked = start("check", "robot.toml", "--strict", cwd=project)
-    shown, _ = checked.communicate(timeout=20)
+    shown, _ = checked.communicate(timeout=60)
     assert checked.returncode == 0, shown
 
     driven = start("sim", "robot.toml", "--for", "0.5", cwd=project)
-    _, log = driven.communicate(timeout=20)
+    _, log = driven.communicate(timeout=60)
     assert driven.returncode == 0, log
     assert "safe Twist(linear=0.0, angular=0.0): answered" in log
     assert "WARNING" not in log

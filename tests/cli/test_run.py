@@ -108,7 +108,7 @@ def test_a_robot_that_ends_by_itself_is_exit_code_0(folder, start) -> None:
     """All behaviors have ended; the motor is safe."""
     where = folder("Once")
     process = start("run", "robot.toml", cwd=where)
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=60)
 
     assert process.returncode == 0, log
     assert 1.0 in sent(where)
@@ -119,7 +119,7 @@ def test_sim_uses_the_simulated_devices(folder, start) -> None:
     """The real driver is not called at all."""
     where = folder("Once")
     process = start("sim", "robot.toml", cwd=where)
-    process.communicate(timeout=20)
+    process.communicate(timeout=60)
 
     assert ["sim", 1.0] in sent(where)
     assert all(isinstance(each, list) for each in sent(where))
@@ -129,7 +129,7 @@ def test_a_time_can_be_set(folder, start) -> None:
     """``--for`` ends it in order."""
     where = folder("Always")
     process = start("run", "robot.toml", "--for", "0.3", cwd=where)
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=60)
 
     assert process.returncode == 0, log
     assert sent(where).count(1.0) > 2
@@ -142,7 +142,7 @@ def test_a_log_that_nobody_reads_holds_nothing_up(folder, start) -> None:
     where = folder("Chatter")
     process = start("run", "robot.toml", "--for", "1.5", cwd=where)
 
-    process.wait(timeout=20)  # without reading what it says
+    process.wait(timeout=60)  # without reading what it says
 
     assert process.returncode == 0
     assert sent(where).count(1.0) > 50
@@ -152,7 +152,7 @@ def test_a_log_that_nobody_reads_holds_nothing_up(folder, start) -> None:
 def test_a_line_that_cannot_be_shown_is_not_the_last_one(folder, start) -> None:
     """And each is shown as it was when it was said."""
     process = start("run", "robot.toml", cwd=folder("Clumsy"))
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=60)
 
     assert process.returncode == 0
     assert "a line of 'esair' cannot be shown: TypeError: %d format" in log
@@ -164,7 +164,7 @@ def test_a_line_that_cannot_be_shown_is_not_the_last_one(folder, start) -> None:
 def test_a_log_that_is_no_terminal_has_a_line_for_each_record(folder, start) -> None:
     """So that it can be searched, however long a line is."""
     process = start("run", "robot.toml", cwd=folder("Clumsy"))
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=60)
 
     (line,) = (line for line in log.splitlines() if "longlong" in line)
     assert re.fullmatch(r"\d\d:\d\d:\d\d WARNING  (long){80}", line)
@@ -178,7 +178,7 @@ def test_nobody_needs_to_see_the_log(folder, start) -> None:
         "os.execv(sys.executable, [sys.executable, '-m', 'esair', 'run', 'robot.toml'])"
     )
     process = start(cwd=where, code=code)
-    process.communicate(timeout=20)
+    process.communicate(timeout=60)
 
     assert process.returncode == 0
     assert sent(where)[-1] == 0.0
@@ -190,7 +190,7 @@ def test_it_runs_on_uvloop(folder, start, behavior) -> None:
     pytest.importorskip("uvloop")
     where = folder(behavior)
     process = start("run", "robot.toml", "--loop", "uvloop", "--for", "0.3", cwd=where)
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=60)
 
     assert process.returncode == 0, log
     assert ("uvloop" in sent(where)) == (behavior == "Which")
@@ -227,7 +227,7 @@ def test_a_signal_makes_the_motor_safe(folder, start, number) -> None:
     while not (where / "log.jsonl").exists() or 1.0 not in sent(where):
         assert process.poll() is None
     process.send_signal(number)
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=60)
 
     assert process.returncode == 128 + number
     assert sent(where)[-1] == 0.0
@@ -238,7 +238,7 @@ def test_a_behavior_that_fails_for_good_is_exit_code_1(folder, start) -> None:
     """Its error is one line, its actuator safe; the traceback is there on demand."""
     where = folder("Crash")
     process = start("run", "robot.toml", cwd=where)
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=60)
 
     assert process.returncode == 1
     assert "RuntimeError: on purpose" in log.splitlines()[-1]
@@ -246,7 +246,7 @@ def test_a_behavior_that_fails_for_good_is_exit_code_1(folder, start) -> None:
     assert sent(where)[-1] == 0.0
 
     process = start("run", "robot.toml", "--verbose", cwd=where)
-    assert "Traceback" in process.communicate(timeout=20)[1]
+    assert "Traceback" in process.communicate(timeout=60)[1]
 
 
 @pytest.mark.parametrize(
@@ -262,7 +262,7 @@ def test_an_extra_that_is_not_installed_is_exit_code_2(
     process = start(
         "run", "robot.toml", option, cwd=where, code=f"{without}; cli.main()"
     )
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=60)
 
     assert process.returncode == 2, log
     assert f"pip install 'esair[{extra}]'" in log.splitlines()[-1]
@@ -272,7 +272,7 @@ def test_an_extra_that_is_not_installed_is_exit_code_2(
 def test_a_required_device_that_is_not_there_is_exit_code_1(folder, start) -> None:
     """The robot does not start, and says why in a line."""
     process = start("run", "robot.toml", cwd=folder("Once", "Gone"))
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=60)
 
     assert process.returncode == 1
     assert "no such thing" in log.splitlines()[-1]
@@ -285,7 +285,7 @@ def test_a_broken_configuration_is_exit_code_2(folder, start) -> None:
     with (where / "robot.toml").open("a") as file:
         file.write("[robot]\nnmae = 1\n")
     process = start("run", "robot.toml", cwd=where)
-    _, told = process.communicate(timeout=20)
+    _, told = process.communicate(timeout=60)
 
     assert process.returncode == 2
     first, second, last = told.splitlines()

@@ -93,7 +93,7 @@ def robot(tmp_path, monkeypatch, start):
         (folder / "parts.py").write_text(MODULE)
         (folder / "robot.toml").write_text(FILE.format(name=name))
         folder_process = start("run", "robot.toml", *words, cwd=folder)
-        for _ in range(200):
+        for _ in range(1200):
             if told(folder)[-1:] == [1.0]:
                 return folder
             assert folder_process.poll() is None, folder_process.communicate()

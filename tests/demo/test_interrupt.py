@@ -69,7 +69,7 @@ def test_a_signal_stops_the_wheels(
                     break
         begin = time.monotonic()
         process.send_signal(number)
-        output, _ = process.communicate(timeout=10)
+        output, _ = process.communicate(timeout=60)
         took = time.monotonic() - begin
     finally:
         process.kill()

@@ -25,7 +25,7 @@ from esair.testing import Leaks
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("BUS-2")]
 
-PATIENCE = 10.0
+PATIENCE = 60.0
 
 
 async def until(condition: Callable[[], object]) -> None:

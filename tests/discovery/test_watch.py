@@ -16,7 +16,7 @@ from esair.testing import Leaks
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("BUS-2")]
 
-PATIENCE = 10.0
+PATIENCE = 60.0
 
 
 @pytest.fixture(autouse=True)

@@ -42,7 +42,7 @@ class Running:
     def end(self) -> None:
         """Stop it in order."""
         self.process.send_signal(signal.SIGTERM)
-        assert self.process.wait(20) == 128 + signal.SIGTERM
+        assert self.process.wait(60) == 128 + signal.SIGTERM
 
     def acts(self) -> list[str]:
         """Return what the operator has done, in its order."""
@@ -74,7 +74,7 @@ def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running
         stderr=subprocess.DEVNULL,
     )
     try:
-        for _ in range(400):
+        for _ in range(1200):
             if (tmp_path / "esair" / "beacon.sock").exists():
                 break
             time.sleep(0.05)

@@ -354,7 +354,7 @@ def test_a_run_that_a_signal_has_ended_is_repeated(tmp_path: Path) -> None:
         time.sleep(0.05)
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=20)
+    _, said = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGINT
     assert b"left behind" not in said
 

@@ -18,7 +18,7 @@ import pytest
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("GRD-1")]
 
 LINES = Path(__file__).with_name("lines.py")
-PATIENCE = 20.0
+PATIENCE = 60.0
 DIED = r"its (process died|robot is gone, its process is not): "
 """What a watchdog says of a death: the second if it takes the kernel long to bury it."""
 

@@ -45,7 +45,7 @@ def run(way: str, seconds: float = 30.0) -> tuple[bytes, str, int | None]:
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.kill(process.pid, signal.SIGKILL)
-        _, said = process.communicate(timeout=5.0)
+        _, said = process.communicate(timeout=60)
         os.close(far)
         os.close(near)
     return data, said, process.returncode
