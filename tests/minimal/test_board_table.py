@@ -1,6 +1,12 @@
 """``[board.NAME]``: a microcontroller in a robot.toml, and its program put on it."""
 
+import contextlib
+import os
+import pty
+import threading
 import time
+import tty
+from collections.abc import Iterator
 
 import pytest
 from tests.minimal.linked import built
@@ -8,7 +14,9 @@ from tests.minimal.test_link import last, until
 
 import esair
 from esair import firmware
+from esair.boards import link
 from esair.config import check, load
+from esair.drivers.board import wire
 from esair.exceptions import ConfigError
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("MIN-4", "MIN-5")]
@@ -198,3 +206,72 @@ def test_without_a_board_it_is_said_so(tmp_path) -> None:
         firmware.deploy(tmp_path / "gone", port="/dev/ttyACM99")
     with pytest.raises(ConfigError, match="there is no /dev/ttyACM99"):
         firmware.monitor("/dev/ttyACM99", print)
+
+
+def test_a_board_whose_rates_do_not_fit_is_told_by_check(tmp_path, capsys) -> None:
+    """At the rate that it is built for: its fastest."""
+    from esair.cli import main
+
+    built(tmp_path)
+    text = (tmp_path / "base.toml").read_text()
+    (tmp_path / "base.toml").write_text(text.replace("rate = 50", "rate = 25"))
+    (tmp_path / "roaming.py").write_text(EXPLORE)
+    (tmp_path / "robot.toml").write_text(HOST.format(port="/dev/ttyACM0"))
+    with pytest.raises(SystemExit):
+        main(["check", str(tmp_path / "robot.toml")])
+
+    said = " ".join(capsys.readouterr().out.split())
+    assert "board.base: sensor.light: 10 Hz does not divide the 25 steps" in said
+    assert "take 12.5 Hz, or --rate 50" in said
+
+
+def test_a_sensor_may_be_called_host(plugged, tmp_path) -> None:
+    """The names of the link can be those of no part."""
+    names = plugged.folder / "main.py"
+    assert "Host(HOST)" in names.read_text()
+    assert link.HOST == "<host>"
+
+
+@contextlib.contextmanager
+def beating(beat: bytes) -> Iterator[str]:
+    """A port at which a board says this again and again."""
+    mine, other = pty.openpty()
+    tty.setraw(other)
+    over = threading.Event()
+
+    def say() -> None:
+        while not over.wait(0.05):
+            os.write(mine, wire.stuffed(beat))
+
+    thread = threading.Thread(target=say)
+    thread.start()
+    try:
+        yield os.ttyname(other)
+    finally:
+        over.set()
+        thread.join()
+        os.close(mine)
+        os.close(other)
+
+
+@pytest.mark.parametrize("beat", [b"b\x03" + bytes(24), b"B\0[7, 0]"])
+def test_a_board_of_another_version_is_refused_in_one_sentence(beat) -> None:
+    """By `monitor`, too: in bytes, and in JSON."""
+    with (
+        beating(beat) as port,
+        pytest.raises(ConfigError, match=r"speaks version \d of the link, this"),
+    ):
+        firmware.monitor(port, print, seconds=5.0)
+
+
+def test_a_board_of_the_version_before_is_watched() -> None:
+    """Its beats are JSON."""
+    state = '[1, 500, 25, 0, 3, 1, "imu: OSError()", 900, "watchdog", true, 0, [], []]'
+    told: list[object] = []
+    with beating(b"B\0" + state.encode()) as port:
+        firmware.monitor(port, told.append, seconds=0.5)
+
+    assert told == [
+        "esair: started by watchdog, armed, 0 late, 3 refused, 1 faults, "
+        "last: imu: OSError()"
+    ]

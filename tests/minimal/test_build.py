@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 import sys
 import textwrap
@@ -24,7 +25,8 @@ def misfits(path: Path, out: Path, **options) -> list[str]:
         firmware.build(path, out, **options)
     assert not out.exists()
     return [
-        str(error).partition("robot.toml: ")[2] for error in caught.value.exceptions
+        re.sub(r"^.*?robot\.toml(:\d+)?: ", "", str(error))
+        for error in caught.value.exceptions
     ]
 
 
@@ -504,3 +506,107 @@ def test_a_built_folder_runs(micropython, tmp_path, capfd) -> None:
     assert caught.value.code == 0
     assert "motor 0.5" in shown
     assert "10 steps, 0 commands refused" in shown
+
+
+def pins_of(folder: Path, text: str, **options) -> str:
+    path = folder / "robot.toml"
+    path.write_text(text)
+    with pytest.raises(ExceptionGroup) as caught:
+        firmware.build(path, folder / "board", **options)
+    (error,) = caught.value.exceptions
+    return str(error)
+
+
+BUMPER = "[sensor.bumper]\ndriver = 'esair.boards.digital:DigitalIn'\npin = 14\n"
+SERVO = "[actuator.arm]\ndriver = 'esair.boards.servo:PwmServo'\npin = 14\n"
+
+
+@pytest.mark.promise("MIN-6")
+def test_two_parts_on_one_pin_are_refused(micropython, tmp_path) -> None:
+    """With file and line; those of a bus share its pins."""
+    found = pins_of(tmp_path, BUMPER + SERVO)
+
+    assert re.search(
+        r"robot\.toml:\d: (sensor\.bumper|actuator\.arm): pin 14 is", found
+    )
+    assert "already: a pin has one user" in found
+
+    register = "driver = 'esair.boards.i2c_register:I2CRegister'\nregister = 1\n"
+    register += "scl = 5\nsda = 4\naddress = "
+    (tmp_path / "robot.toml").write_text(
+        f"[sensor.a]\n{register}0x48\n[sensor.b]\n{register}0x49\n"
+    )
+    trial = firmware.build(tmp_path / "robot.toml", tmp_path / "board").trial
+    assert trial is not None
+    assert trial.pins.keys() == {4, 5}
+
+
+@pytest.mark.promise("MIN-6")
+def test_the_switch_that_arms_has_a_pin_of_its_own(micropython, tmp_path) -> None:
+    """Not the bumper's: a touch would arm the board."""
+    found = pins_of(tmp_path, BUMPER, arm="pin:14")
+
+    assert "robot.toml:1: sensor.bumper: pin 14 is that of what arms the board" in found
+
+
+@pytest.mark.promise("MIN-6")
+def test_a_pin_that_is_taken_as_a_part_is_made_is_its_own(
+    micropython, tmp_path
+) -> None:
+    """Not only when it is opened."""
+    sys.modules.pop("early_parts", None)
+    (tmp_path / "early_parts.py").write_text(
+        "from esair.minimal import Sensor\n\n\nclass Early(Sensor):\n"
+        "    def __init__(self, name=None):\n        Sensor.__init__(self, name)\n"
+        "        try:\n            from machine import Pin\n"
+        "        except ImportError:\n            return\n"
+        "        self.pin = Pin(14)\n\n"
+        "    def read(self):\n        return 1.0\n"
+    )
+    found = pins_of(tmp_path, "[sensor.early]\ndriver = 'early_parts:Early'\n" + BUMPER)
+
+    assert "pin 14 is that of sensor.early already: a pin has one user" in found
+
+
+@pytest.mark.promise("MIN-6")
+def test_a_sensor_and_an_actuator_of_one_name_are_refused(tmp_path) -> None:
+    """With file and line."""
+    path = tmp_path / "robot.toml"
+    path.write_text(BUMPER + SERVO.replace("actuator.arm", "actuator.bumper"))
+    with pytest.raises(ExceptionGroup) as caught:
+        firmware.build(path, tmp_path / "board")
+
+    assert "robot.toml:4: actuator.bumper: a resource named" in str(
+        caught.value.exceptions[0]
+    )
+
+
+@pytest.mark.promise("MIN-6")
+def test_a_rate_that_does_not_fit_the_loops_is_told(tmp_path, capsys) -> None:
+    """And which one would; a rate of the loop that fits all, if there is one."""
+    path = simple(tmp_path)
+    path.write_text(
+        path.read_text().replace(
+            "simple_parts:Sonar'", "simple_parts:Sonar'\nrate = 30"
+        )
+    )
+    built = firmware.build(path, tmp_path / "board", rate=50)
+    assert built.uneven == (
+        "sensor.sonar: 30 Hz does not divide the 50 steps per second: its turns come 1 or "
+        "2 steps apart: take 25 Hz, or --rate 150",
+    )
+    assert firmware.build(path, tmp_path / "board", rate=60).uneven == ()
+
+
+@pytest.mark.promise("MIN-5")
+@pytest.mark.parametrize(("rate", "told"), [(50, 2000), (1, 4000), (0.2, 8388)])
+def test_the_watchdog_is_on_unless_it_is_turned_off(tmp_path, rate, told) -> None:
+    """Two seconds, or four steps, within what the board has."""
+    path = simple(tmp_path)
+    slow = "simple_parts:Motor'\ncommand_timeout = 10"
+    path.write_text(path.read_text().replace("simple_parts:Motor'", slow))
+    firmware.build(path, tmp_path / "board", rate=rate)
+    main = (tmp_path / "board" / "main.py").read_text()
+    assert f"Start(_loop, 'host', {told}, " in main
+    firmware.build(path, tmp_path / "board", rate=rate, watchdog="off")
+    assert "Start(_loop, 'host', 0, " in (tmp_path / "board" / "main.py").read_text()

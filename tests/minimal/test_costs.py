@@ -1,9 +1,13 @@
 """What MIN costs on a 32-bit board: instructions and bytes, the same on any machine."""
 
 import json
+import shutil
+from pathlib import Path
 
 import pytest
 from tests.minimal.hw.board import Board, why_not
+
+from esair import minimal
 
 pytestmark = [pytest.mark.long, pytest.mark.real_clock, pytest.mark.promise("MIN-1")]
 
@@ -113,6 +117,115 @@ found["wiring"] = most
 print(json.dumps(found))
 """
 
+LINK = """import gc, json, time
+from binascii import crc32
+from esair.boards import link
+from esair.boards.line import Line
+from esair.minimal import Actuator, Loop, Reaction, Sensor, guards, reads, writes
+
+class Bumper(Sensor):
+    def read(self):
+        return False
+
+class Light(Sensor):
+    rate = 10
+    value = 0.25
+    def read(self):
+        return self.value
+
+class Wheels(Actuator):
+    safe = (0.0, 0.0)
+    command_timeout = 0.3
+    def write(self, command):
+        pass
+
+class Avoid(Reaction):
+    bumper = reads(bool)
+    wheels = writes(tuple, priority=10)
+    def react(self, bumper):
+        return (-0.5, -0.5) if bumper else None
+
+class Slow(Reaction):
+    bumper = reads(bool)
+    wheels = guards(tuple)
+    def react(self, bumper, wheels):
+        return wheels
+
+class Cruise(Reaction):
+    light = reads(float)
+    wheels = writes(tuple)
+    rate = 50
+    go = (0.4, 0.4)
+    def react(self, light):
+        return self.go
+
+def stuffed(payload):
+    data = payload + (crc32(payload) & 0xFFFFFFFF).to_bytes(4, "little")
+    found = bytearray()
+    for piece in data.split(b"\\0"):
+        found += bytes([len(piece) + 1]) + piece
+    return bytes(found + b"\\0")
+
+import io
+YES = (1,)
+sent = [0]
+come, out = io.BytesIO(), io.BytesIO()
+came = takes = {0: YES}.get
+read, write = come.readinto, out.write
+BEAT, ARMED = stuffed(bytes([104, 2, 3])), stuffed(bytes([104, 2, 2]))
+buffer = bytearray(64)
+GO = stuffed(b"w\\0" + bytes(buffer[: link.packed(buffer, 0, (0.4, 0.4))]))
+
+def measured(linked, count=400):
+    come = io.BytesIO()
+    sensors, wheels = [Bumper(), Light()], Wheels()
+    reactions = [Avoid(), Slow()]
+    line = Line(streams=(came, read, takes, write))
+    if linked:
+        orders = link.from_host((wheels,))
+        loop = Loop(reactions + orders, sensors + [link.Host(link.HOST)], [wheels], rate=50)
+        after = link.Link(loop, orders, "power-on", True, line)
+    else:
+        loop = Loop(reactions + [Cruise()], sensors, [wheels], rate=50)
+        after = lambda: None
+    rates = []
+    if linked:
+        for i in range(2):
+            rates.append(stuffed(bytes([114, i]) + (100).to_bytes(2, "little")))
+    worst = total = size = 0
+    last = 0
+    sent[0] = 0
+    for i in range(count + 60):
+        if linked:
+            turn = i % 5
+            data = b""
+            if turn == 0:
+                data = BEAT if i < 20 else ARMED
+            elif turn == 2:
+                data = GO
+            elif i % 50 in (1, 6):
+                data = rates[i % 2]
+            come = io.BytesIO(data)
+            line.read = come.readinto
+            line.came = takes if data else {0: ()}.get
+        gc.collect()
+        before = gc.mem_alloc()
+        begin = time.ticks_us()
+        loop.step()
+        after()
+        line.flush()
+        sent[0] += out.tell()
+        out.seek(0)
+        took = time.ticks_diff(time.ticks_us(), begin)
+        grew = gc.mem_alloc() - before
+        if i == 60:
+            worst = total = size = 0
+            sent[0] = 0
+        worst, total, size = max(worst, took), total + took, size + grew
+    return [total / count, worst, size / count, sent[0] / count * 50, loop.faults]
+print(json.dumps([measured(False), measured(True)]))
+"""
+
 COSTS = {
     "number": (4.5, 0),
     "two sensors": (6.2, 0),
@@ -125,18 +238,21 @@ COSTS = {
 @pytest.fixture(scope="module")
 def found(tmp_path_factory) -> dict[str, list[float]]:
     """What was measured."""
-    import shutil
-
-    from esair import minimal
-
     reason = why_not()
     if reason:
         pytest.skip(reason)
     folder = tmp_path_factory.mktemp("board")
-    (folder / "esair").mkdir()
-    shutil.copy(minimal.__file__, folder / "esair" / "minimal.py")
+    (folder / "esair" / "boards").mkdir(parents=True)
+    source = Path(minimal.__file__)
+    shutil.copy(source, folder / "esair" / "minimal.py")
+    for name in ("line", "link", "start"):
+        shutil.copy(
+            source.parent / "boards" / f"{name}.py", folder / "esair" / "boards"
+        )
     with Board(folder, exact=True) as board:
         costs: dict[str, list[float]] = json.loads(board.run(MEASURE))
+    with Board(folder, exact=True) as board:
+        costs["bare"], costs["linked"] = json.loads(board.run(LINK))
     return costs
 
 
@@ -152,3 +268,21 @@ def test_a_step_costs_little(found, step) -> None:
 def test_wiring_takes_little_memory(found) -> None:
     """Four reactions, two sensors and an actuator: the least free heap that is enough."""
     assert found["wiring"] <= 2600
+
+
+V1 = 10 * (95 + 7) + 10 * (len("Sbumper") + 1 + len("[20, false]") + 7)
+V1 += 10 * (len("Slight") + 1 + len("[20, 0.25]") + 7)
+"""Bytes a second that version 1 sent for the same: beats and two sensors, ten of each."""
+
+
+@pytest.mark.promise("MIN-6")
+def test_a_link_costs_little(found) -> None:
+    """Each step with beats, commands and two sensors at 10 Hz, to one that drives alone."""
+    bare, linked = found["bare"], found["linked"]
+    mean, worst, size, sent, faults = linked
+
+    assert faults == 0
+    assert mean <= 2 * bare[0]
+    assert worst <= 3 * bare[1]
+    assert size - bare[2] <= 200
+    assert sent <= V1 / 2

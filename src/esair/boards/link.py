@@ -35,6 +35,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+const = int  # MicroPython's compiler knows the word, and puts the number in its place
+
 VERSION = 2
 
 HOST = "<host>"
@@ -43,18 +45,20 @@ HOST = "<host>"
 PRIORITY = -1000
 """Of what the computer writes."""
 
-BEAT_MS = 100
+BEAT_MS = const(100)
 SILENCE = 0.35
 """After so many seconds without a beat of the computer it counts as gone."""
 
-LONGEST = 512
+LONGEST = const(512)
 """Bytes of a message; what is longer is left out, or thrown away."""
 
 AT_ONCE = 96
 """Bytes that are read in one step: more of them wait, and no step is late for them."""
 
-DAY_MS = 1 << 28
+DAY_MS = const(1 << 28)
 """What a beat counts as days."""
+
+_WHOLE = const(0x2144DF1C)  # the checksum of a message and its checksum
 
 REFUSAL = b"B\0[%d, 0]" % VERSION
 """A beat as a computer of version 1 reads it."""
@@ -167,20 +171,18 @@ class FromHost(Reaction):
         self.command: Any = None
         self.left = 0
 
-    def take(self, command: "Any", gap: int) -> None:
+    def take(self, command: "Any") -> None:
         """Want, from the next step on, what the computer has written last."""
         self.command = command
-        self.left = self.good_ms - gap
-        self.fresh = True
+        self.left = self.good_ms
 
     def react(self, host: int) -> "Any":
         """Go on with it while it is good."""
-        if self.left <= 0:
-            return None
-        if not self.fresh:
-            self.left -= self.elapsed_ms
-        self.fresh = False
-        return self.command if self.left > 0 else None
+        left = self.left
+        if left > 0:
+            self.left = left - self.elapsed_ms
+            return self.command
+        return None
 
 
 def from_host(actuators: "tuple[Any, ...]") -> "list[FromHost]":
@@ -270,13 +272,14 @@ class Link:
         at, fresh = 1, now - 4 * self.gap
         i = -1
         for gap in self.every:  # what `enumerate` makes would be new in each step
-            i += 1  # noqa: SIM113
+            i += 1
             if gap:
                 ahead = due[i] - now
+                if 0 < ahead <= gap:
+                    continue
                 node = self.sensors[i]
-                time = node.time
-                if (ahead <= 0 or ahead > gap) and fresh <= time != self.told[i]:
-                    self.told[i] = time
+                if fresh <= node.time != self.told[i]:
+                    self.told[i] = node.time
                     ahead += gap
                     due[i] = now + (ahead if 0 < ahead <= gap else gap)
                     packet[at] = i
@@ -332,8 +335,7 @@ class Link:
             return
         out, code = line.buffer, line.used
         to, end = code + 1, code + size
-        for i in range(count):
-            byte = packet[i]
+        for byte in self.sent[:count]:
             if byte:
                 out[to] = byte
                 to += 1
@@ -365,13 +367,16 @@ class Link:
             if not read(one):
                 break
             byte = one[0]
-            if byte == 0:
+            if not byte:
                 count = used
                 whole = left == 0
                 used, left, full = 0, 0, True
                 if count:
                     self.used, self.left, self.full = 0, 0, True
-                    if not whole or not self._is_obeyed(count - 4):
+                    try:
+                        if not whole or not self._obey(count - 4):
+                            self.damaged += 1
+                    except Exception:  # what is no message of this version
                         self.damaged += 1
                     return
             elif left:
@@ -387,19 +392,20 @@ class Link:
                 full = byte == 255
         self.used, self.left, self.full = used, left, full
 
-    def _is_obeyed(self, count: int) -> bool:
-        try:
-            return self._obey(count)
-        except Exception:  # what is no message of this version
-            return False
-
     def _obey(self, count: int) -> bool:
-        message = self.message
-        (check,) = struct.unpack_from("<I", message, count)
-        if count < 1 or check != crc32(self.view[:count]) & 0xFFFFFFFF:
+        if count < 1 or crc32(self.view[: count + 4]) & 0xFFFFFFFF != _WHOLE:
             return False
+        message = self.message
         kind = message[0]
-        if kind == 104 and count == 3:  # h
+        if kind == 119 and self.version == VERSION:  # w
+            order = self.orders[message[1]]
+            value, end = unpacked(message, 2)
+            if end != count:
+                return False  # it says more than it has
+            if isinstance(value, tuple):
+                value = _like(self.loop.outputs[order.target].safe, value)
+            order.take(value)
+        elif kind == 104 and count == 3:  # h
             self.version = message[1]
             if self.version == VERSION:
                 self._beaten(message[2])
@@ -408,17 +414,7 @@ class Link:
             raise KeyboardInterrupt  # it ends as by Ctrl-C, with safe commands
         elif kind == 66:  # B, of version 1
             self.version, self.answer = 1, REFUSAL
-        elif self.version != VERSION:
-            return False
-        elif kind == 119:  # w
-            order = self.orders[message[1]]
-            value, end = unpacked(message, 2)
-            if end != count:
-                return False  # it says more than it has
-            if isinstance(value, tuple):
-                value = _like(self.loop.outputs[order.target].safe, value)
-            order.take(value, self.gap)
-        elif kind == 114 and count == 4:  # r
+        elif kind == 114 and count == 4 and self.version == VERSION:  # r
             self.every[message[1]] = struct.unpack_from("<H", message, 2)[0]
         else:
             return False

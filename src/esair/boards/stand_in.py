@@ -30,6 +30,11 @@ chips = {}  # type: ignore[var-annotated]
 used = {}  # type: ignore[var-annotated]
 """The pins that were used, and whether they are driven."""
 
+owners = {}  # type: ignore[var-annotated]
+"""Whose each of them is: the `owner` at the time, each once; a bus has many."""
+
+owner = [""]
+"""Who uses the pins that are made now."""
 
 received = {}  # type: ignore[var-annotated]
 """The bytes that wait at each serial port."""
@@ -72,6 +77,8 @@ class Pin:
         self.number = number
         self.idle = 1 if pull == self.PULL_UP else 0
         used[number] = bool(used.get(number)) or mode == self.OUT
+        if owner[0] not in owners.setdefault(number, []):
+            owners[number].append(owner[0])
         if value is not None:
             self.value(value)
 
@@ -173,6 +180,9 @@ class I2C:
         freq: int = 400000,
     ) -> None:
         self.number = number
+        for each in (scl, sda):
+            if each is not None:
+                owners[each.number][:] = ["bus"]  # its parts share it
 
     def writeto_mem(self, address: int, register: int, data: bytes) -> None:
         """Write to registers."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import attrs
@@ -14,7 +16,7 @@ from rich.text import Text
 
 from esair.cli._errors import counted
 from esair.cli._options import AsJson
-from esair.config import FoundInFile, Report
+from esair.config import FoundInFile, Report, tables_of
 from esair.config import check as check_robot
 from esair.plan import UNWATCHED
 
@@ -41,8 +43,19 @@ def check(robot: str, /, *, as_json: AsJson = False, strict: bool = False) -> in
         unmade = any(found.rule == "configuration" for found in report.findings)
         if report.actuators and not unmade:  # else a guard may be what is missing
             console.print(_actuators(report))
+        for told in _of_boards(robot, report):
+            console.print(Text(told), soft_wrap=True)
         console.print(_summary(report), soft_wrap=True)
     return 1 if report.errors or (strict and report.warnings) else 0
+
+
+def _of_boards(robot: str, report: Report) -> Iterable[str]:
+    """Return what is to be said of the boards of a file that has no errors."""
+    if report.errors or not robot.endswith(".toml") or "board" not in tables_of(robot):
+        return ()
+    from esair.firmware import uneven_on_boards
+
+    return uneven_on_boards(Path(robot))
 
 
 def to_json(report: Report) -> dict[str, Any]:

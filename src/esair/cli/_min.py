@@ -75,7 +75,7 @@ def build(
         told.append(
             f"it ran in MicroPython; on a {built.board.name} it takes about {used}"
         )
-    for line in told:
+    for line in (*told, *built.uneven):
         _say(line)
     return 0
 

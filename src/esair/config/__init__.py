@@ -8,7 +8,7 @@ from esair.config._check import FoundInFile, Report, check
 from esair.config._classes import searched_first
 from esair.config._construct import keywords_of
 from esair.config._load import Description, build, load, load_robot
-from esair.config._mistakes import ConfigFileError
+from esair.config._mistakes import ConfigFileError, Lines
 from esair.config._module import find_robot, is_of_module, robot_of
 from esair.config._records import fields_of
 from esair.config._source import digest_of, tables_of
@@ -19,6 +19,7 @@ __all__ = [
     "ConfigFileError",
     "Description",
     "FoundInFile",
+    "Lines",
     "Report",
     "build",
     "check",

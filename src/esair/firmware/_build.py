@@ -13,10 +13,16 @@ from typing import Any, Literal
 import attrs
 
 from esair import minimal
-from esair.config import ConfigFileError, keywords_of, load, searched_first
+from esair.config import ConfigFileError, Lines, keywords_of, load, searched_first
 from esair.exceptions import ConfigError
 from esair.firmware._boards import BOARDS, Board
-from esair.firmware._fit import Misfit, fitting_parts, loop_mistakes, rate_of
+from esair.firmware._fit import (
+    Misfit,
+    fitting_parts,
+    loop_mistakes,
+    rate_of,
+    uneven_rates,
+)
 from esair.firmware._main_file import main_file
 from esair.firmware._micropython import Trial, find_micropython, run_folder
 from esair.firmware._modules import FACADE, Modules
@@ -39,6 +45,7 @@ class Built:
         compiled: Each file compiled by ``mpy-cross``, and its size; empty without it.
         board: What it was built for.
         trial: What its run under MicroPython has shown; None without a MicroPython.
+        uneven: What is said of rates that do not fit that of the loop.
     """
 
     folder: Path
@@ -47,6 +54,7 @@ class Built:
     compiled: Mapping[str, int]
     board: Board
     trial: Trial | None = None
+    uneven: tuple[str, ...] = ()
 
 
 def build(
@@ -90,10 +98,11 @@ def build(
             "it is the folder of the robot itself: take one of its own, such as board",
         )
     described = load(path)
+    lines = Lines(path.read_text(encoding="utf-8"))
     misfits: list[ConfigFileError] = []
 
     def misfit(key: str, reason: str) -> None:
-        found = ConfigFileError(str(path), None, key, reason)
+        found = ConfigFileError(str(path), lines.of(key), key, reason)
         if str(found) not in map(str, misfits):
             misfits.append(found)
 
@@ -135,7 +144,8 @@ def build(
         raise ConfigError(
             "esair min build", "out", f"{error.filename or folder}: {error.strerror}"
         ) from error
-    return _tried(built)
+    built = attrs.evolve(built, uneven=tuple(uneven_rates(parts, steps)))
+    return _tried(built, path, lines)
 
 
 def _armed_by(arm: str, board: Board, misfit: Misfit) -> str | int:
@@ -150,7 +160,7 @@ def _armed_by(arm: str, board: Board, misfit: Misfit) -> str | int:
     return "host"
 
 
-def _tried(built: Built) -> Built:
+def _tried(built: Built, path: Path, lines: Lines) -> Built:
     """Run what was written, where that can be done, and tell what fails."""
     if find_micropython() is None:
         return built
@@ -168,6 +178,14 @@ def _tried(built: Built) -> Built:
         else:
             continue
         found.append(ConfigError("esair min build", f"pin {pin}", reason))
+    for pin, users in sorted(trial.owners.items()):
+        keys = [each.replace("_", ".", 1) for each in users if each != "arm"]
+        if len(users) > 1:
+            others = ", ".join(keys[:-1]) or "what arms the board (--arm)"
+            reason = f"pin {pin} is that of {others} already: a pin has one user"
+            found.append(
+                ConfigFileError(str(path), lines.of(keys[-1]), keys[-1], reason)
+            )
     if found:
         raise ExceptionGroup("it does not run on a board", found)
     return attrs.evolve(built, trial=trial)

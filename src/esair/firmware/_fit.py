@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import attrs
 
 from esair.actions import Behavior, MinimalReaction, Reaction
-from esair.config import Description
+from esair.config import Description, load, tables_of
 from esair.firmware._mistakes import mistakes_in, wrong_rate
 from esair.resources import Actuator, MinimalActuator, MinimalSensor, Resource, Sensor
 
@@ -123,3 +124,40 @@ def rate_of(parts: list[Part]) -> float:
     """Return the steps per second that the parts ask for; 50 if they do not."""
     rates = [part.made.rate for part in parts if getattr(part.made, "rate", None)]
     return float(max(rates, default=50.0))
+
+
+def uneven_rates(parts: list[Part], rate: float) -> Iterator[str]:
+    """Yield what is to be said of each rate that does not divide that of the loop.
+
+    A part of such a rate has its turns now more, now fewer steps apart, and decides
+    otherwise than in STD.
+    """
+    every = round(rate * 1000)
+    paces = {
+        part.key: round(part.made.rate * 1000)
+        for part in parts
+        if getattr(part.made, "rate", None) and part.made.rate < rate
+    }
+    common = math.lcm(every, *paces.values()) / 1000
+    for key, pace in paces.items():
+        if every % pace:
+            steps = every // pace
+            told = (
+                f"{key}: {pace / 1000:g} Hz does not divide the {rate:g} steps per second: "
+                f"its turns come {steps} or {steps + 1} steps apart: take "
+                f"{rate / round(every / pace):g} Hz"
+            )
+            yield told + (f", or --rate {common:g}" if common <= 1000 else "")
+
+
+def uneven_on_boards(path: Path) -> Iterator[str]:
+    """Yield the same for each board of a robot.toml, at the rate that it is built for.
+
+    What is wrong with its file is not told here.
+    """
+    for name, table in tables_of(path).get("board", {}).items():
+        inner = Path(table["robot"])
+        inner = inner if inner.is_absolute() else path.parent / inner
+        parts = fitting_parts(inner, load(inner), lambda _key, _reason: None)
+        for told in uneven_rates(parts, rate_of(parts)):
+            yield f"board.{name}: {told}"

@@ -38,6 +38,8 @@ class Trial:
         faults: What was raised, with its traceback, each kind once.
         mistakes: Those of the faults that no device explains: the program is wrong.
         pins: The pins that were used, and whether they are driven.
+        owners: The parts that use each of them, as ``sensor_bumper``; ``arm`` for what
+            arms the board.
         memory: The heap that the program takes on a board, about, in bytes.
     """
 
@@ -48,6 +50,7 @@ class Trial:
     mistakes: tuple[str, ...]
     pins: Mapping[int, bool]
     memory: int
+    owners: Mapping[int, tuple[str, ...]] = {}
 
 
 def run_folder(folder: Path, *, seconds: float = 1.0, show: bool = False) -> Trial:
@@ -111,6 +114,7 @@ def run_folder(folder: Path, *, seconds: float = 1.0, show: bool = False) -> Tri
         mistakes=tuple(found["mistakes"]),
         pins={int(key): bool(value) for key, value in found["pins"].items()},
         memory=found["memory"],
+        owners={int(key): tuple(each) for key, each in found["owners"].items()},
     )
 
 
