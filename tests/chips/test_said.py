@@ -70,6 +70,10 @@ CASES = {
     "values of or": "a = x or self.int\nb = k and self.put(7)\nself.log = 0\nreturn {'out': a, 'count': b}",
     "swap": "a, b = x, self.int\na, b = b, a\nreturn {'out': a - b}",
     "a tuple stays": "a = (x, 1.0)\nb = a\na = (2.0, 3.0)\nself.place = 1\nreturn {'out': b[0]}",
+    "a loop goes on over what it was": "row = (x, 2.0)\ns = 0.0\nfor each in row:\n    s = s * 2 + each\n"
+    "    row = (5.0, 7.0)\nreturn {'out': s}",
+    "a name that was asked for": "y = None\nif x > 0:\n    y = x\nif y is not None and k > 0:\n    z = y\n"
+    "    y = None\nelse:\n    z = 3.0\nreturn {'out': z, 'count': 1 if y is None else 2}",
     "words of C": "register = x\nint = register + self.int\nauto = self.auto\nt1 = 2\nfloat = int\n"
     "return {'out': float * t1 * es_add + R, 'count': auto}",
     "names of fields": "return {'out': Pose(x, 2.0).long() + Pose(1.0, PI=x).PI}",
@@ -132,3 +136,42 @@ def test_it_means_the_same(said, what) -> None:
     expected, there = said(CASES[what], journal)
 
     assert there == expected
+
+
+AGES = """
+from esair.minimal import Reaction, writes
+
+class R0(Reaction):
+    rate = 1
+    out = writes(float)
+    count = writes(int)
+    n = 0
+    def react(self):
+        self.n = self.n + 1 if self.elapsed_ms == 1000 else 0
+        return {"count": self.n}
+
+class R1(Reaction):
+    rate = 1
+    out = writes(float)
+    def react(self):
+        return float(self.now_ms % 8000)
+"""
+
+
+def test_time_never_grows(tmp_path) -> None:
+    """12 days are nothing; from 2**31 ms on who asks for them is blind, and is counted."""
+    module = robots.imported(AGES, tmp_path / "ages.py")
+    actuators = [robots.Told("out", 0.0, 3.0), robots.Told("count", 0, 3.0)]
+    robot = robots.Robot([module.R0("a"), module.R1("b")], [], actuators, rate=1)
+    robot.reactions[0].rate = robot.reactions[1].rate = 1
+    program = robots.in_c(robot, tmp_path)
+    steps: list[Any] = [([], [True, True])] * 4
+    young = [*steps, "k 1000000", *steps, "k 1000000", *steps]
+    old = ["k 147480", *steps, "k 1000000", *steps]
+    told = robots.run_c(robot, program, [*young, *old])
+    faults = [each[1] for each in told if len(each) == 3]
+    expected = robots.run_min(robot, young)
+
+    assert faults == [0] * 12 + [1, 2, 3, 4, 5, 6, 7, 8]
+    assert told[: len(expected) - 2] == expected[:-2]
+    assert ("count", [3]) in told[-8:]

@@ -350,6 +350,7 @@ class Expressions:
             other = self.of(node.orelse)
         if (
             isinstance(node.test, ast.Compare)
+            and [*map(ast.unparse, node.test.comparators)] == ["None"]
             and one.type is not NONE is not other.type
         ):
             asked = ast.dump(node.test.left)

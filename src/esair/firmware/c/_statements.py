@@ -153,7 +153,7 @@ class Statements:
         if node.orelse:
             raise RefusedError("else of a loop: keep in a name whether it broke")
         count = self.scope.new_name()
-        size, items = self._items(node.iter, count)
+        size, items = self._items(node.iter, count, node.body)
         self.scope.defined, before = set(self.scope.defined), self.scope.defined
         with self.scope.aside() as head:
             self._set(node.target, items)
@@ -164,7 +164,9 @@ class Statements:
         )
         return True
 
-    def _items(self, node: ast.expr, count: str) -> tuple[int, Value]:
+    def _items(
+        self, node: ast.expr, count: str, body: Sequence[ast.stmt]
+    ) -> tuple[int, Value]:
         """Return how many items a loop has, and that of its counter."""
         if isinstance(node, ast.Call) and not node.keywords:
             target = self.scope.thing(node.func)
@@ -185,7 +187,7 @@ class Statements:
                 text = f"({numbers.start} + {count} * {numbers.step})"
                 return len(numbers), Value(INT, text)
             if target is enumerate and len(node.args) == 1:
-                size, item = self._items(node.args[0], count)
+                size, item = self._items(node.args[0], count, body)
                 kind = self.scope.types.tuple_of(
                     (INT, item.type), ("number", "item"), None
                 )
@@ -196,6 +198,11 @@ class Statements:
             raise RefusedError(
                 f"a loop over {value.type.said}: only over a range or a row of equal types"
             )
+        names = (each.id for each in ast.walk(node) if isinstance(each, ast.Name))
+        if any(
+            _changes(body, name) for name in names
+        ):  # the loop goes on over what it was
+            value = Value(value.type, value.text)
         value = self.expressions.kept(value)
         return len(value.type.fields), Value(row, f"{value.text}.v[{count}]")
 
@@ -241,7 +248,9 @@ def _asked(test: ast.expr) -> tuple[str, bool]:
     if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And):
         found = [_asked(each) for each in test.values]
         return next((each for each in found if each[1]), ("", False))
-    if isinstance(test, ast.Compare) and ast.unparse(test.comparators[-1]) == "None":
+    if isinstance(test, ast.Compare) and [*map(ast.unparse, test.comparators)] == [
+        "None"
+    ]:
         is_not = isinstance(test.ops[0], ast.IsNot)
         if isinstance(test.left, ast.Name) and (
             is_not or isinstance(test.ops[0], ast.Is)

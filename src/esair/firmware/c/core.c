@@ -56,7 +56,8 @@ typedef struct es_output { /* an actuator, and whose will it does */
     es_guard *guards;
     uint32_t timeout, age;
     es_port *writer, *holder, *steady;
-    uint8_t size, n_ports, n_guards, part;
+    uint16_t size;
+    uint8_t n_ports, n_guards, part;
     bool stands, bad, news;
 } es_output;
 
