@@ -100,7 +100,7 @@ async def test_a_reader_too_many_is_counted(
     monkeypatch: pytest.MonkeyPatch, fake_sensor: Any
 ) -> None:
     """Who has to be turned away at a bound is counted there."""
-    monkeypatch.setattr("esair.connections._waiting_readers.WAITING_LIMIT", 1)
+    monkeypatch.setattr("esair.connections._hearing.WAITING_LIMIT", 1)
     sonar = fake_sensor("sonar", 1.0)
     async with esair.Robot(resources=[sonar]) as robot:
         port = await robot.resources.register("me", "sonar", esair.Access.READ)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import collections
 import math
-from collections.abc import Awaitable
+from collections.abc import Callable
 from typing import Any, Protocol
 
+from esair.connections._call import Call, End
 from esair.connections._checks import FrozenCheck, ReadingCheck, measured_at
-from esair.connections._device import OfRobot
-from esair.connections._driver import translate_call
-from esair.connections._listening import Listening
+from esair.connections._device import Device, OfRobot, Operating
+from esair.connections._driver import Method, translate_call
+from esair.connections._hearing import READY, Asking, Listening
 from esair.connections._registrations import Registration
-from esair.connections._sensor_device import READY, SensorDevice
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
@@ -22,7 +21,6 @@ from esair.exceptions import (
     StaleReadingError,
 )
 from esair.journal import Kind
-from esair.loop import Job, Order, Scheduler
 from esair.messages import Reading, ResourceState, Stamped, StampedReading
 from esair.resources import Sensor
 from esair.values import passes_as
@@ -61,42 +59,40 @@ class Follower(Protocol):
         """Learn that it has given a bad value, or an error instead of one."""
 
 
-class SensorChannel(SensorDevice):
+class SensorChannel(Device):
     """Reads one sensor for everybody who asks; one transaction serves them all."""
 
+    # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
+        "_asking",
         "_check_value",
         "_followers",
         "_frozen",
         "_history",
         "_listening",
-        "_poll",
-        "_polled_in",
-        "_scheduler",
+        "_waiting",
         "bad",
         "dropped",
         "good_for",
         "max_age",
-        "missed",
         "newest",
         "sequence",
     )
 
     def __init__(self, sensor: Sensor[Any], robot: OfRobot) -> None:
+        super().__init__(sensor.name, robot)
         self.newest: Reading[Any] | None = None
         self.bad = 0
         """How many readings were of a wrong type, not finite, or outside the limits."""
-        self.missed = 0
-        """How many polls were left out because the device had not answered yet."""
         self.dropped = 0  # how many readings a slow follower has not seen
         self.sequence = 0
         self._followers: tuple[Follower, ...] = ()
-        self._poll: Job | None = None
-        loop = asyncio.get_running_loop()
-        self._scheduler = Scheduler.of(loop)
-        self._polled_in = 0
-        super().__init__(sensor, robot)
-        self._listening = Listening(self, loop, self._heard)
+        self._asking = Asking(
+            self, publish=self.publish, fail=self._fail, silent=self._silent
+        )
+        self._waiting = self._asking.waiting
+        self._listening = Listening(self, self.loop, self._heard)
+        self.attach(sensor)
 
     def attach(self, sensor: Sensor[Any]) -> None:
         """Read this sensor from now on; it is not ready yet."""
@@ -106,22 +102,47 @@ class SensorChannel(SensorDevice):
         self._check_value = ReadingCheck(sensor).wrong
         limit = sensor.max_repeat
         self._frozen = None if limit is None else FrozenCheck(limit)
-        super().attach(sensor)
+        self.take(sensor, self, self._late)
+        self.configured()
 
     def configured(self) -> None:
-        """Take over a changed rate."""
-        super().configured()
+        """Take over a changed rate, or deadline."""
         sensor = self.sensor
-        self.good_for = 1.0 / sensor.rate if sensor.can_be_asked else math.inf
+        self._asking.configured(sensor)
         if sensor.can_be_asked:
-            self.max_age = PERIODS / sensor.rate
+            self.good_for, self.max_age = 1.0 / sensor.rate, PERIODS / sensor.rate
         else:
+            self.good_for = math.inf
             self.max_age = math.inf if sensor.period is None else sensor.period
-        if self._poll is not None:
-            self._stop_polling()
+        if self._asking.stop_polling():
             self._start_polling()
         for follower in self._followers:
             follower.limited()
+
+    @property
+    def sensor(self) -> Sensor[Any]:
+        """What is asked, or pushes."""
+        sensor: Sensor[Any] = self.driver.resource  # type: ignore[assignment]
+        return sensor
+
+    @property
+    def awaited_in(self) -> int:
+        """The turn in which it was polled, while that poll is not answered; or 0."""
+        return self._asking.awaited_in
+
+    @property
+    def latency(self) -> float:
+        """How long the device took lately at most, in seconds; what is past fades."""
+        return self._asking.latency
+
+    @property
+    def missed(self) -> int:
+        """How many polls were left out because the device had not answered yet."""
+        return self._asking.missed
+
+    def when_answered(self, function: Callable[[], None]) -> None:
+        """Call a function when the poll of this turn has ended, whatever came of it."""
+        self._asking.when_answered(function)
 
     @property
     def successes(self) -> int:
@@ -136,7 +157,7 @@ class SensorChannel(SensorDevice):
     def counts(self) -> dict[str, int]:
         return {
             "readings": self.sequence,
-            "transactions": self.transactions,
+            "transactions": self._asking.transactions,
             "missed": self.missed,
             "bad": self.bad,
             "dropped": self.dropped,
@@ -166,17 +187,12 @@ class SensorChannel(SensorDevice):
         self.state = state
         self.error = error
         self.newest = None
-        self._stop_polling()
+        self._asking.stop_polling()
         self.calls.next_opening(error)
-        if self._asks is not None:
-            self._asks.cancel()
-            self._asks = None
-        self._asking = False
-        self.awaited_in = 0
-        self._waiting.answer(math.inf, error)
+        self._asking.down(error)
         for follower in self._followers:
             follower.changed(error)
-        self._answered()
+        self._asking.answered()
         self.operations.gone(error)
 
     def removed(self) -> None:
@@ -186,7 +202,7 @@ class SensorChannel(SensorDevice):
     def forget_age(self) -> None:
         """Make every reading stale, as after a suspend of the computer."""
         self.newest = None
-        self._old_before = self.time()
+        self._asking.forget()
         error = StaleReadingError(self.name, None, self.good_for)
         for follower in self._followers:
             follower.changed(error)
@@ -219,10 +235,8 @@ class SensorChannel(SensorDevice):
         if not fresh and not self.sensor.can_be_asked and self.newest is not None:
             # A device that pushes cannot be asked; it has been silent for too long.
             raise StaleReadingError(self.name, self.time() - self.newest.time, max_age)
-        need = (
-            self.transactions if self._asking and not fresh else self.transactions + 1
-        )
-        self._ask()  # in the next turn, for all who wait then
+        need = self._asking.next_answer(fresh=fresh)
+        self._asking.ask()
         reading = await self._waiting.reading(need, timeout)
         self._check(registration)
         age = self.time() - reading.time
@@ -264,49 +278,52 @@ class SensorChannel(SensorDevice):
     def unfollow(self, follower: Follower) -> None:
         self._followers = tuple(f for f in self._followers if f is not follower)
         if not self._followers:
-            self._stop_polling()
+            self._asking.stop_polling()
 
     def _start_polling(self) -> None:
-        if (
-            self._poll is None
-            and self._followers
-            and self.state is READY
-            and self.sensor.can_be_asked
-        ):
-            self._poll = self._scheduler.every(
-                1.0 / self.sensor.rate,
-                self._turn,
-                order=Order.POLL,
-                name=self.name,
-                phase=self._scheduler.phase(self.name),
-            )
-            calls, read = self.calls, self._read
-            self._poll.near = (
-                *(self, self.sensor, self._check_value, self._history),
-                *(calls, calls.alive, calls.context, read, read.function),
-            )
-            self._poll.soon()
+        if self._followers:
+            self._asking.start_polling(self.sensor, self._check_value, self._history)
 
-    def _stop_polling(self) -> None:
-        if self._poll is not None:
-            self._poll.stop()
-            self._poll = None
+    # Operations, and calls between two questions.
 
-    # Transactions.
+    def ready_for(self, operation: Operating) -> bool:
+        """Tell whether an operation may begin now."""
+        return not self._asking.busy
 
-    def _turn(self, now: float) -> Awaitable[object] | None:
-        turn = self._scheduler.turns
-        if turn == self._polled_in:  # the first poll, and its moment on the grid
-            return None
-        if self._asking or self.state is not READY:
-            self.missed += 1
-            return None
-        self._polled_in = turn
-        self._begin()
-        if self._asking:
-            self.awaited_in = self._scheduler.polled_in = turn
-            self._begun = now
-        return None
+    def operating(self, operation: Operating, call: Call) -> None:
+        """The device has begun with an operation, and is busy."""
+        self._asking.busy = call
+
+    def operated(self, call: Call | None) -> None:
+        """An operation has its outcome; the device is free if it has ended."""
+        if call is not None:
+            self._asking.ended(call)
+        self._asking.free()
+
+    def between(self, method: Method, told: Callable[[End], None]) -> bool:
+        """Call the driver between two questions; tells whether the device was free."""
+        asking = self._asking
+        if asking.busy:
+            return False
+
+        def ended(call: Call, end: End) -> None:
+            if call.ended is not None:
+                asking.busy = False
+            told(end)
+            asking.free()
+
+        waits = self.calls.attempt(method, self.sensor.deadline, told, ended)
+        if waits is not None:
+            asking.busy = waits
+        return True
+
+    def _late(self, call: Call) -> None:
+        """A call has ended whose outcome was out before."""
+        if call is self._asking.busy:
+            self._asking.ended(call)
+            self._asking.free()
+
+    # Values.
 
     def _heard(self, value: Any, error: BaseException | None) -> None:
         """Publish what the device has pushed, or the error of its stream."""

@@ -1,0 +1,419 @@
+"""How values come from the device of a sensor: it is asked, or it pushes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import math
+from collections.abc import (
+    AsyncGenerator,
+    AsyncIterator,
+    Awaitable,
+    Callable,
+    Iterator,
+)
+from typing import TYPE_CHECKING, Any
+
+from esair.connections._call import Call, End
+from esair.connections._driver import Method
+from esair.exceptions import BusyError, DeviceLostError, EsairError
+from esair.loop import (
+    REACHED,
+    Deadlines,
+    Door,
+    Job,
+    Order,
+    Scheduler,
+    TapeWriter,
+    arrive,
+    clock_of,
+)
+from esair.messages import Reading, ResourceState
+from esair.resources import Sensor
+
+if TYPE_CHECKING:
+    from esair.connections._calls import Calls
+    from esair.connections._device import Device
+
+READY = ResourceState.READY  # hot
+
+WAITING_LIMIT = 1024  # how many readers may wait for one sensor at a time
+
+LISTEN_AGAIN = 0.1
+"""The pause before a stream that raised is asked for again, in seconds."""
+
+
+class Asking:
+    """Asks one device by one question at a time, whoever wants to know, or in time.
+
+    Attributes:
+        busy: The question that waits for its answer, or the call of something else that
+            keeps the device busy; True while one is in its first step.
+        waiting: Who waits for an answer.
+        transactions: How many times the device was asked.
+        missed: How many polls were left out because it had not answered yet.
+        awaited_in: The turn in which it was polled, while that poll is not answered; or
+            0.
+        latency: How long the device took lately at most, in seconds; what is past fades.
+    """
+
+    __slots__ = (
+        "_awaiting",
+        "_begun",
+        "_deadline",
+        "_device",
+        "_fail",
+        "_old_before",
+        "_poll",
+        "_polled_in",
+        "_publish",
+        "_read",
+        "_scheduler",
+        "_soon",
+        "awaited_in",
+        "busy",
+        "latency",
+        "missed",
+        "rate",
+        "transactions",
+        "waiting",
+    )
+
+    def __init__(
+        self,
+        device: Device,
+        *,
+        publish: Callable[[Any, float], None],
+        fail: Callable[[BaseException, float], None],
+        silent: Callable[[float], EsairError],
+    ) -> None:
+        self._device = device
+        self._publish = publish  # given the answer, and of which transaction it is
+        self._fail = fail  # given the error that came instead
+        self._scheduler = Scheduler.of(device.loop)
+        self._awaiting: list[Callable[[], None]] = []
+        self._begun = 0.0
+        self._old_before = 0.0
+        """A question from before this moment gives an answer from before it."""
+        self._poll: Job | None = None
+        self._polled_in = 0
+        self._soon: asyncio.Handle | None = None
+        """Asks the device in the next turn, for all who have asked in this one."""
+        self.waiting = WaitingReaders(device.name, device.loop, silent)
+        self.awaited_in = self.transactions = self.missed = 0
+        self.latency = 0.0
+        self.busy: Call | bool = False
+        self.rate = 0.0
+
+    def configured(self, sensor: Sensor[Any]) -> None:
+        """Take over a changed deadline, or rate."""
+        self._deadline = sensor.deadline
+        self.rate = sensor.rate if sensor.can_be_asked else 0.0
+        """How often it is polled, in Hz; 0 if it cannot be asked."""
+        if sensor.can_be_asked:
+            self._read = self._device.driver.method("read")
+
+    def down(self, error: EsairError) -> None:
+        """The device is gone; its calls are fenced."""
+        if self._soon is not None:
+            self._soon.cancel()
+            self._soon = None
+        self.busy = False
+        self.awaited_in = 0
+        self.waiting.answer(math.inf, error)
+
+    def forget(self) -> None:
+        """Take no answer to what has been asked until now."""
+        self._old_before = self._device.time()
+
+    # In time.
+
+    def start_polling(self, *near: object) -> None:
+        """Ask at the sensor's rate, if it can be asked and is ready."""
+        device = self._device
+        if self._poll is None and device.state is READY and self.rate:
+            self._poll = poll = self._scheduler.every(
+                1.0 / self.rate,
+                self._turn,
+                order=Order.POLL,
+                name=device.name,
+                phase=self._scheduler.phase(device.name),
+            )
+            calls, read = device.calls, self._read
+            poll.near = (
+                *(self, device, *near),
+                *(calls, calls.alive, calls.context, read, read.function),
+            )
+            poll.soon()
+
+    def stop_polling(self) -> bool:
+        """Ask in time no more; tells whether it did."""
+        poll, self._poll = self._poll, None
+        if poll is not None:
+            poll.stop()
+        return poll is not None
+
+    def _turn(self, now: float) -> Awaitable[object] | None:
+        turn = self._scheduler.turns
+        if turn == self._polled_in:  # the first poll, and its moment on the grid
+            return None
+        if self.busy or self._device.state is not READY:
+            self.missed += 1
+            return None
+        self._polled_in = turn
+        self._begin()
+        if self.busy:
+            self.awaited_in = self._scheduler.polled_in = turn
+            self._begun = now
+        return None
+
+    # On demand.
+
+    def ask(self) -> None:
+        """Ask the device in the next turn, for all who wait then."""
+        device = self._device
+        if self.rate and not self.busy and self._soon is None and device.state is READY:
+            self._soon = device.loop.call_soon(
+                self._ask_now, context=contextvars.Context()
+            )
+
+    def _ask_now(self) -> None:
+        self._soon = None
+        if self.waiting.readers and not self.busy:
+            self._begin()
+
+    def next_answer(self, *, fresh: bool) -> int:
+        """Return the number of the transaction that answers a question of now."""
+        return self.transactions + (0 if self.busy and not fresh else 1)
+
+    # The one question.
+
+    def _begin(self) -> None:
+        self.busy = True
+        number = self.transactions = self.transactions + 1
+        calls = self._device.calls
+        opening = calls.opening
+        try:
+            value = calls.begin("read", self._read, (), self._deadline)
+        except Exception as error:
+            self.busy = False
+            if opening == calls.opening:
+                self._fail(error, number)
+        else:
+            if type(value) is Call:
+                value.apply = self._ended
+                self.busy = value
+                return
+            self.busy = False
+            if opening == calls.opening:
+                self._publish(value, number)
+            else:  # its device was lost by this very call
+                calls.late += 1
+        if self._device.operations.current is not None or self.waiting.readers:
+            self.free()
+
+    def _ended(self, call: Call, end: End) -> None:
+        """Apply the outcome of a question that has waited for the device."""
+        if call.ended is not None:  # else its driver still has the device
+            self.busy = False
+        polled, self.awaited_in = self.awaited_in, 0
+        if polled:
+            spent = self._device.time() - self._begun
+            self.latency = max(spent, 0.75 * self.latency)
+        if end.error is not None:
+            self._fail(end.error, self.transactions)
+        elif call.begun >= self._old_before:  # else who waits has it asked again
+            self._publish(end.value, self.transactions)
+        if polled:
+            self.answered()
+        self.free()
+
+    def free(self) -> None:
+        """The device may have become free: an operation first, then those who ask."""
+        self._device.operations.look()
+        if self.waiting.readers:
+            self.ask()
+
+    def ended(self, call: Call) -> None:
+        """Some other call, or one that was given up, has ended, and frees the device."""
+        if call is self.busy and call.ended is not None:
+            self.busy = False
+
+    def when_answered(self, function: Callable[[], None]) -> None:
+        """Call a function when the poll of this turn has ended, whatever came of it."""
+        self._awaiting.append(function)
+
+    def answered(self) -> None:
+        """The poll of this turn has ended."""
+        awaiting, self._awaiting = self._awaiting, []
+        for function in awaiting:
+            function()
+
+
+Waiter = tuple[float, asyncio.Future[Reading[Any]], float, float]
+"""Of which transaction the answer must be at least, what gets it, until when, and for
+how many seconds that was."""
+
+
+class WaitingReaders:
+    """Keeps readers until the answer to a question that came after theirs."""
+
+    __slots__ = (
+        "_deadline",
+        "_loop",
+        "_name",
+        "_silent",
+        "_time",
+        "readers",
+        "turned_away",
+    )
+
+    def __init__(
+        self,
+        name: str,
+        loop: asyncio.AbstractEventLoop,
+        silent: Callable[[float], EsairError],
+    ) -> None:
+        self._name = name
+        self._loop = loop
+        self._silent = silent
+        self._time = clock_of(loop)
+        self._deadline = Deadlines.of(loop).idle(self._expire)
+        """That of the reader whose time is over first."""
+        self.readers: list[Waiter] = []  # who waits
+        self.turned_away = 0
+
+    async def reading(self, need: float, timeout: float) -> Reading[Any]:
+        """Wait for what transaction `need` gives, or a later one."""
+        if len(self.readers) >= WAITING_LIMIT:
+            self.turned_away += 1
+            raise BusyError(self._name, "number of waiting readers", WAITING_LIMIT)
+        future: asyncio.Future[Reading[Any]] = self._loop.create_future()
+        until = self._time() + timeout
+        waiter = (need, future, until, timeout)
+        self.readers.append(waiter)
+        self._deadline.start_by(until)
+        try:
+            return await future
+        finally:
+            if waiter in self.readers:
+                self.readers.remove(waiter)
+                self._rest()
+
+    def answer(self, number: float, answer: Reading[Any] | EsairError) -> None:
+        """Tell what transaction `number` has given to those who wait for it."""
+        waiters, self.readers = self.readers, []
+        for waiter in waiters:
+            need, future, *_ = waiter
+            if future.done():
+                continue
+            if need > number:
+                self.readers.append(waiter)
+            elif isinstance(answer, Reading):
+                arrive(future, answer, read=True)
+            else:
+                future.set_exception(answer)
+        self._rest()
+
+    def _rest(self) -> None:
+        if not self.readers:
+            self._deadline.cancel()
+
+    def _expire(self) -> None:
+        now = self._time() + REACHED
+        for _, future, until, timeout in self.readers:
+            if future.done():
+                continue
+            if until > now:
+                self._deadline.start_by(until)
+            else:
+                future.set_exception(self._silent(timeout))
+
+
+class Listening:
+    """Brings in what one sensor pushes, while the opening lasts that it belongs to."""
+
+    def __init__(
+        self,
+        device: Device,
+        loop: asyncio.AbstractEventLoop,
+        hear: Callable[[Any, BaseException | None], None],
+    ) -> None:
+        self._device = device
+        self._hear = hear
+        self._door = Door.of(loop)
+        self._tag = (device.name, "pushed")
+        if self._door.player is not None:
+            self._door.player.listen(self._tag, lambda it: self._pushed(*it))
+
+    def begin(self) -> None:
+        """Listen to the opening that there is now; the call ends with it."""
+        self._device.calls.begin("stream", Method(self._listen, None), (), None)
+
+    async def _listen(self) -> None:
+        device = self._device
+        sensor: Any = device.driver.resource
+        calls = device.calls
+        opening = calls.opening
+        while True:
+            error: BaseException
+            try:
+                stream = sensor.stream()
+                if isinstance(stream, AsyncIterator):
+                    async for value in stream:
+                        if not self._heard(value, calls, opening):
+                            if isinstance(stream, AsyncGenerator):
+                                # The collector would do it, at any moment.
+                                await stream.aclose()
+                            return
+                elif not await self._listen_blocking(iter(stream), calls, opening):
+                    return
+                error = DeviceLostError(device.name, "its stream has ended")
+            except asyncio.CancelledError as cancelled:
+                if opening != calls.opening:
+                    raise
+                error = cancelled  # the driver's own
+            except BaseException as raised:  # a driver may raise anything
+                error = raised
+            if opening != calls.opening:
+                return  # the device is gone; its next opening begins anew
+            self._door.end(self._tag, self._pushed, None, error, opening, calls)
+            if opening != calls.opening:
+                return
+            await asyncio.sleep(LISTEN_AGAIN)
+
+    async def _listen_blocking(
+        self, values: Iterator[Any], calls: Calls, opening: int
+    ) -> bool:
+        # A thread of its own: waiting for the next value must not block the bus.
+        executor = await self._device.driver.stream_executor()
+        end = object()
+        while (
+            value := await executor.call(next, values, end, timeout=math.inf)
+        ) is not end:
+            if not self._heard(value, calls, opening):
+                return False
+        return True
+
+    def _heard(self, value: Any, calls: Calls, opening: int) -> bool:
+        """Bring in what the device has pushed, unless its opening is over."""
+        if opening == calls.opening:
+            self._door.end(self._tag, self._pushed, value, None, opening, calls)
+            return opening == calls.opening
+        self._device.calls.late += 1
+        return False
+
+    def _pushed(
+        self,
+        value: Any,
+        error: BaseException | None,
+        opening: int,
+        calls: Calls | None = None,
+    ) -> None:
+        """Let what the device has pushed, or the error of its stream, take effect."""
+        if opening != (calls or self._device.calls).opening:
+            self._device.calls.late += 1
+            return
+        if isinstance(self._door.tape, TapeWriter):
+            self._door.tape.arrived(self._tag, (value, error, opening))
+        self._hear(value, error)
