@@ -55,9 +55,10 @@ ONE_CIRCLE = {
 PARTS_OF_ONE = {
     "esair.connections": {
         "_actuator_channel",
-        "_decision",
         "_device",
+        "_protection",
         "_sensor_channel",
+        "_turns",
     },
     "esair.seat": {"_acts", "_operator"},
     "esair.standard": {"_recording", "_robot", "_seating"},

@@ -48,6 +48,11 @@ class Channel:
         return news
 
 
+def channels(**named: Channel) -> Any:
+    """Return the channels of a robot, as its table knows them."""
+    return named
+
+
 def weigh(entry: Protection, command: Any, *, moving: bool = True) -> Any:
     now = asyncio.get_running_loop().time()
     return entry.weigh(command, 0.0, now, moving=moving, hand=lambda each: each)
@@ -61,7 +66,7 @@ def deciding(entry: Protection, judge: Any = lambda command: command) -> Protect
 async def test_an_actuator_obeys_those_who_are_blind_and_all_guards() -> None:
     """The highest priority first; each change is told at once, to that one alone."""
     wheels, arm = Channel(), Channel()
-    table = Protections({"wheels": wheels, "arm": arm})
+    table = Protections(channels(wheels=wheels, arm=arm))
     low, high, first, last = hold(1), hold(9), guard(9), guard(1)
     table.enter([low, last, high, first])
     assert wheels.holds == ["hold_9", "hold_1"]
@@ -78,7 +83,7 @@ async def test_an_actuator_obeys_those_who_are_blind_and_all_guards() -> None:
 async def test_only_a_change_of_a_guard_has_what_stands_looked_at() -> None:
     """A hold is obeyed by itself; saying the same again is no change."""
     wheels = Channel()
-    table = Protections({"wheels": wheels})
+    table = Protections(channels(wheels=wheels))
     one, other = [hold()], [guard()]
     table.enter(one)
     assert wheels.news() == (1, 0)
@@ -127,7 +132,7 @@ async def test_an_entry_tells_since_when_it_is_as_it_is() -> None:
 async def test_nobody_has_decided_on_an_actuator_that_has_come() -> None:
     """A hold is blind again, what is blind stays so for its own reason; guards judge."""
     wheels = Channel()
-    table = Protections({"wheels": wheels})
+    table = Protections(channels(wheels=wheels))
     sees, blind, guards = hold(1), hold(2), guard()
     table.enter([sees, blind, guards])
     table.blind([sees, guards], "")
@@ -144,7 +149,7 @@ async def test_nobody_has_decided_on_an_actuator_that_has_come() -> None:
 async def test_the_end_of_a_mute_is_told() -> None:
     """Until then the hold is none, and the guard lets everything pass."""
     wheels = Channel()
-    table = Protections({"wheels": wheels})
+    table = Protections(channels(wheels=wheels))
     entries = [hold(), deciding(guard(), lambda _: None)]
     table.enter(entries)
     table.mute(entries, 1.0, "a test")

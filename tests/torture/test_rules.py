@@ -18,7 +18,7 @@ from tests.torture.generated import maker
 import esair
 from esair.actions import ReactionRunner
 from esair.connections import ActuatorChannel
-from esair.connections._stillness import Stillness
+from esair.connections._protection import Stillness
 from esair.testing import VirtualLoop
 from esair.torture import Outcome, Step, Story, Target, World, torture
 from esair.torture._kinds import KINDS, cast_of

@@ -1,17 +1,53 @@
-"""The only way of data between actions and resources."""
+"""The only way of data between actions and resources.
+
+An action has a port in its hand; the port leads to the channel of one device; the channel
+calls its driver. Nothing else reads a sensor or writes an actuator.
+
+::
+
+    SensorPort   ──>  SensorChannel    who reads: newest, history, followers
+                        Asking, Listening   one question for all who ask; what is pushed
+                          Calls ──> driver
+
+    ActuatorPort ──>  ActuatorChannel  the commit block: verdict, value, guards, send
+                        Gate, Hold          may a command leave now, and whose will is it
+                        Stillness, Guards   who keeps it still: the blind, guards, time
+                        SafeCommand         the last thing on the wire, whatever happens
+                        Wire                what leaves, and what it was told last
+                          Calls ──> driver
+
+Whether a command may leave is one question with one answer, `_gate.verdict`. Each call of a
+driver has a number, a deadline and one outcome (`_calls`); each right a number that only
+grows (`_registrations`). What comes and what leaves is checked by one walk (`_values`).
+"""
 
 from esair.connections._actuator_channel import ActuatorChannel
-from esair.connections._actuator_connection import ActuatorConnection
-from esair.connections._applied_channel import Applied, AppliedChannel
-from esair.connections._call import Call, End, GivenUpError
 from esair.connections._checks import CommandCheck
-from esair.connections._decision import Decision, Sight
-from esair.connections._derived_channel import DerivedChannel, Source
+from esair.connections._computed_channels import (
+    Applied,
+    AppliedChannel,
+    DerivedChannel,
+    Source,
+)
 from esair.connections._device import OfRobot
-from esair.connections._driver import Driver, Method, is_loss, translate
+from esair.connections._driver import (
+    Call,
+    Driver,
+    End,
+    GivenUpError,
+    Method,
+    is_loss,
+    translate,
+)
 from esair.connections._gate import BeingReplacedError
 from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
-from esair.connections._ports import ActuatorPort, Port, SensorPort
+from esair.connections._ports import (
+    ActuatorConnection,
+    ActuatorPort,
+    Port,
+    SensorConnection,
+    SensorPort,
+)
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._registrations import (
     Registration,
@@ -20,7 +56,7 @@ from esair.connections._registrations import (
     run_ended,
 )
 from esair.connections._sensor_channel import Follower, SensorChannel
-from esair.connections._sensor_connection import SensorConnection
+from esair.connections._turns import Decision, Sight
 from esair.connections._values import changed, limits_by_field, part_of
 
 __all__ = [

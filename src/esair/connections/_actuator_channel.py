@@ -7,10 +7,8 @@ import contextlib
 from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any
 
-from esair.connections._call import Call, End
-from esair.connections._decision import Decision
 from esair.connections._device import Device, OfRobot, Operating
-from esair.connections._driver import Method
+from esair.connections._driver import Call, End, Method
 from esair.connections._gate import (
     BeingReplacedError,
     Gate,
@@ -20,10 +18,9 @@ from esair.connections._gate import (
     verdict,
 )
 from esair.connections._halt import HALT, HALT_PRIORITY, LastCommand
-from esair.connections._protection import Protection
+from esair.connections._protection import Guards, Protection, Stillness
 from esair.connections._registrations import Registration
-from esair.connections._stillness import Guards, Stillness
-from esair.connections._waiting_writes import Sent, WaitingWrites
+from esair.connections._turns import Decision, Sent, WaitingWrites
 from esair.connections._wire import IDLE, NOT_YET, SafeCommand, Watched, Wire
 from esair.exceptions import (
     AccessDeniedError,
@@ -40,7 +37,7 @@ from esair.messages import Answer, Refused, ResourceState, Why, Written
 from esair.resources import Actuator
 
 if TYPE_CHECKING:
-    from esair.connections._applied_channel import AppliedChannel
+    from esair.connections._computed_channels import AppliedChannel
 
 _new = Written.__new__  # hot
 

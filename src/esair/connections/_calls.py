@@ -8,8 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from esair.connections._call import Apply, Call, End
-from esair.connections._driver import Driver, Guard, Method
+from esair.connections._driver import Apply, Call, Driver, End, Guard, Method
 from esair.exceptions import DeviceFaultError, DriverStuckError, EsairError, describe
 from esair.loop import (
     ENDED,

@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 
-from esair.connections._call import OPERATE, Call, End, given_up
 from esair.connections._calls import Calls
-from esair.connections._driver import Driver, translate_call
+from esair.connections._driver import (
+    OPERATE,
+    Call,
+    Driver,
+    End,
+    given_up,
+    translate_call,
+)
 from esair.connections._registrations import Registration, Registrations
 from esair.exceptions import (
     DeviceLostError,

@@ -14,8 +14,7 @@ from collections.abc import (
 )
 from typing import TYPE_CHECKING, Any
 
-from esair.connections._call import Call, End
-from esair.connections._driver import Method
+from esair.connections._driver import Call, End, Method
 from esair.exceptions import BusyError, DeviceLostError, EsairError
 from esair.loop import (
     REACHED,

@@ -1,4 +1,4 @@
-"""Ports: what an action holds in its hand to read a sensor or write an actuator."""
+"""The sensor and the actuator connection, and the ports that they hand out."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
+from esair.connections._protection import Protections
 from esair.connections._registrations import Registration, run_ended
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.exceptions import (
@@ -435,3 +436,97 @@ class Ways(Connection, Generic[C]):
         if registration.reason is not None:
             raise registration.reason()
         raise UnknownNameError(self.kind, registration.resource, self.channels)
+
+
+class SensorConnection(Ways[SensorChannel]):
+    """Reads sensors for whoever is registered, whatever bus is behind them."""
+
+    kind = "sensor"
+
+    def port(
+        self, registration: Registration, *, max_age: float | None = None
+    ) -> SensorPort[Any]:
+        """Hand out a port to whoever is registered.
+
+        Args:
+            registration: The right to read.
+            max_age: The greatest age of its readings, in seconds; the sensor's own
+                limit unless given.
+
+        Raises:
+            NotRegisteredError: The registration is not valid (any more).
+        """
+        channel = self.way_of(registration)
+        if max_age is not None:
+            check_duration(channel.name, "max_age", max_age)
+        return SensorPort(channel, registration, max_age, self.control)
+
+    async def read(
+        self,
+        registration: Registration,
+        *,
+        fresh: bool = False,
+        max_age: float | None = None,
+        timeout: float | None = None,
+    ) -> Reading[Any]:
+        """Return a reading: the newest one, or one that is newer than now.
+
+        The device is asked when the newest reading is older than its period; one
+        transaction serves all who ask at the same moment.
+
+        Args:
+            registration: The right to read.
+            fresh: Only a value that was measured after this call.
+            max_age: The greatest age of the reading, in seconds; the sensor's own limit
+                unless given.
+            timeout: How long to wait for the device, in seconds.
+
+        Raises:
+            NotRegisteredError: The registration is not valid (any more).
+            StaleReadingError: There is no reading that is fresh enough.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device answered wrongly.
+        """
+        port = self.port(registration)
+        return await port.reading(fresh=fresh, max_age=max_age, timeout=timeout)
+
+
+class ActuatorConnection(Ways[ActuatorChannel]):
+    """Writes actuators for whoever is registered; priority decides who moves one."""
+
+    kind = "actuator"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.protections = Protections(self.channels)
+        """Who keeps an actuator still, by component and name of the actuator."""
+
+    def port(self, registration: Registration) -> ActuatorPort[Any]:
+        """Hand out a port to whoever is registered.
+
+        Raises:
+            NotRegisteredError: The registration is not valid (any more).
+        """
+        return ActuatorPort(self.way_of(registration), registration, self.control)
+
+    async def write(
+        self, registration: Registration, command: Any, *, hold: float | None = None
+    ) -> Written[Any] | Refused:
+        """Send a command, or say who holds the actuator.
+
+        Args:
+            registration: The right to write.
+            command: A command of the actuator's type, finite and within limits.
+            hold: For how long it holds the actuator, in seconds; the actuator's
+                command timeout unless given.
+
+        Returns:
+            What was really sent, or a refusal, which is false in a condition.
+
+        Raises:
+            NotRegisteredError: The registration is not valid (any more).
+            BadValueError: The command must not be sent.
+            DeviceLostError: The device is not there.
+            DeviceFaultError: The device did not take it.
+        """
+        return await self.port(registration).write(command, hold=hold)

@@ -7,10 +7,9 @@ import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from esair.connections._call import Call, End
 from esair.connections._checks import FrozenCheck, ReadingCheck, measured_at
 from esair.connections._device import Device, OfRobot, Operating
-from esair.connections._driver import Method, translate_call
+from esair.connections._driver import Call, End, Method, translate_call
 from esair.connections._hearing import READY, Asking, Listening
 from esair.connections._registrations import Registration
 from esair.exceptions import (

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import attrs
 
-from esair.connections._call import Apply, Call
 from esair.connections._checks import CommandCheck
-from esair.connections._driver import Guard, translate_call
+from esair.connections._driver import Apply, Call, Guard, translate_call
 from esair.connections._halt import LastCommand
 from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
 from esair.journal import Kind
@@ -24,7 +23,7 @@ from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
 if TYPE_CHECKING:
-    from esair.connections._applied_channel import AppliedChannel
+    from esair.connections._computed_channels import AppliedChannel
     from esair.connections._device import Device
 
 SAFE_TRIES = 3

@@ -1,4 +1,4 @@
-"""The way of data from a sensor that is computed of the readings of others."""
+"""The ways of data from sensors that have no device: applied, and computed."""
 
 from __future__ import annotations
 
@@ -7,11 +7,44 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from esair.connections._checks import measured_at
+from esair.connections._device import OfRobot
+from esair.connections._registrations import Registrations
 from esair.connections._sensor_channel import SensorChannel
 from esair.messages import Reading, ResourceState, Stamped
+from esair.resources import APPLIED, HOLD, Actuator, Sensor
 
 if TYPE_CHECKING:
     from esair.connections._registrations import Registration
+
+
+class Applied(Sensor[Any]):
+    """What an actuator has applied last: ``valve.applied``."""
+
+    def __init__(self, actuator: Actuator[Any]) -> None:
+        super().__init__()
+        self._name = actuator.name + APPLIED
+        self._type = actuator.value_type
+
+    @property
+    def value_type(self) -> Any:
+        return self._type
+
+
+class AppliedChannel(SensorChannel):
+    """Reads what an actuator has applied last; the actuator's own channel fills it."""
+
+    def __init__(self, actuator: Actuator[Any], registrations: Registrations) -> None:
+        robot = OfRobot(registrations, lambda _error: None, set())
+        super().__init__(Applied(actuator), robot)
+
+    def took(self, command: Any) -> None:
+        """Give a command that was applied; nobody knows where it is if that is HOLD."""
+        if self.state is not ResourceState.READY:
+            return
+        if command is None or command is HOLD:
+            self.forget_age()
+        else:
+            self.publish(command, float("inf"))
 
 
 class Source(NamedTuple):
