@@ -33,7 +33,6 @@ NOT_YET: dict[str, str] = dict.fromkeys(
     [
         "BUS-5",
         "MIN-6",
-        "MIN-7",
         "MODE-1",
         "MODE-2",
         "MODE-3",
