@@ -155,6 +155,33 @@ async def test_what_safe_is_may_change_with_the_settings(
         assert dog.told == [("arm", "motor")] * 2
 
 
+@pytest.mark.promise("GRD-4")
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("frames", ValueError("no zero")), ("frames", None), ("outlet", None)],
+)
+async def test_what_is_watched_stays_so_whatever_is_said_later(
+    field: str,
+    value: Any,
+    fake: type[FakeWatchdog],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Settings that take its safe frames away leave the old ones, and say that."""
+    robot, motor, user = robot_with()
+    async with robot:
+        (dog,) = fake.made
+        mine = await robot.resources.register("u", "motor", esair.Access.CONFIGURE)
+        assert await user.motor.write(1.0)
+        setattr(motor, field, value)
+        await robot.resources.configure(mine, rest=1.0)
+        assert dog.watched == {"motor"}
+        assert await user.motor.write(2.0)
+        assert "UNWATCHED" not in str(robot.resources.why("motor"))
+    told = [each.getMessage() for each in caplog.records]
+    assert any("has its safe frames of before" in each for each in told)
+    assert not any("UNWATCHED" in each for each in told)
+
+
 @pytest.mark.parametrize(
     ("field", "value", "why"),
     [

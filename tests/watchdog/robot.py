@@ -24,12 +24,19 @@ class Wheels(esair.Actuator[float]):
 
     safe = 0.0
     command_timeout = 0.5
+    tuned = esair.setting(0)
     bus: SerialBus
 
     async def write(self, command: float) -> None:
         await self.bus.send(b"GO" if command else b"STOP")
 
-    def safe_frames(self) -> SafeFrames:
+    async def apply(self, **_settings: object) -> None: ...
+
+    def safe_frames(self) -> SafeFrames | None:
+        if self.tuned % 3 == 2:
+            raise ValueError("not with this setting")
+        if self.tuned % 3 == 1:
+            return None
         return SafeFrames([b"STOP\n"], resync=b"\n")
 
 
@@ -45,12 +52,15 @@ class Dumb(esair.Actuator[float]):
 class Wander(esair.Behavior):
     """Drives on, then dies in the given way."""
 
-    wheels = esair.writes(float)
+    wheels = esair.writes(float, configure=True)
 
     async def run(self) -> None:
         way = sys.argv[2]
-        for number in itertools.count() if way == "drive" else range(80):
+        endless = way in {"drive", "tune"}
+        for number in itertools.count() if endless else range(80):
             await self.wheels.write(1.0)
+            if way == "tune" and number % 5 == 4:
+                await self.wheels.configure(tuned=number // 5)
             if number == 40:
                 self.die(way)
             await asyncio.sleep(0.01)

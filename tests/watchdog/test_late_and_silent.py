@@ -39,12 +39,12 @@ class Driven:
 
     stops_its_dog = False
 
-    def __init__(self, policy: str, **environment: str) -> None:
+    def __init__(self, policy: str, way: str, **environment: str) -> None:
         self.far, self.near = os.openpty()
         tty.setraw(self.near)
         self.line = os.ttyname(self.near)
         self.process = subprocess.Popen(
-            [sys.executable, str(ROBOT), self.line, "drive", policy],
+            [sys.executable, str(ROBOT), self.line, way, policy],
             stderr=subprocess.PIPE,
             text=True,
             env=os.environ | environment,
@@ -119,8 +119,10 @@ class StarvedError(Exception):
 
 
 @contextlib.contextmanager
-def driven(policy: str, limit: float, **environment: str) -> Iterator[Driven]:
-    robot = Driven(policy, LIMIT=str(limit), **environment)
+def driven(
+    policy: str, limit: float, way: str = "drive", **environment: str
+) -> Iterator[Driven]:
+    robot = Driven(policy, way, LIMIT=str(limit), **environment)
     try:
         yield robot
     except Exception as error:
@@ -261,3 +263,28 @@ def test_killed_while_its_watchdog_is_silent(
             return max(0.0, safe - stopped)
 
     many(request, killed_after, [0.3, 1.65], 100, 2.4)
+
+
+@pytest.mark.parametrize("policy", ["stop", "alarm"])
+def test_killed_while_it_is_configured(
+    policy: Literal["stop", "alarm"], request: pytest.FixtureRequest
+) -> None:
+    """Settings without safe frames, and with an error for them, keep it watched."""
+
+    limit = limit_of(request)
+
+    def killed_after(seconds: float) -> float:
+        with driven(policy, limit, "tune") as robot:
+            robot.until_it_moves()
+            robot.listen(time.monotonic() + seconds)
+            assert robot.is_watched()
+            robot.heard.clear()
+            robot.listen(time.monotonic() + 0.3)
+            assert robot.moves()  # nothing has stopped it
+            died = robot.kill()
+            robot.listen(time.monotonic() + 5.0, quiet=0.4)
+            assert robot.data.endswith(b"STOP\n")
+            robot.none_is_left()
+            return max(0.0, robot.safe_since() - died)
+
+    many(request, killed_after, [0.7], 50, 2.0)

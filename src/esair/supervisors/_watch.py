@@ -85,20 +85,23 @@ class Watch:
 
     async def _arm(self) -> tuple[int, str]:
         """Return how it is watched now, and what was wrong with that."""
+        how, why = await self._ask()
+        if how != _WATCHED and self._watchdog.watches(self.actuator.name):
+            how = _AS_BEFORE  # whatever it was: what may move is not let go for it
+        return how, why
+
+    async def _ask(self) -> tuple[int, str]:
         actuator = self.actuator
         try:
             frames, outlet = actuator.safe_frames(), actuator.outlet
         except BaseException as error:  # it is the driver's own code
-            why = f"its safe_frames raised {describe(error)}"
-        else:
-            if frames is None:
-                return _BY_DESIGN, "its driver cannot say its safe command as bytes"
-            if outlet is None:
-                return _BY_DESIGN, "the watchdog cannot reach its bus"
-            why = await self._watchdog.arm(actuator.name, frames, outlet)
-        if not why:
-            return _WATCHED, ""
-        return _AS_BEFORE if self._watchdog.watches(actuator.name) else _UNARMED, why
+            return _UNARMED, f"its safe_frames raised {describe(error)}"
+        if frames is None:
+            return _BY_DESIGN, "its driver cannot say its safe command as bytes"
+        if outlet is None:
+            return _BY_DESIGN, "the watchdog cannot reach its bus"
+        why = await self._watchdog.arm(actuator.name, frames, outlet)
+        return (_UNARMED if why else _WATCHED), why
 
     def lost(self, why: str) -> None:
         """Its watchdog has died."""
