@@ -444,4 +444,15 @@ class MayPanic(StaysInPanic):
     rest = esair.works("wheels", idle=True)
 
 
+class Mission(Drives):
+    """Is through with its work after 32 seconds."""
+
+    async def run(self) -> None:
+        async for seconds in esair.every(0.05):
+            if seconds > 32.0:
+                return
+            await self.drive()
+
+
 patrol, rests, may_panic = _robot(Patrol), _robot(Rests), _robot(MayPanic)
+mission = _robot(Mission)

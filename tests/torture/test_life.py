@@ -52,6 +52,13 @@ def test_who_works_again_in_time_is_no_finding() -> None:
 
 
 @pytest.mark.promise("TOR-1")
+def test_who_was_looked_at_for_less_is_not_judged() -> None:
+    """A work that ends by itself, later than in the stories in which nothing is done."""
+    steps = (Step(18.0, "unplugged", "sonar", lasts=0.1),)
+    assert found_in(lifeless.mission, steps) == set()
+
+
+@pytest.mark.promise("TOR-1")
 def test_what_is_declared_is_owed_too() -> None:
     """A pause of ten seconds is no habit, but it may be promised."""
     steps = (Step(9.5, "unplugged", "sonar", lasts=1.0),)

@@ -13,9 +13,9 @@ from esair.exceptions import describe
 from esair.journal import Event, Kind
 from esair.messages import BehaviorState, ResourceState, SupervisorPhase
 from esair.torture._gate import is_injected
+from esair.torture._story import Story
 
 if TYPE_CHECKING:
-    from esair.torture._story import Story
     from esair.torture._world import World
 
 WELL_AFTER = 11.0  # How long after its last fault a robot is itself again, in seconds
@@ -25,9 +25,9 @@ AGAIN_WITHIN = 4.0
 STEADY = AGAIN_WITHIN / 2
 """The longest pause of what is done steadily while nothing is wrong, in seconds."""
 
-CALM_FOR = 24.0
-"""How long a robot is looked at that nothing is done to, in seconds: what it does is
-judged in stories that are no longer."""
+CALM_FOR = 28.0
+"""How long a robot is looked at that nothing is done to, in seconds; longer if one of its
+actions declares long pauses. What it does is judged in stories that are no longer."""
 
 UP_AFTER = 4.0  # How long its start may take before its habits show, in seconds
 CALMS = 2  # How often it is looked at; stand-ins say something else each time
@@ -60,10 +60,12 @@ class Habits:
     Attributes:
         steady: What it does again and again, and its longest pause, in seconds.
         lasting: The actions that do not come to an end.
+        known_for: How long it was looked at, in seconds.
     """
 
     steady: dict[Deed, float]
     lasting: frozenset[str]
+    known_for: float
 
 
 class Deeds:
@@ -101,12 +103,14 @@ def habits_in(worlds: Sequence[World]) -> Habits:
     steady: dict[Deed, float] = {}
     lasting: set[str] = set()
     for number, world in enumerate(worlds):
-        pauses = {deed: world.deeds.pause(deed, CALM_FOR) for deed in world.deeds.last}
+        deeds, lasts = world.deeds, world.story.lasts
+        pauses = {deed: deeds.pause(deed, lasts) for deed in deeds.last}
         here = {deed: pause for deed, pause in pauses.items() if pause <= STEADY}
         shared = here if not number else here.keys() & steady.keys()
         steady = {deed: max(here[deed], steady.get(deed, 0.0)) for deed in shared}
         lasting = world.lasting if not number else lasting & world.lasting
-    return Habits(steady, frozenset(lasting))
+    known_for = min((world.story.lasts for world in worlds), default=0.0)
+    return Habits(steady, frozenset(lasting), known_for)
 
 
 def lasting_in(robot: esair.Robot) -> set[str]:
@@ -122,11 +126,16 @@ def longest_tail(robot: esair.Robot) -> float:
     return WELL_AFTER + max([AGAIN_WITHIN, *declared])
 
 
+def calm_stories(robot: esair.Robot) -> list[Story]:
+    """Return the stories that show the habits of a robot: nothing is done to it."""
+    lasts = CALM_FOR + longest_tail(robot) - WELL_AFTER - AGAIN_WITHIN
+    return [Story(seed, (), lasts) for seed in range(CALMS)]
+
+
 def is_judged(story: Story) -> bool:
     """Tell whether a story shows whether its robot lives on.
 
-    What a robot does for longer than it was looked at, or after an hour of sleep, is not
-    known.
+    What a robot does after an hour of sleep is not known.
     """
     return story.lasts - story.over_at >= WELL_AFTER + AGAIN_WITHIN and all(
         step.kind != "suspended" for step in story.steps
@@ -140,6 +149,7 @@ def judge_life(world: World) -> None:
     if (
         habits is None
         or not is_judged(world.story)
+        or world.story.lasts > habits.known_for
         or world.ends is not None
         or robot.halted is not None
         or robot.behaviors.phase is SupervisorPhase.STOPPED

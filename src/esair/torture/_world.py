@@ -21,11 +21,10 @@ from esair.torture._judge import SLACK, Judge, Violation, protected_in
 from esair.torture._kinds import KINDS, NotNowError
 from esair.torture._lever import Lever
 from esair.torture._life import (
-    CALM_FOR,
-    CALMS,
     OF_LIFE,
     UNTOLD,
     Deeds,
+    calm_stories,
     habits_in,
     is_judged,
     lasting_in,
@@ -377,9 +376,11 @@ def tell(target: Target, story: Story, checks: tuple[Check, ...] = ()) -> Outcom
     may hang on what stand-ins say: it is a finding if it shows with other seeds too.
     """
     if target.habits is None and is_judged(story):
-        worlds = [World(target, Story(n, (), CALM_FOR), checks) for n in range(CALMS)]
-        broken = {rule for world in worlds for rule, _ in world.run().keys}
-        target.habits = habits_in([] if broken & UNTOLD else worlds)
+        with contextlib.suppress(esair.EsairError, ExceptionGroup):  # told by the story
+            calm = calm_stories(target.make())
+            worlds = [World(target, each, checks) for each in calm]
+            broken = {rule for world in worlds for rule, _ in world.run().keys}
+            target.habits = habits_in([] if broken & UNTOLD else worlds)
     outcome = World(target, story, checks).run()
     shown = doubtful = {key for key in outcome.keys if key[0] in OF_LIFE}
     for number in range(1, RETOLD + 1):
