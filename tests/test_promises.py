@@ -32,7 +32,6 @@ PROMISES = {
 NOT_YET: dict[str, str] = dict.fromkeys(
     [
         "BUS-5",
-        "MIN-6",
         "MODE-1",
         "MODE-2",
         "MODE-3",

@@ -56,6 +56,7 @@ PARTS_OF_ONE = {
     "esair.connections": {
         "_actuator_channel",
         "_device",
+        "_gate",
         "_protection",
         "_sensor_channel",
         "_turns",
