@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,6 +24,9 @@ ITEMS = 8
 
 NAMES = 10_000
 """How many names of components are known, so that a misspelt one is told."""
+
+SEGMENTS = 8
+"""Of how many segments it is told where they are damaged."""
 
 TEXT = 400  # How much of a value is printed; all of it with --json
 
@@ -54,11 +58,40 @@ def log(
         with contextlib.suppress(KeyboardInterrupt):
             return _follow(robot, component or [], kind or [], machine=machine)
         return 0
+    with _heard() as warned:
+        return _show(file, component or [], kind or [], warned, machine=machine)
+
+
+@contextlib.contextmanager
+def _heard() -> Iterator[list[str]]:
+    """Keep what is logged: it is told in one line, when all is shown."""
+    warned: list[str] = []
+
+    def hear(record: logging.LogRecord) -> bool:
+        if len(warned) < SEGMENTS:
+            warned.append(record.getMessage())
+        return False
+
+    log = logging.getLogger("esair")
+    log.addFilter(hear)
+    try:
+        yield warned
+    finally:
+        log.removeFilter(hear)
+
+
+def _show(
+    file: Path,
+    component: list[str],
+    kind: list[str],
+    warned: list[str],
+    *,
+    machine: bool,
+) -> int:
     from esair.recording import Gaps, events_of, facts_of
 
     named: set[str] = set()
-    facts = facts_of(file)
-    gaps = Gaps(facts)
+    gaps = Gaps(facts_of(file))
     for event in events_of(file):
         gaps.hear(event)
         if len(named) < NAMES:
@@ -67,9 +100,9 @@ def log(
             continue
         if not kind or event.kind in kind:
             _print(event.time + gaps.offset, event._asdict(), machine=machine)
-    if told := gaps.told():
-        tell(printable(f"{file}: {told}"))
-    return CANNOT_USE if has_unknown("--component", component or [], named) else 0
+    if told := "; ".join([*warned, *filter(None, [gaps.told()])]):
+        tell(printable(told if warned else f"{file}: {told}"))
+    return CANNOT_USE if has_unknown("--component", component, named) else 0
 
 
 def _follow(

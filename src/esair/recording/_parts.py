@@ -101,6 +101,10 @@ def parts_of(path: Path, *, skip_messages: bool = False) -> Iterator[Part]:
         path: The file.
         skip_messages: Whether chunks are passed over, unread.
     """
+    # Now, so that no file decides what is imported.
+    import lz4.frame  # type: ignore[import-untyped]  # noqa: F401
+    import zstandard  # noqa: F401
+
     damaged = _Damaged()
     try:
         with path.open("rb") as file:
@@ -110,7 +114,7 @@ def parts_of(path: Path, *, skip_messages: bool = False) -> Iterator[Part]:
             if file.read(len(MAGIC)) == MAGIC:
                 yield from _parts_of(file, damaged, skip_messages=skip_messages)
     finally:
-        if damaged.count:
+        if damaged.count and damaged.begun and not skip_messages:
             more = (
                 f" and in {damaged.count - 1} more places" if damaged.count > 1 else ""
             )
@@ -123,6 +127,7 @@ class _Damaged:
     """Where a file is not what was written."""
 
     first = count = 0
+    begun = False  # Else it is no such file, and that is told
 
     def note(self, place: int) -> None:
         self.first = self.first or place
@@ -138,6 +143,7 @@ def _parts_of(
         following = begin + 9 + length
         if kind == _FOOTER or length == _BEGUN or following > end:
             return
+        damaged.begun = damaged.begun or kind == _HEADER
         limit = CHUNK if kind == _CHUNK else PART
         if kind in _READ and not (kind == _CHUNK and skip_messages):
             try:
@@ -195,7 +201,7 @@ def _unpacked(packing: str, packed: memoryview, size: int) -> Any:
         except zstandard.ZstdError:
             raise _DamagedError from None
     if packing == "lz4":
-        import lz4.frame  # type: ignore[import-untyped]
+        import lz4.frame
 
         try:
             return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size)

@@ -19,7 +19,7 @@ from esair.codec import CodecError, Kinds, declared, decode, encode
 from esair.exceptions import RecordingBrokenError
 from esair.loop import SPOILED, First, Tag, TapeWriter
 from esair.messages import Reading, Stamped, StampedReading
-from esair.recording._reading import MESSAGE
+from esair.recording._reading import LATEST, MESSAGE
 
 TOPIC = "/esair/journal"  # The topic of the turns
 AT_ONCE = 64  # How many items are encoded at once: it holds up the loop meanwhile
@@ -201,13 +201,18 @@ class Kept:
                 not what `Turns` has written.
         """
         found = False
+        now = -LATEST
         for expected, data in enumerate(self._chunks):
             try:
                 (number,) = _number.unpack_from(data)
                 if number == expected:
                     for item in _items_of(data):
                         found = True
-                        if type(item) is str:
+                        if type(item) is float:
+                            if not now <= item < LATEST:  # no clock goes back
+                                raise ValueError
+                            now = item
+                        elif type(item) is str:
                             self.spoiled = item
                             return
                         yield item

@@ -172,7 +172,9 @@ class Replay:
             task.cancel()
 
         def whole() -> bool:
-            return "end" in self.facts and (kept is None or not _spoiled(kept, player))
+            if "end" not in self.facts or self._dropped:
+                return False
+            return kept is None or not _spoiled(kept, player)
 
         comparison = Comparison(
             events_of(self.path),
@@ -210,7 +212,7 @@ class Replay:
             raise error
         if player is not None and player.error is not None and not found:
             raise player.error
-        lost = comparison.lost
+        lost = comparison.lost or self._dropped
         spoiled = (kept and kept.spoiled) or ""
         return Outcome(
             equal=comparison.equal,
@@ -220,6 +222,12 @@ class Replay:
             took=time.monotonic() - began,
             short=spoiled or (f"{lost} events were not recorded" if lost else ""),
         )
+
+    @property
+    def _dropped(self) -> int:
+        """How many events the recorder says that it has dropped."""
+        told = self.facts.get("end", {}).get("dropped", "")
+        return int(told) if told.isdecimal() and len(told) < 20 else 0
 
     def _turn_of(self, moment: float, *, has_tape: bool) -> int:
         """Return the number of the turn at a moment; the recording is read again."""
