@@ -28,7 +28,7 @@ class OwnLeaks(Leaks):
         if not getattr(loop, "virtual", False):
             return found  # what is left there depends on the moment
         late = loop.time() + SOON
-        waiting = Deadlines.of(loop)._waiting
+        waiting = Deadlines.of(loop).waiting
         found += [f"deadline of {d._function}" for d in waiting if d.when > late]
         for timer in getattr(loop, "_scheduled", ()):
             module = getattr(timer._callback, "__module__", None) or ""

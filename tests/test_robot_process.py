@@ -410,10 +410,10 @@ async def test_a_real_loop_can_tell_whether_the_computer_slept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The clock that counts sleep is compared with the one that does not."""
-    from esair.loop import SuspendWatch
+    from esair.loop import SuspendWatch, turn_of
 
     heard: list[float] = []
-    watch = SuspendWatch(asyncio.get_running_loop())
+    watch = SuspendWatch(turn_of(asyncio.get_running_loop()))
     watch.listen(heard.append)
     watch.look()
     assert heard == []
@@ -427,7 +427,7 @@ async def test_a_real_loop_can_tell_whether_the_computer_slept(
     watch.forget(heard.append)
     assert len(heard) == 1
     monkeypatch.delattr(time, "CLOCK_BOOTTIME")
-    silent = SuspendWatch(asyncio.get_running_loop())
+    silent = SuspendWatch(turn_of(asyncio.get_running_loop()))
     silent.listen(heard.append)
     silent.look()
     assert len(heard) == 1

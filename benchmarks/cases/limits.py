@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import time
 from collections.abc import AsyncIterator, Callable
 
-from esair.loop._timer import DescriptorTimer
+from esair.loop import _timerfd
 
 Step = Callable[[float], None]
 
@@ -51,11 +52,17 @@ async def bare_wheel(steps: list[Step], period: float) -> AsyncIterator[None]:
             step(now)
         while due() <= time.monotonic():
             turn += 1
-        timer.set(round(1e9 * due()))
+        _timerfd.settime(timer, round(1e9 * due()))
 
-    timer = DescriptorTimer(loop, call)
-    timer.set(round(1e9 * begin))
+    def expired() -> None:
+        os.read(timer, 8)
+        call()
+
+    timer = _timerfd.create()
+    loop.add_reader(timer, expired)
+    _timerfd.settime(timer, round(1e9 * begin))
     try:
         yield
     finally:
-        timer.close()
+        loop.remove_reader(timer)
+        os.close(timer)

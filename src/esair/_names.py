@@ -42,7 +42,7 @@ from esair.exceptions import (
     UnknownNameError,
     WrongLoopError,
 )
-from esair.loop import ComponentRandom, every, now
+from esair.loop import ComponentRandom, every, new_event_loop, now
 from esair.messages import (
     Access,
     BehaviorState,
@@ -129,6 +129,7 @@ __all__ = [
     "answers",
     "every",
     "guards",
+    "new_event_loop",
     "now",
     "operation",
     "random",

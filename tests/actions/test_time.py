@@ -194,10 +194,11 @@ async def test_now_is_one_clock_in_the_loop_and_in_threads(fake_actuator: Any) -
 @pytest.mark.promise("BEH-5")
 @pytest.mark.real_clock
 async def test_now_is_the_monotonic_time() -> None:
-    """In real time, in a thread of the user's own too."""
+    """In real time, in a thread of the user's own too; in the loop that of the turn."""
     stranger: list[float] = []
     thread = threading.Thread(target=lambda: stranger.append(esair.now()))
     before = time.monotonic()
+    await asyncio.sleep(0)
     here = esair.now()
     thread.start()
     thread.join()

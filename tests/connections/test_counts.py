@@ -85,7 +85,7 @@ async def test_polls_that_come_while_it_has_not_answered(
         sonar.slow(0.35)
         await asyncio.sleep(0.1)
         sonar.slow(0.0)
-        await asyncio.sleep(0.3)
+        await asyncio.sleep(0.31)
         after = channel.counts()
         assert after["missed"] == 3
         assert after["transactions"] == before["transactions"] + 1

@@ -11,7 +11,7 @@ import pytest
 
 import esair
 from esair import ResourceState
-from esair.loop import Scheduler
+from esair.loop import turn_of
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -191,7 +191,7 @@ async def test_an_answer_to_a_question_from_before_a_sleep_is_old(
         await asyncio.sleep(0.1)
         slow.distance = 2.0
         loop.suspend(3600.0)
-        Scheduler.of(loop).suspends.look()
+        turn_of(loop).suspends.look()
         assert await reading == 2.0
 
 
@@ -211,7 +211,7 @@ async def test_a_write_that_waits_when_the_computer_sleeps_is_refused(
         second = asyncio.create_task(user.motor.write(2.0))
         await asyncio.sleep(0.01)
         loop.suspend(3600.0)
-        Scheduler.of(loop).suspends.look()
+        turn_of(loop).suspends.look()
         assert await first
         refused = await second
         assert not refused

@@ -93,8 +93,8 @@ async def test_a_task_goes_on_in_the_next_turn() -> None:
     assert wire.told == ["came 2", "over", "driver 2"]
 
 
-async def test_a_reader_goes_on_when_all_that_was_made_of_it_is_there() -> None:
-    """In the callback that has brought the driver its answer, after the driver."""
+async def test_a_reader_goes_on_after_the_callback_that_has_brought_it() -> None:
+    """In a turn of its own, as on every loop; the driver goes on at once."""
     wire = Wire()
     reading: asyncio.Future[str] = wire.loop.create_future()
 
@@ -102,7 +102,7 @@ async def test_a_reader_goes_on_when_all_that_was_made_of_it_is_there() -> None:
         wire.told.append(await reading)
 
     async def driver() -> None:
-        arrive(reading, f"reads {await wire.waiting}", read=True)
+        arrive(reading, f"reads {await wire.waiting}")
         wire.told.append("published")
 
     task = asyncio.create_task(reader())
@@ -111,8 +111,8 @@ async def test_a_reader_goes_on_when_all_that_was_made_of_it_is_there() -> None:
     assert light.begin(driver()) is WAITS
     light.then(lambda _value, _error: None)
     await in_callback(wire.bring, 1)
-    assert wire.told == ["came 1", "published", "reads 1", "over"]
     await task
+    assert wire.told == ["came 1", "published", "over", "reads 1"]
 
 
 async def test_what_came_before_others_began_to_come_is_not_lost() -> None:

@@ -5,12 +5,33 @@ import contextlib
 import gc
 import os
 import threading
+from typing import Any
 
 import pytest
 
 from esair.loop._bell import Bell
 
 pytestmark = pytest.mark.real_clock
+
+
+class Heard:
+    """What a bell needs of the turns of a loop, and tells that it was heard."""
+
+    virtual = False
+
+    def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
+        self.loop = loop or asyncio.get_running_loop()
+        self.heard = asyncio.Event()
+
+    def come(self) -> None:
+        self.heard.set()
+
+    def ring(self) -> None:
+        self.loop.call_soon_threadsafe(self.come)
+
+
+def bell_of(turn: Any) -> Bell:
+    return Bell(turn)
 
 
 def descriptors() -> int:
@@ -32,8 +53,8 @@ async def rung_in_thread(bell: Bell, heard: asyncio.Event) -> None:
 @pytest.mark.parametrize("held", [True, False])
 async def test_a_thread_wakes_the_loop(held) -> None:
     """Whether or not there is a descriptor for it."""
-    heard = asyncio.Event()
-    bell = Bell(asyncio.get_running_loop(), heard.set)
+    turn: Any = Heard()
+    heard, bell = turn.heard, Bell(turn)
     if held:
         bell.hold()
     for _ in range(3):
@@ -50,8 +71,8 @@ async def test_a_bell_without_a_descriptor_wakes_the_loop(monkeypatch) -> None:
         raise OSError(24, "too many open files")
 
     monkeypatch.setattr(os, "eventfd", none_left)
-    heard = asyncio.Event()
-    bell = Bell(asyncio.get_running_loop(), heard.set)
+    turn: Any = Heard()
+    heard, bell = turn.heard, Bell(turn)
     bell.hold()
     await rung_in_thread(bell, heard)
     bell.let_go()
@@ -59,8 +80,8 @@ async def test_a_bell_without_a_descriptor_wakes_the_loop(monkeypatch) -> None:
 
 async def test_what_was_rung_before_it_was_let_go_is_heard() -> None:
     """A thread hands over its last result and ends."""
-    heard = asyncio.Event()
-    bell = Bell(asyncio.get_running_loop(), heard.set)
+    turn: Any = Heard()
+    heard, bell = turn.heard, Bell(turn)
     bell.hold()
     bell.ring()
     bell.let_go()
@@ -70,7 +91,7 @@ async def test_what_was_rung_before_it_was_let_go_is_heard() -> None:
 async def test_the_last_holder_takes_the_descriptor_with_it() -> None:
     """One descriptor for all, as long as somebody holds it."""
     before = descriptors()
-    bell = Bell(asyncio.get_running_loop(), lambda: None)
+    bell = bell_of(Heard())
     bell.hold()
     bell.hold()
     assert descriptors() == before + 1
@@ -84,7 +105,7 @@ def test_a_loop_that_is_closed_while_it_is_held_leaves_no_descriptor() -> None:
     before = descriptors()
 
     async def held() -> Bell:
-        bell = Bell(asyncio.get_running_loop(), lambda: None)
+        bell = bell_of(Heard())
         bell.hold()
         assert descriptors() == before + 1
         return bell
@@ -99,7 +120,7 @@ def test_a_loop_that_is_closed_while_it_is_held_leaves_no_descriptor() -> None:
 def test_a_bell_of_a_loop_that_is_closed_says_so() -> None:
     """Who hands something over learns that nobody takes it."""
     loop = asyncio.new_event_loop()
-    bell = Bell(loop, lambda: None)
+    bell = bell_of(Heard(loop))
     bell.hold()
     loop.close()
     with pytest.raises(RuntimeError, match="closed"):

@@ -81,24 +81,21 @@ async def test_one_that_raises_holds_no_other_up() -> None:
     assert isinstance(told[0]["exception"], ZeroDivisionError)
 
 
-async def test_a_thousand_waits_that_end_in_time_need_one_timer(monkeypatch) -> None:
-    """The timer is moved for an earlier moment only."""
+async def test_a_thousand_waits_that_end_in_time_leave_nothing() -> None:
+    """They need no timer of the loop, and their places do not pile up."""
     loop = asyncio.get_running_loop()
-    deadlines = Deadlines(loop)
-    made = 0
-    call_at = loop.call_at
-
-    def counting(*args, **options):
-        nonlocal made
-        made += 1
-        return call_at(*args, **options)
-
-    monkeypatch.setattr(loop, "call_at", counting)
+    deadlines = Deadlines.of(loop)
+    timers = len(loop._scheduled)
     for _ in range(1000):
         deadlines.after(1.0, print).cancel()
-    deadlines.after(0.5, print).cancel()
+    idle = deadlines.idle(print)
+    for number in range(1000):
+        idle.start(loop.time() + 1.0 + number)
+        idle.cancel()
 
-    assert made == 2
+    assert deadlines.waiting == []
+    assert len(deadlines._heap) < 100
+    assert len(loop._scheduled) == timers
 
 
 async def test_what_is_cancelled_is_let_go() -> None:

@@ -622,7 +622,7 @@ async def test_who_takes_over_above_a_hold_is_not_stopped_before() -> None:
         moved = wheels.commands.index(0.9)
         assert 0.0 not in wheels.commands[moved:]
         sonar.unplug()
-        await asyncio.sleep(0.0)
+        await asyncio.sleep(0.001)
         assert wheels.commands[-1] == 0.0
 
 

@@ -35,6 +35,7 @@ async def test_a_lost_device_is_told_at_once_and_comes_back(
         assert await user.sonar.read() == 1.0
         right = user.sonar.registration
         sonar.unplug()
+        await asyncio.sleep(0)  # it takes effect at the border of the turn
         assert robot.resources.query("sonar").state is ResourceState.LOST
         with pytest.raises(esair.DeviceLostError):
             await user.sonar.read()

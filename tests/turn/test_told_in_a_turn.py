@@ -8,17 +8,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from tests.turn.loops import LOOPS, run
 
 import esair
 from esair.buses import Bus
-from esair.loop import TurnLoop
-from esair.testing import FakeSensor, VirtualLoop
-
-LOOPS: dict[str, Callable[[], asyncio.AbstractEventLoop]] = {
-    "esair.run": TurnLoop,
-    "virtual": VirtualLoop,
-    "asyncio": asyncio.new_event_loop,
-}
+from esair.testing import FakeSensor
 
 pytestmark = [
     pytest.mark.real_clock,
@@ -76,11 +70,6 @@ class Stays(esair.Behavior):
             await asyncio.Event().wait()
         finally:
             await asyncio.sleep(self.seconds)
-
-
-def run(make: Callable[[], asyncio.AbstractEventLoop], main: Any) -> Any:
-    with asyncio.Runner(loop_factory=make) as runner:
-        return runner.run(main)
 
 
 @pytest.mark.promise("CALL-4", "TURN-7")

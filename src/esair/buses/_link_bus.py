@@ -20,6 +20,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
+from esair.loop import turn_of
 from esair.values import check_duration, check_seconds
 
 T = TypeVar("T")
@@ -266,7 +267,7 @@ class LinkBus(Bus, Generic[L]):
         make: Callable[[], L] = self._open_of_kernel
         if self._wire is not None:
             make = (await self._far_end(self._wire)).open
-            self._inline = getattr(self._loop, "virtual", False)
+            self._inline = turn_of(self._loop).virtual
         try:
             if self._inline:
                 self._link = make()

@@ -15,6 +15,7 @@ from esair.buses._chips import MemoryWire
 from esair.buses._failures import Failures, os_error
 from esair.buses._link_bus import L, LinkBus
 from esair.exceptions import DeviceLostError
+from esair.loop import turn_of
 
 T = TypeVar("T")
 
@@ -155,7 +156,7 @@ class PlayedBus(LinkBus[L]):
         self.arrived()
 
     async def _open(self) -> None:
-        self.link.virtual = getattr(asyncio.get_running_loop(), "virtual", False)
+        self.link.virtual = turn_of(asyncio.get_running_loop()).virtual
         await super()._open()
 
     async def _close(self) -> None:

@@ -282,10 +282,7 @@ class Calls:
     def over(self, call: Call, value: Any, error: BaseException | None) -> None:
         """Let the end of a call take effect, in its turn."""
         end = End(value, error)
-        if self._door.has_border:
-            self._door.end(("call", self.resource), self.ended, call, end)
-        else:
-            self.ended(call, end)
+        self._door.end(("call", self.resource), self.ended, call, end)
 
     def ended(self, call: Call, end: End) -> None:
         """Apply the end of a call: the one place where it takes effect, in the loop.

@@ -309,7 +309,7 @@ class WaitingReaders:
             if need > number:
                 self.readers.append(waiter)
             elif isinstance(answer, Reading):
-                arrive(future, answer, read=True)
+                arrive(future, answer)
             else:
                 future.set_exception(answer)
         self._rest()

@@ -105,13 +105,8 @@ class Decision:
         """Take part in the decision of this turn; the wish commits at its end."""
         if self._wish is None:
             self._wish = wish
-            scheduler = self._scheduler
-            if self._looks:
-                pass  # it is called anyway
-            elif scheduler.in_turn:  # as mostly: `Scheduler.decide` in its place
-                scheduler.decided.append(self)
-            else:
-                scheduler.decide(self)
+            if not self._looks:  # else it is called anyway
+                self._scheduler.decide(self)
         else:
             self._others += (wish,)
 

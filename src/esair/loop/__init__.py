@@ -2,8 +2,7 @@
 
 from esair.loop._arrivals import Arrivals, arrive
 from esair.loop._budget import PUT_COST, SPENDABLE, VERB_COST, WRITE_COST, Budget
-from esair.loop._dead_man import DeadMan
-from esair.loop._deadlines import Deadline, Deadlines
+from esair.loop._deadlines import Deadline, Deadlines, DeadMan
 from esair.loop._door import Door
 from esair.loop._end_of_loop import (
     leave_behind,
@@ -32,6 +31,7 @@ from esair.loop._light_task import (
     current_tasks,
 )
 from esair.loop._now import now, sleep_in_thread, works_for
+from esair.loop._of_loop import clock_beside, clock_of, turn_of
 from esair.loop._outside import News, ask_outside, outside
 from esair.loop._ownership import (
     OwnedTasks,
@@ -43,20 +43,21 @@ from esair.loop._ownership import (
 )
 from esair.loop._portal import Portal, portal
 from esair.loop._random import ComponentRandom, Stepping, Stream
-from esair.loop._rate_group import REACHED, Job, OneShot, Order, Step
+from esair.loop._rate_group import NEVER, REACHED, SECOND, Job, OneShot, Order, Step
 from esair.loop._scheduler import Scheduler
 from esair.loop._signals import LateSignals, ProcessWatch, SignalWatch
 from esair.loop._stall import StallWatch
 from esair.loop._suspend import GLANCE, SuspendWatch
 from esair.loop._tape import SPOILED, First, Player, Tag, TapeWriter
-from esair.loop._timer import clock_beside, clock_of
-from esair.loop._turn_loop import TurnLoop
+from esair.loop._turn import TurnLoop, new_event_loop
 
 __all__ = [
     "ENDED",
     "GLANCE",
+    "NEVER",
     "PUT_COST",
     "REACHED",
+    "SECOND",
     "SPENDABLE",
     "SPOILED",
     "VERB_COST",
@@ -110,6 +111,7 @@ __all__ = [
     "ignore",
     "leave_behind",
     "look_at",
+    "new_event_loop",
     "now",
     "outside",
     "portal",
@@ -120,6 +122,7 @@ __all__ = [
     "spawn",
     "speaks_for_nobody",
     "threads_that_keep_the_process",
+    "turn_of",
     "wake",
     "wake_one",
     "works_for",

@@ -20,10 +20,9 @@ _Arrived = list[tuple[asyncio.Future[Any], Any, tuple[Any, contextvars.Context]]
 class Arrivals(OfLoop):
     """All that one callback of the loop brings from outside.
 
-    A call of a driver that waits for some of it, and a reader who waits for what the driver
-    makes of it, go on in that very callback, and need no turn of the loop for that; but only
-    when all of it is there, so that nothing that came before they went on is taken for what
-    came after it. Where turns have a border, which is within the selector, readers do not.
+    A call of a driver that waits for some of it goes on in that very callback, and needs no
+    turn of the loop for that; but only when all of it is there, so that nothing that came
+    before it went on is taken for what came after it.
 
     Example:
         >>> with Arrivals.of(loop):
@@ -33,8 +32,6 @@ class Arrivals(OfLoop):
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        has_border = getattr(loop, "wakes_scheduler", False)
-        self.readers = (LightTask,) if has_border else (LightTask, asyncio.Task)
         self._depth = 0
         self.so_far: _Arrived | None = None
         """What has arrived; None where a task runs, as no other can go on in it."""
@@ -65,21 +62,17 @@ class Arrivals(OfLoop):
                 contained(self._loop, context.run, step, future)
 
 
-def arrive(future: asyncio.Future[T], value: T, *, read: bool = False) -> None:
-    """Bring what a future waits for; fine if nobody wants it any more.
-
-    Args:
-        future: What waits.
-        value: What it waits for.
-        read: It is a reading: then who waits may be any task.
-    """
+def arrive(future: asyncio.Future[T], value: T) -> None:
+    """Bring what a future waits for; fine if nobody wants it any more."""
     if future.done():
         return
     arrivals = Arrivals.of(future.get_loop())
     callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
-    if callbacks and arrivals.so_far is not None:
-        kinds = arrivals.readers if read else LightTask
-        if isinstance(getattr(callbacks[0][0], "__self__", None), kinds):
-            arrivals.so_far.append((future, value, callbacks[0]))
-            return
+    if (
+        callbacks
+        and arrivals.so_far is not None
+        and isinstance(getattr(callbacks[0][0], "__self__", None), LightTask)
+    ):
+        arrivals.so_far.append((future, value, callbacks[0]))
+        return
     future.set_result(value)  # who waits goes on in the next turn

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import os
 import threading
-from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from esair.loop._turn import Turn
 
 
 class Bell:
-    """Calls a function in a loop when a thread rings.
+    """Has a loop come to the border of its turns when a thread rings.
 
     While it is held it is an eventfd, which costs the loop a third of its own way: that
     reads its socket until an exception says that there is no more.
     """
 
-    def __init__(
-        self, loop: asyncio.AbstractEventLoop, answer: Callable[[], None]
-    ) -> None:
-        self._loop = loop
-        self._answer = answer
+    def __init__(self, turn: Turn) -> None:
+        self._turn = turn
+        self._loop = turn.loop
         self._lock = threading.Lock()
         self._holders = 0
         self._fd = -1
 
     def ring(self) -> None:
-        """Have the function called, from any thread.
+        """Have the loop come, from any thread.
 
         Raises:
             RuntimeError: The loop is closed.
@@ -35,12 +35,12 @@ class Bell:
             if self._fd >= 0 and not self._loop.is_closed():
                 os.eventfd_write(self._fd, 1)
                 return
-        self._loop.call_soon_threadsafe(self._answer)
+        self._turn.ring()
 
     def hold(self) -> None:
         """Be quick for a thread that will ring; called in the loop."""
         self._holders += 1
-        if self._fd >= 0 or getattr(self._loop, "virtual", False):
+        if self._fd >= 0 or self._turn.virtual:
             return
         with contextlib.suppress(OSError, NotImplementedError, AttributeError):
             fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -58,7 +58,7 @@ class Bell:
             return
         if not self._loop.is_closed():
             self._loop.remove_reader(self._fd)
-            self._loop.call_soon(self._answer)  # it may have been rung just now
+            self._loop.call_soon(self._turn.come)  # it may have been rung just now
         self._close()
 
     def _close(self) -> None:
@@ -71,4 +71,4 @@ class Bell:
 
     def _heard(self) -> None:
         os.eventfd_read(self._fd)
-        self._answer()
+        self._turn.come()

@@ -1,44 +1,88 @@
-"""All deadlines of a loop, behind one timer; they take effect at the end of a turn.
+"""What has not come until a moment: deadlines, readings too old, dead men.
+
+All of a loop lie in one heap on the grid of nanoseconds, and most never come: starting one
+anew, or cancelling it, leaves its place in the heap alone, and costs next to nothing. At the
+moment that was known first it is looked whether it has moved.
+
+They are called last in a turn, in the order of `Order`, and two turns after their moment:
+what a driver's own timer of that moment brings takes two turns (the timer, the coroutine,
+the door), and is in time. A loop that comes late waits for nothing any more.
 
 Who had no chance to run has not timed out: a deadline that passed while the loop was held
 up, or the whole computer, is put off once, so that what has come meanwhile, or is just
-about to, is still in time.
+about to, is still in time. What stands for the safety of a robot is not put off.
 """
 
 from __future__ import annotations
 
 import asyncio
-import math
+import heapq
+import itertools
 from collections.abc import Callable
-from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-from esair.loop._futures import wake
-from esair.loop._of_loop import OfLoop
-from esair.loop._rate_group import REACHED, Order, contained
-from esair.loop._scheduler import Scheduler
-from esair.loop._timer import clock_of
+from esair.loop._futures import ignore, wake
+from esair.loop._of_loop import OfTurn, turn_of
+from esair.loop._rate_group import (
+    FAR,
+    NEVER,
+    NOW,
+    REACHED,
+    SECOND,
+    Order,
+    contained,
+)
 
-HELD_UP = 0.1
-"""How much too late the loop comes to a deadline if it was held up, in seconds."""
+if TYPE_CHECKING:
+    from esair.loop._scheduler import Scheduler
+    from esair.loop._turn import Turn
+
+HELD_UP = 100_000_000
+"""How much too late the loop comes to a deadline if it was held up, in ns."""
 
 CHANCE = 0.1  # by how much a deadline is put off that has passed meanwhile, in seconds
+
+LATE = 1_000_000
+"""How late a loop is that does not wait for timers of the same moment, in ns."""
+
+FEW = 64  # with fewer places than that nobody looks which are of no use any more
 
 
 class Deadline:
     """A function that is called at a moment, unless it is cancelled before."""
 
-    __slots__ = ("_arguments", "_deadlines", "_function", "put_off", "when")
+    __slots__ = (
+        "_arguments",
+        "_deadlines",
+        "_function",
+        "_is_for_once",
+        "is_patient",
+        "number",
+        "order",
+        "place",
+        "put_off",
+        "when",
+    )
 
     def __init__(
         self,
         deadlines: Deadlines,
-        when: float,
         function: Callable[..., object],
-        arguments: tuple[Any, ...],
+        arguments: tuple[Any, ...] = (),
+        *,
+        order: Order = Order.EXPIRY,
+        is_patient: bool = True,
+        is_for_once: bool = False,
     ) -> None:
-        self.when: float = when
+        self._is_for_once = is_for_once
+        self.when: float = NEVER
+        """The moment, in seconds of the loop's clock."""
         self.put_off: bool = False
+        self.order = order
+        self.is_patient = is_patient
+        """Whether it is put off if the loop was held up."""
+        self.number = 0  # that of its place in the heap; 0 if it has none
+        self.place = 0  # when it is looked at, in ns
         self._deadlines = deadlines
         self._function = function
         self._arguments = arguments
@@ -47,10 +91,7 @@ class Deadline:
         """Call it at a moment of the loop's clock, whether or not it was called before."""
         self.when = when
         self.put_off = False
-        deadlines = self._deadlines
-        deadlines._waiting[self] = None  # noqa: SLF001 - two halves of one
-        if when < deadlines._looks_at:  # noqa: SLF001
-            deadlines._look_at(when)  # noqa: SLF001
+        self._deadlines.add(self, when)
 
     def start_by(self, when: float) -> None:
         """Call it at a moment, unless it is called before that anyway.
@@ -62,102 +103,203 @@ class Deadline:
 
     def cancel(self) -> None:
         """Do not call it, until it is started again. Also fine when it has been called."""
-        self.when = math.inf
+        self.when = NEVER
         self.put_off = False
-        self._deadlines._waiting.pop(self, None)  # noqa: SLF001 - two halves of one
+        if self._is_for_once:  # its place outlives it, and may keep nothing alive
+            self._function, self._arguments = ignore, ()
 
-    def _call(self) -> None:
-        self._function(*self._arguments)
+    def moment(self) -> float:
+        """Return its moment, in seconds: it may have moved meanwhile."""
+        return self.when
+
+    def call(self) -> None:
+        """Call the function: the moment has come."""
+        function, arguments = self._function, self._arguments
+        self.cancel()
+        function(*arguments)
 
 
-class Deadlines(OfLoop):
-    """Calls functions at their moments, most of which never come.
+class Mortal(Protocol):
+    """Something that has to be heard of again and again."""
 
-    Nearly every wait is over long before its deadline, and a timer of the loop for
-    each would cost more than many a wait. Here it is an entry in a dictionary: the
-    one timer of the loop is moved when an earlier moment comes, and else left alone.
-    When it fires for an entry that has gone, it looks for the next. The timer only
-    rings: the functions are called by the scheduler, when all that is due at the same
-    moment has been done, so it does not matter who set what first.
+    @property
+    def dies(self) -> float:
+        """At which moment it is dead unless it is heard of, in seconds."""
+
+    def dead(self) -> None:
+        """Learn that it is dead; it is watched no more."""
+
+
+class DeadMan(Deadline):
+    """Watches one thing that must not stay silent; being heard of costs nothing.
+
+    Who is heard of in a turn is so before anybody is found dead in it.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
-        self._time = clock_of(loop)
-        self._scheduler = self._scheduler_of(loop)
-        self._waiting: dict[Deadline, None] = {}
-        self._looks_at = math.inf
-        self._timer: asyncio.TimerHandle | None = None
+    __slots__ = ("armed", "mortal")
 
-    _scheduler_of = Scheduler.of
+    def __init__(self, loop: asyncio.AbstractEventLoop, mortal: Mortal) -> None:
+        super().__init__(
+            Deadlines.of(loop), mortal.dead, order=Order.DEAD, is_patient=False
+        )
+        self.mortal = mortal
+        self.armed = False
+
+    def arm(self) -> None:
+        """Tell it that it is dead when its moment comes; that moves as it is heard of."""
+        if not self.armed:
+            self.armed = True
+            self.start(self.mortal.dies)
+
+    def disarm(self) -> None:
+        """Watch it no more."""
+        self.armed = False
+        self.cancel()
+
+    def moment(self) -> float:
+        """Return when it is dead, as far as is known now."""
+        return self.mortal.dies if self.armed else NEVER
+
+    def call(self) -> None:
+        """Tell it that it is dead."""
+        self.disarm()
+        self._function()
+
+
+class Deadlines(OfTurn):
+    """Calls functions at their moments, most of which never come."""
+
+    def __init__(self, turn: Turn, scheduler: Scheduler) -> None:
+        self.due: float = NEVER
+        """When it has to look next, in ns."""
+        self.time = turn.time
+        self._turn = turn
+        self._scheduler = scheduler
+        self._numbers = itertools.count(1)
+        self._heap: list[tuple[int, int, Deadline]] = []
+        self._crowd = FEW  # with how many places it is looked which are of use
+        self._later: list[Deadline] = []  # whose moment has come in this turn,
+        self._next: list[Deadline] = []  # in the one before it,
+        self._ripe: list[Deadline] = []  # and who are called in this turn
 
     @classmethod
     def beside(cls, loop: asyncio.AbstractEventLoop) -> Deadlines:
         """Return those of what is outside of the robot; see `Scheduler.beside`."""
-        if getattr(loop, "wakes_scheduler", False):
-            return _DeadlinesBeside.of(loop)
-        return cls.of(loop)
+        return turn_of(loop).deadlines_outside
 
     def after(
         self, seconds: float, function: Callable[..., object], *arguments: Any
     ) -> Deadline:
         """Call a function in some seconds, in the loop."""
-        when = self._time() + seconds
-        deadline = Deadline(self, when, function, arguments)
-        self._waiting[deadline] = None
-        if when < self._looks_at:
-            self._look_at(when)
+        deadline = Deadline(self, function, arguments, is_for_once=True)
+        deadline.start(self.time() + seconds)
+        return deadline
+
+    def at(
+        self, when: float, function: Callable[..., object], *, order: Order
+    ) -> Deadline:
+        """Call a function at a moment of the loop's clock, also if it was held up."""
+        deadline = Deadline(
+            self, function, order=order, is_patient=False, is_for_once=True
+        )
+        deadline.start(when)
         return deadline
 
     def idle(self, function: Callable[..., object], *arguments: Any) -> Deadline:
         """Return a deadline for one wait after the other, which has to be started."""
-        return Deadline(self, math.inf, function, arguments)
+        return Deadline(self, function, arguments)
 
     async def wait(self, future: asyncio.Future[Any], seconds: float) -> None:
         """Wait until a future is done, or for some seconds; it goes on either way."""
-        over: asyncio.Future[None] = self._loop.create_future()
+        over: asyncio.Future[None] = self._turn.loop.create_future()
         deadline = self.after(max(0.0, seconds), wake, over)
         try:
             await asyncio.wait({future, over}, return_when=asyncio.FIRST_COMPLETED)
         finally:
             deadline.cancel()
 
-    def _look_at(self, when: float) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        self._looks_at = when
-        self._timer = self._loop.call_at(when, self._ring, when)
+    @property
+    def waiting(self) -> list[Deadline]:
+        """Those that are to be called."""
+        placed = (each for _, number, each in self._heap if number == each.number)
+        reached = (*self._later, *self._next, *self._ripe)
+        return [each for each in (*placed, *reached) if each.moment() < NEVER]
 
-    def _ring(self, when: float) -> None:
-        self._timer = None
-        if self._waiting:
-            self._scheduler.at(when, self._look, order=Order.EXPIRY)
-        else:
-            self._looks_at = math.inf
+    def gap(self) -> float:
+        """Tell for how long none is due, in seconds."""
+        return self.due / SECOND - self.time()
 
-    def _look(self, _now: float) -> None:
-        now = self._time() + REACHED
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        self._looks_at = math.inf
-        due = sorted(
-            (each for each in self._waiting if each.when <= now), key=attrgetter("when")
-        )
-        for deadline in due:
-            if deadline not in self._waiting or deadline.when > now:
-                continue  # one before it has cancelled it, or started it anew
-            if now - deadline.when > HELD_UP and not deadline.put_off:
-                deadline.put_off, deadline.when = True, now + CHANCE
+    def add(self, deadline: Deadline, when: float) -> None:
+        """Look at a deadline at a moment, unless it is looked at before."""
+        place = round(min(when, FAR) * SECOND)
+        if deadline.number and deadline.place <= place:
+            return
+        heap = self._heap
+        if len(heap) > self._crowd:
+            self._tidy()
+            heap = self._heap
+        deadline.number = number = next(self._numbers)
+        deadline.place = place
+        heapq.heappush(heap, (place, number, deadline))
+        if place < self.due:
+            self.due = place
+            self._turn.want(place)
+
+    def look(self, reached: float) -> None:
+        """See which moments have come; called at each border until all are called."""
+        heap, reached_now = self._heap, list[Deadline]()
+        self._ripe += self._next
+        self._next = self._later
+        while heap and heap[0][0] <= reached:
+            _, number, deadline = heapq.heappop(heap)
+            if number != deadline.number:
+                continue  # it has another place
+            deadline.number = 0
+            moment = deadline.moment()
+            if moment == NEVER:
+                continue
+            late = reached - round(moment * SECOND)
+            if late < 0:
+                self.add(deadline, moment)
+            elif late > HELD_UP and deadline.is_patient and not deadline.put_off:
+                deadline.put_off, deadline.when = True, self.time() + CHANCE
+                self.add(deadline, deadline.when)
+            elif late > LATE:
+                self._ripe.append(deadline)
             else:
-                deadline.cancel()
-                contained(self._loop, deadline._call)  # noqa: SLF001 - two halves of one
-        earliest = min((each.when for each in self._waiting), default=math.inf)
-        if earliest < self._looks_at:
-            self._look_at(earliest)
+                reached_now.append(deadline)
+        self._later = reached_now
+        if self._ripe:
+            self._scheduler.last(self)
+        if self._next or self._later:
+            self.due = NOW
+        else:
+            self.due = heap[0][0] if heap else NEVER
+
+    def function(self, _now: float) -> None:
+        """Call those whose time it is: the last thing in a turn."""
+        ripe, self._ripe = self._ripe, []
+        reached = self.time() + REACHED
+        for each in sorted(ripe, key=_order):
+            moment = each.moment()
+            if moment <= reached:
+                contained(self._turn.loop, each.call)
+            elif moment < NEVER and not each.number:  # it was heard of meanwhile
+                self.add(each, moment)
+
+    def _tidy(self) -> None:
+        """Forget the places of those that were cancelled, and of earlier moments."""
+        left = []
+        for place, number, each in self._heap:
+            if number == each.number:
+                if each.moment() < NEVER:
+                    left.append((place, number, each))
+                else:
+                    each.number = 0
+        heapq.heapify(left)
+        self._heap = left
+        self._crowd = max(FEW, 2 * len(left))
 
 
-class _DeadlinesBeside(Deadlines):
-    """The deadlines of what is outside of the robot."""
-
-    _scheduler_of = Scheduler.beside
+def _order(deadline: Deadline) -> tuple[Order, float]:
+    return deadline.order, deadline.moment()

@@ -1,26 +1,28 @@
 """The one door: what comes in from threads takes effect in one order.
 
-An entry gets a number and a time when it comes in. On a real clock entries take effect
-in the order of their numbers, at the beginning of the next turn of the loop. A loop on a
-virtual clock takes them when nothing is ready and no thread is at work, in the order in
-which the work was given out: so a run repeats, however long the threads take.
+An entry gets a number and a time when it comes in. Entries take effect in the order of
+their numbers, at the next border of the loop. On a virtual clock what comes from threads
+ripens before: news when nothing is ready, ends of works when no thread is at work either,
+in the order in which the work was given out. So a run repeats, however long threads take.
 """
 
 from __future__ import annotations
 
-import asyncio
 import collections
 import itertools
 import logging
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from esair.loop._arrivals import Arrivals
 from esair.loop._bell import Bell
-from esair.loop._of_loop import OfLoop
+from esair.loop._of_loop import OfTurn
+from esair.loop._rate_group import NOW
 from esair.loop._tape import Entry, Player, Tag, TapeWriter
-from esair.loop._timer import clock_of
+
+if TYPE_CHECKING:
+    from esair.loop._turn import Turn
 
 _log = logging.getLogger("esair")
 
@@ -28,29 +30,30 @@ _new = tuple.__new__
 """Makes an entry of what is in the right order, in half of the time."""
 
 
-class Door(OfLoop):
+class Door(OfTurn):
     """Where what threads have done comes into a loop. One for each event loop.
 
     However many entries there are, one wake-up of the loop is under way at a time:
     what comes in until the loop gets to it goes with it.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
-        self._arrivals = Arrivals.of(loop)
-        self._time = clock_of(loop)
-        self._is_taken: bool = getattr(loop, "takes_entries", False)
-        self.has_border: bool = getattr(loop, "wakes_scheduler", False)
-        """Whether the turns of the loop have a border, where what comes in takes effect."""
-        self.player: Player | None = getattr(loop, "player", None)
+    def __init__(self, turn: Turn) -> None:
+        self._turn = turn
+        self._arrivals = Arrivals.of(turn.loop)
+        self._time = turn.time
+        self.player: Player | None = turn.player
         """What repeats a run on this loop, sooner or later."""
-        self._holds: bool = getattr(loop, "holds_work", False)
+        self._holds = turn.virtual
         self.tape: TapeWriter | Player | None = None
-        """What keeps or gives what comes in, on a `TurnLoop`."""
+        """What keeps or gives what comes in, where a run can be repeated."""
         self.divert: Callable[[Entry], object] | None = None
         """Gets the entries of threads in a replay, which lets them wait."""
         self._lock = threading.Lock()
         self._entries: collections.deque[Entry] = collections.deque()
+        self._brought: collections.deque[Entry] = (
+            collections.deque() if self._holds else self._entries
+        )
+        """What threads have brought: where work is held it has to ripen."""
         self._held: collections.deque[tuple[int, Callable[[int], None], object]] = (
             collections.deque()
         )
@@ -61,15 +64,15 @@ class Door(OfLoop):
         self._outside: set[object] = set()
         """The threads whose work is to wait for the outside."""
         self._wakes = False
-        self.bell = Bell(loop, self._woken)
+        self.bell = Bell(turn)
         self._works = itertools.count(1)
         self.number: int = 0  # how many entries have come in
         self.at_work: int = 0  # how many works threads have in hand
 
     @property
-    def waiting(self) -> bool:
-        """Whether something has come in that has not taken effect."""
-        return bool(self._entries)
+    def has_news(self) -> bool:
+        """Whether something is to be taken at the next border."""
+        return bool(self._entries) or (self._wakes and not self._holds)
 
     @property
     def held(self) -> bool:
@@ -124,8 +127,9 @@ class Door(OfLoop):
         What it has in hand, and what waits behind that, holds time up no more.
         """
         with self._lock:
-            self._resting.add(lane)
-            self.at_work -= self._given_to(lane)
+            if lane not in self._resting:
+                self._resting.add(lane)
+                self.at_work -= self._given_to(lane)
 
     def go_on(self, lane: threading.Thread) -> None:
         """Take note, in the loop, that its thread goes on."""
@@ -163,11 +167,12 @@ class Door(OfLoop):
         # Else it is news from outside: in a replay they come from the tape.
 
     def bring(self, entry: Entry) -> None:
+        """Bring in an entry, from any thread."""
         with self._lock:
             self._add(entry)
 
     def _add(self, entry: Entry) -> None:
-        self._entries.append(entry)
+        self._brought.append(entry)
         if not self._wakes:
             self._wakes = True
             self.bell.ring()
@@ -177,14 +182,7 @@ class Door(OfLoop):
         self.post(0, tag, function, *arguments)
 
     def end(self, tag: Tag, function: Callable[..., object], *arguments: Any) -> None:
-        """Bring in the end of something in the loop itself.
-
-        It takes effect at the beginning of the next turn where turns have a border,
-        and at once where they have none.
-        """
-        if not self.has_border:
-            function(*arguments)
-            return
+        """Bring in the end of something in the loop itself: it ripens at once."""
         if self.divert is not None:
             return  # in a replay it comes from the tape
         with self._lock:
@@ -192,19 +190,34 @@ class Door(OfLoop):
             self._entries.append(
                 Entry(self.number, self._time(), 0, tag, function, arguments)
             )
+        self._turn.want(NOW)
 
-    def _woken(self) -> None:
-        self._wakes = False  # before the look: what comes later wakes the loop again
-        if not self._is_taken:
-            self.take()
+    def ripen(self, *, works: bool) -> bool:
+        """Let what threads have brought take effect at the next border; tells if any.
 
-    def take(self, *, by_work: bool = False) -> None:
-        """Let what has come in take effect; called in the loop."""
+        Args:
+            works: Whether ends of works are ripe too; else only news are.
+        """
+        with self._lock:
+            self._wakes = (
+                False  # before the look: what comes later wakes the loop again
+            )
+            brought = self._brought
+            ripe = [each for each in brought if works or not each.work]
+            if ripe:
+                left = [each for each in brought if not works and each.work]
+                brought.clear()
+                brought.extend(left)
+                self._entries.extend(sorted(ripe, key=_by_work) if works else ripe)
+        return bool(ripe)
+
+    def take(self) -> None:
+        """Let what has come in take effect; called at the border."""
+        if not self._holds:
+            self._wakes = (
+                False  # before the look: what comes later wakes the loop again
+            )
         entries = self._entries
-        if by_work:
-            with self._lock:
-                entries = collections.deque(sorted(entries, key=_by_work))
-                self._entries.clear()
         with self._arrivals:
             while entries:
                 _, _, _, tag, function, arguments = entries.popleft()

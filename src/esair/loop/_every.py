@@ -9,10 +9,10 @@ from collections.abc import AsyncIterator, Iterator
 from esair.exceptions import ConfigError
 from esair.loop._budget import Budget
 from esair.loop._futures import wake
+from esair.loop._of_loop import clock_of
 from esair.loop._ownership import is_outside
 from esair.loop._portal import portal
 from esair.loop._scheduler import Scheduler
-from esair.loop._timer import clock_of
 from esair.values import check_duration
 
 

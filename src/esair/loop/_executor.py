@@ -16,8 +16,8 @@ from esair.loop._arrivals import arrive
 from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._door import Door
 from esair.loop._now import works_for
+from esair.loop._of_loop import clock_of
 from esair.loop._rate_group import REACHED
-from esair.loop._timer import clock_of
 
 T = TypeVar("T")
 

@@ -8,7 +8,7 @@ import math
 import sys
 import time
 
-from esair.loop._of_loop import OfLoop
+from esair.loop._of_loop import OfLoop, turn_of
 from esair.loop._rate_group import OneShot
 from esair.loop._scheduler import Scheduler
 
@@ -251,7 +251,7 @@ class Gaps(OfLoop):
         collector.start()
         self._users += 1
         # On a virtual clock looks that never end would hide a deadlock.
-        if self._users == 1 and not getattr(self._loop, "virtual", False):
+        if self._users == 1 and not turn_of(self._loop).virtual:
             self._last = self._loop.time()
             self._look_in(LOOK)
 

@@ -6,8 +6,8 @@ import asyncio
 import threading
 import time
 
+from esair.loop._of_loop import clock_beside, clock_of, turn_of
 from esair.loop._portal import portal
-from esair.loop._timer import clock_beside, clock_of
 
 _thread = threading.local()
 
@@ -22,8 +22,9 @@ def sleep_in_thread(seconds: float) -> None:
 
     For a fake whose calls block: on the virtual clock it takes no real time.
     """
-    virtual = getattr(getattr(_thread, "loop", None), "wait_in_thread", None)
-    (time.sleep if virtual is None else virtual)(seconds)
+    loop = getattr(_thread, "loop", None)
+    wait = time.sleep if loop is None else turn_of(loop).wait_in_thread
+    wait(seconds)
 
 
 def now() -> float:
@@ -38,12 +39,10 @@ def now() -> float:
         return clock_of(loop)()
     own = portal.get(None)
     if own is not None:
-        if getattr(own.loop, "wakes_scheduler", False):
-            return own.call(_moment)  # by the door: so it is the same in a replay
-        return clock_of(own.loop)()
+        return own.call(_moment)  # by the door: so it is the same in a replay
     loop = getattr(_thread, "loop", None)
     return time.monotonic() if loop is None else clock_beside(loop)()
 
 
 async def _moment() -> float:
-    return asyncio.get_running_loop().time()
+    return clock_of(asyncio.get_running_loop())()

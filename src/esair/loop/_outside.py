@@ -33,13 +33,10 @@ def ask_outside(tag: Tag, look: Callable[[], T]) -> T:
 async def outside(tag: Tag, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
     """Await work outside of the robot; in a replay only its outcome comes again.
 
-    On a loop whose turns have a border the outcome takes effect at one.
+    The outcome takes effect at the border of a turn.
     """
     loop = asyncio.get_running_loop()
     door = Door.of(loop)
-    if not door.has_border:
-        done: T = await Contained(work())
-        return done
     tape = door.tape
     outcome: asyncio.Future[T] = loop.create_future()
     number = 0
@@ -85,7 +82,6 @@ class News:
     def __init__(
         self, loop: asyncio.AbstractEventLoop, tag: Tag, function: Callable[..., object]
     ) -> None:
-        self._loop = loop
         self._home = threading.get_ident()
         self._door = Door.of(loop)
         self._tag = tag
@@ -94,16 +90,10 @@ class News:
             self._door.player.listen(tag, lambda told: function(*told))
 
     def tell(self, *told: Any) -> None:
-        """Tell it, in any thread; where turns have a border it takes effect at one."""
+        """Tell it, in any thread; it takes effect at the border of a turn."""
         in_loop = threading.get_ident() == self._home
         bring = self._door.end if in_loop else self._door.tell
         bring(self._tag, self._take, told)
-
-    def tell_from_thread(self, *told: Any) -> None:
-        if self._door.has_border:
-            self._door.tell(self._tag, self._take, told)
-        else:
-            self._loop.call_soon_threadsafe(self._function, *told)
 
     def _take(self, told: tuple[Any, ...]) -> None:
         if isinstance(self._door.tape, TapeWriter):

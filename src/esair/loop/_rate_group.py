@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import bisect
 import enum
+import math
 from collections.abc import Awaitable, Callable, Iterable
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol
@@ -17,15 +18,27 @@ from typing import TYPE_CHECKING, Any, Protocol
 if TYPE_CHECKING:
     from fractions import Fraction
 
+    from esair.loop._deadlines import Deadline
+
 Step = Callable[[float], Awaitable[object] | None]
 
 SECOND = 1_000_000_000  # in nanoseconds
+
+NEVER = math.inf
+"""The moment of what is not to come."""
+
+NOW = -math.inf
+"""The moment of what is to come as soon as possible."""
 
 EARLY = 1_000
 """Timers may fire a hair early; what is due so soon is due, in nanoseconds."""
 
 REACHED = (EARLY + 2) / SECOND
 """How early a call comes at most, in seconds: moments are rounded to nanoseconds."""
+
+
+FAR = 9e9
+"""What is due later than that many seconds is due then: timers end there."""
 
 
 class Order(enum.IntEnum):
@@ -83,12 +96,14 @@ def _never(_now: float) -> bool:
 class OneShot:
     """One call at one moment."""
 
-    __slots__ = ("due", "function", "order")
+    __slots__ = ("deadline", "due", "function", "order")
 
     def __init__(self, due: int, order: Order, function: Step) -> None:
         self.due = due  # in nanoseconds of the loop's clock
         self.order = order
         self.function = function
+        self.deadline: Deadline | None = None
+        """What calls it, if it sees that something has not come."""
 
 
 class Job:

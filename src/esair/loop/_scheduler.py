@@ -11,8 +11,8 @@ what is derived of them is computed, steps decide, what was decided leaves, thos
 who waited for the moment, and then what has not come until now is over: a call, a
 reading that was good until now, an actuator that nobody has written.
 
-Where turns have a border the task is woken there and nowhere else, by what was asked for
-before it: so what is called in a turn depends on nobody who happens to keep it awake.
+The task is woken at the border of a turn and nowhere else, by what was asked for before
+it: so what is called in a turn depends on nobody who happens to keep it awake.
 """
 
 from __future__ import annotations
@@ -26,11 +26,13 @@ from collections.abc import Iterable, Iterator
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
-from esair.loop._futures import ignore
-from esair.loop._of_loop import OfLoop
+from esair.loop._of_loop import OfTurn, turn_of
 from esair.loop._ownership import spawn
 from esair.loop._rate_group import (
     EARLY,
+    FAR,
+    NEVER,
+    NOW,
     SECOND,
     Callee,
     DerivedJob,
@@ -42,36 +44,51 @@ from esair.loop._rate_group import (
     idle,
     whole_period,
 )
-from esair.loop._suspend import SuspendWatch
-from esair.loop._timer import Timer, clock_of, timer_for
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
+    from esair.loop._turn import Turn
+
 _log = logging.getLogger("esair")
 
 SPREAD = 2_500_000  # phases of the same period are at least this far apart, in ns
-FAR = 9e9  # what is due later than that many seconds is due then: timers end there
 CROWD = 32  # how many components share a phase before another phase is used
 
 
-class Scheduler(OfLoop):
-    """Calls steps when they are due, all from one timer. One for each event loop."""
+class Asked:
+    """What was asked for, and is called in one turn."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
-        self._has_border: bool = getattr(loop, "wakes_scheduler", False)
-        """The loop calls `look` at the beginning of each turn."""
-        self._needs_no_timer = getattr(loop, "player", None) is not None
+    __slots__ = ("decided", "derived", "jobs", "last")
+
+    def __init__(self) -> None:
+        self.jobs: list[Job] = []
+        self.derived: list[DerivedJob] = []
+        self.decided: list[Callee] = []
+        """What is called when all steps of the turn have decided."""
+        self.last: list[Callee] = []
+        """What is called when everything else was."""
+
+    def __bool__(self) -> bool:
+        return bool(self.jobs or self.derived or self.decided or self.last)
+
+
+class Scheduler(OfTurn):
+    """Calls steps when they are due. Each event loop has two: see `beside`."""
+
+    def __init__(self, turn: Turn) -> None:
+        self.due: float = NEVER
+        """When it has to look next, in ns; never amid a turn: it says so when it sleeps."""
+        self._loops_turn = turn
+        self._loop = turn.loop
+        self._time = turn.time
         self.in_turn = False
         """Somebody's step runs now; what it asks for is for this turn."""
-        self._later: list[Job] = []
+        self._now_asked = Asked()
+        self._next_asked = Asked()
         """What is asked for when the turn has begun: for the next one."""
-        self._decided_later: list[Callee] = []
-        self._derived_later: list[DerivedJob] = []
-        self._time = clock_of(loop)
-        self.suspends = SuspendWatch.of(loop)
-        """Looked at each time the scheduler begins to turn after a sleep."""
+        self._rests = True
+        """Nobody turns it, or who does sleeps."""
         self.turns = 0  # how many turns have begun: the number of this one
         self.polled_in = 0
         """The last turn in which a sensor was asked that did not answer at once."""
@@ -80,15 +97,9 @@ class Scheduler(OfLoop):
         self._cancelled = 0  # how many one-shots in the heap nobody wants any more
         self._groups: dict[tuple[Order, Fraction, int], RateGroup] = {}
         self._phases = 1
-        self._queue: list[Job] = []
-        self._derived: list[DerivedJob] = []
-        self.decided: list[Callee] = []
-        """What is called when all steps of this turn have decided."""
         self._turn: Iterator[Iterable[Callee]] = iter(())
         self._calls: Iterator[Callee] = iter(())
         self._now = 0.0
-        self._timer: Timer | None = None
-        self._timer_due = -1
         self._turning = False
         self._leader: asyncio.Task[None] | None = None
         self._sleep: asyncio.Future[None] | None = None
@@ -97,12 +108,9 @@ class Scheduler(OfLoop):
     def beside(cls, loop: asyncio.AbstractEventLoop) -> Scheduler:
         """Return the one for what is outside of the robot: drivers, a simulation.
 
-        A replay has none of that, and where the robot's own turns can be repeated
-        nobody else may share them. On any other loop it is that of the robot.
+        A replay has none of that, and nobody else may share the robot's own turns.
         """
-        if getattr(loop, "wakes_scheduler", False):
-            return _SchedulerBeside.of(loop)
-        return cls.of(loop)
+        return turn_of(loop).outside
 
     def expect(self, components: int) -> None:
         """Prepare for a number of components: a crowd is spread over phases.
@@ -156,9 +164,18 @@ class Scheduler(OfLoop):
         return Job(self, function, group, order=order, name=name, number=number)
 
     def at(self, due: float, function: Step, *, order: Order = Order.WAKE) -> OneShot:
-        """Call a function once, at a moment of the loop's clock."""
+        """Call a function once, at a moment of the loop's clock.
+
+        What sees that something has not come until then is a deadline.
+        """
         one_shot = OneShot(round(min(due, FAR) * SECOND), order, function)
-        self._push(one_shot.due, one_shot)
+        if order > Order.WAKE:
+            deadlines = self._loops_turn.deadlines
+            one_shot.deadline = deadlines.at(
+                due, lambda: one_shot.function(self._time()), order=order
+            )
+        else:
+            self._push(one_shot.due, one_shot)
         return one_shot
 
     def cancel(self, one_shot: OneShot) -> None:
@@ -166,65 +183,59 @@ class Scheduler(OfLoop):
         if one_shot.function is idle:
             return
         one_shot.function = idle
+        if one_shot.deadline is not None:
+            one_shot.deadline.cancel()
+            return
         self._cancelled += 1
         if 2 * self._cancelled > len(self._heap) or self._heap[0][-1] is one_shot:
             self._forget(one_shot)
 
     def gap(self) -> float:
         """Tell for how long nothing is due, in seconds."""
-        if self._queue or self._derived or self.decided or self._has_later:
+        if self._now_asked or self._next_asked:
             return 0.0
         due = self._heap[0][0] / SECOND if self._heap else math.inf
         return due - self._time()
 
     def queue(self, job: Job) -> None:
         """Call the step of a job in the next turn."""
-        if self._has_border and not self.in_turn:
-            self._later.append(job)
-            return
-        self._queue.append(job)
-        self._wake()
+        self._asked().jobs.append(job)
 
     def derive(self, job: DerivedJob) -> None:
         """Call a job when the sensors of the turn are asked, before any step decides."""
-        if self._has_border and not self.in_turn:
-            self._derived_later.append(job)
-            return
-        self._derived.append(job)
-        self._wake()
+        self._asked().derived.append(job)
 
     def decide(self, decision: Callee) -> None:
         """Call something when all steps of the turn have decided."""
-        if self._has_border and not self.in_turn:
-            self._decided_later.append(decision)
-            return
-        self.decided.append(decision)
-        if not self.in_turn:
-            self._wake()
+        self._asked().decided.append(decision)
 
-    def is_due(self, now: float) -> bool:
-        if self._has_later:
-            return True
+    def last(self, callee: Callee) -> None:
+        """Call something when all else of the next turn was called."""
+        self._next_asked.last.append(callee)
+        self._want(NOW)
+
+    def _asked(self) -> Asked:
+        if self.in_turn:
+            return self._now_asked
+        self._want(NOW)
+        return self._next_asked
+
+    def _want(self, due: float) -> None:
+        if self._rests and due < self.due:
+            self.due = due
+            self._loops_turn.want(due)
+
+    def look(self, _reached: float) -> None:
+        """Begin to turn: something is due; called at the border."""
+        self._rests, self.due = False, NEVER
+        asked = self._next_asked
+        if asked:
+            self._now_asked, self._next_asked = asked, self._now_asked
         if not self._turning:
-            return bool(self._heap)
-        if self._sleep is None:
-            return False
-        return not self._heap or self._heap[0][0] <= round(now * SECOND) + EARLY
-
-    @property
-    def _has_later(self) -> bool:
-        return bool(self._later or self._decided_later or self._derived_later)
-
-    def look(self, now: float) -> None:
-        """Begin to turn if something is due: called by a loop whose turns have a border."""
-        if not self.is_due(now):
-            return
-        self.suspends.look()
-        self._queue += self._later
-        self.decided += self._decided_later
-        self._derived += self._derived_later
-        self._later, self._decided_later, self._derived_later = [], [], []
-        self._begin()
+            self._turn = self._batches()
+            self._lead_on()
+        elif self._sleep is not None and not self._sleep.done():
+            self._sleep.set_result(None)
 
     def drop(self, group: RateGroup) -> None:
         del self._groups[group.key]
@@ -243,7 +254,7 @@ class Scheduler(OfLoop):
         ]
         heapq.heapify(self._heap)
         if self._turning and not self._heap:
-            self._wake()
+            self._want(NOW)
 
     def _nanoseconds(self) -> int:
         return round(self._time() * SECOND)
@@ -253,20 +264,9 @@ class Scheduler(OfLoop):
         rank = (*entry.rank, number) if isinstance(entry, RateGroup) else number
         heapq.heappush(self._heap, (due, entry.order, rank, entry))
         if not self._turning:
-            self._wake()
-        elif self._sleep is not None and self._heap[0][-1] is entry:
-            self._set_timer(due)
-
-    def _wake(self) -> None:
-        if not self._has_border:
-            self._begin()
-
-    def _begin(self) -> None:
-        if not self._turning:
-            self._turn = self._batches()
-            self._lead_on()
-        elif self._sleep is not None and not self._sleep.done():
-            self._sleep.set_result(None)
+            self._want(NOW)
+        elif self._heap[0][-1] is entry:
+            self._want(due)
 
     def _lead_on(self) -> None:
         self._turning = True
@@ -297,7 +297,7 @@ class Scheduler(OfLoop):
                     self.in_turn = False
                     if self._cancelled >= len(self._heap) > 0:
                         self._forget(None)
-                    if not (self._heap or self._queue or self._derived or self.decided):
+                    if not (self._heap or self._now_asked or self._next_asked):
                         return
                     await self._wait()
                     self._turn = self._batches()
@@ -307,22 +307,18 @@ class Scheduler(OfLoop):
             if self._leader is me:
                 self._leader = None
                 self._turning = self.in_turn = False
-                if self._timer is not None:
-                    self._timer.close()
-                    self._timer = None
+                self._rests, self.due = True, NEVER
 
     def _batches(self) -> Iterator[Iterable[Callee]]:
         """Go through one turn; what falls due in it waits for the next one."""
-        if not self._has_border:
-            # Not where it is woken: that may be within the check of a command.
-            self.suspends.look()
         self.turns += 1
         self._now = self._time()
         now = round(self._now * SECOND)
         due = now + EARLY
+        asked = self._now_asked
         steps: list[tuple[Job, ...]] = []
         one_shots: list[OneShot] = []
-        if self._queue:
+        if asked.jobs:
             yield from self._queued(Order.POLL)
         while self._heap and self._heap[0][0] <= due:
             entry = self._heap[0][-1]
@@ -340,23 +336,27 @@ class Scheduler(OfLoop):
                 yield jobs
             else:
                 steps.append(jobs)
-        while self._derived:
+        while asked.derived:
             yield self._shallowest()
-        if self._queue:
+        if asked.jobs:
             yield from self._queued(Order.STEP)
         if self.polled_in == self.turns:
             steps = [tuple(j for j in jobs if not j.waits(self._now)) for jobs in steps]
         yield from steps
-        while self.decided:
-            decided, self.decided = self.decided, []
+        while asked.decided:
+            decided, asked.decided = asked.decided, []
             yield decided
         if one_shots:
             one_shots.sort(key=_moment)
             yield from (self._fired(each) for each in one_shots)
+        if asked.last:
+            last, asked.last = asked.last, []
+            yield last
 
     def _queued(self, order: Order) -> Iterator[Iterable[Callee]]:
-        queue = [job for job in self._queue if job.order <= order]
-        self._queue = [job for job in self._queue if job.order > order]
+        asked = self._now_asked
+        queue = [job for job in asked.jobs if job.order <= order]
+        asked.jobs = [job for job in asked.jobs if job.order > order]
         queue.sort(key=attrgetter("rank"))
         for job in queue:
             job.queued = False
@@ -364,9 +364,10 @@ class Scheduler(OfLoop):
 
     def _shallowest(self) -> Iterable[Callee]:
         """Take those that wait for none of the others: each is called once a turn."""
-        depth = min(job.depth for job in self._derived)
-        first = [job for job in self._derived if job.depth == depth]
-        self._derived = [job for job in self._derived if job.depth > depth]
+        asked = self._now_asked
+        depth = min(job.depth for job in asked.derived)
+        first = [job for job in asked.derived if job.depth == depth]
+        asked.derived = [job for job in asked.derived if job.depth > depth]
         first.sort(key=attrgetter("name"))
         return [job for job in first if job.taken()]
 
@@ -378,45 +379,24 @@ class Scheduler(OfLoop):
         return (fired,)
 
     async def _wait(self) -> None:
-        if self._has_border:
-            # What the end of the turn has asked for is for the next one.
-            self._later += self._queue
-            self._decided_later += self.decided
-            self._derived_later += self._derived
-            self._queue, self.decided, self._derived = [], [], []
-        elif (
-            self._queue
-            or self._derived
-            or self.decided
-            or self._heap[0][0] <= self._nanoseconds() + EARLY
-        ):
-            # Steps that take longer than their period must not starve everybody else.
-            await asyncio.sleep(0)
-            return
-        if self._heap:
-            self._set_timer(self._heap[0][0])
+        left = self._now_asked
+        if left:  # what the end of the turn has asked for is for the next one
+            asked = self._next_asked
+            asked.jobs += left.jobs
+            asked.derived += left.derived
+            asked.decided += left.decided
+            asked.last += left.last
+            self._now_asked = Asked()
         self._sleep = self._loop.create_future()
+        self._rests = True
+        if self._next_asked:
+            self._want(NOW)
+        elif self._heap:
+            self._want(self._heap[0][0])
         try:
             await self._sleep
         finally:
             self._sleep = None
-            self._timer_due = -1
-
-    def _set_timer(self, due: int) -> None:
-        if self._needs_no_timer:
-            return
-        if self._timer is None:
-            # A loop with a border looks by itself; its timer only wakes the selector.
-            self._timer = timer_for(
-                self._loop, ignore if self._has_border else self._wake
-            )
-        if due != self._timer_due:
-            self._timer_due = due
-            self._timer.set(due)
-
-
-class _SchedulerBeside(Scheduler):
-    """The scheduler of what is outside of the robot."""
 
 
 def _is_cancelled(entry: RateGroup | OneShot) -> bool:

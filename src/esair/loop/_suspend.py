@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from esair.loop._door import Door
-from esair.loop._of_loop import OfLoop
 from esair.loop._tape import TapeWriter
+
+if TYPE_CHECKING:
+    from esair.loop._turn import Turn
 
 JUMP = 0.1  # from how many seconds of sleep on everything that is known counts as old
 
@@ -21,17 +22,17 @@ _TAG = ("computer", "slept")
 _log = logging.getLogger("esair")
 
 
-class SuspendWatch(OfLoop):
+class SuspendWatch:
     """Tells who listens when the computer was suspended, and for how long.
 
     It compares the clock that goes on while the computer sleeps with the one that
-    does not. The scheduler looks at it each time it begins to turn, so listeners hear
-    of a sleep before the next step.
+    does not. It looks at each border where something is due, so listeners hear of a
+    sleep before the next step.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._slept = _slept_of(loop)
-        self._door = Door.of(loop)
+    def __init__(self, turn: Turn) -> None:
+        self._slept = turn.slept
+        self._door = turn.door
         if self._door.player is not None:
             self._door.player.listen(_TAG, self._woke)
         self._before = max(self._slept() for _ in range(3))
@@ -62,11 +63,7 @@ class SuspendWatch(OfLoop):
             listener(slept)
 
 
-def _slept_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
-    """Return the function that tells how long the computer has slept in all."""
-    if hasattr(loop, "suspended"):  # a virtual clock sleeps when its test says so
-        return lambda: float(loop.suspended)
+def computer_slept() -> float:
+    """Return how long the computer has slept in all, in seconds; 0 if it cannot tell."""
     boot = getattr(time, "CLOCK_BOOTTIME", None)
-    if boot is None:
-        return float  # this system cannot tell
-    return lambda: time.clock_gettime(boot) - time.monotonic()
+    return 0.0 if boot is None else time.clock_gettime(boot) - time.monotonic()

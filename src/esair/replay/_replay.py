@@ -217,7 +217,7 @@ class Replay:
         return Outcome(
             equal=comparison.equal,
             divergence=found[0] if found else None,
-            turns=getattr(loop, "turn", span.turns) if player is None else player.turns,
+            turns=span.turns if player is None else player.turns,
             seconds=span.moment - span.began,
             took=time.monotonic() - began,
             short=spoiled or (f"{lost} events were not recorded" if lost else ""),

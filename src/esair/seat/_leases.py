@@ -12,7 +12,7 @@ import attrs
 
 from esair.connections import ActuatorChannel, ActuatorConnection, Registration
 from esair.exceptions import BadValueError, DeviceLostError, EsairError
-from esair.loop import Job, Scheduler, clock_of, spawn
+from esair.loop import Job, Scheduler, clock_of, spawn, turn_of
 from esair.messages import Access, Answer, Refused, Written
 from esair.supervisors import ResourceSupervisor, admit
 from esair.values import check_duration
@@ -107,7 +107,7 @@ class Leases:
         self._time = clock_of(self._loop)
         self._next_beat: asyncio.TimerHandle | None = None
         self.beats = Beats(self._time)
-        suspends = Scheduler.of(self._loop).suspends
+        suspends = turn_of(self._loop).suspends
         suspends.listen(self._slept)
         self._undo = partial(suspends.forget, self._slept)
         self.lapses = 0  # How many leases have lapsed for want of fresh input

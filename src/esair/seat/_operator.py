@@ -208,7 +208,7 @@ class Console:
     def leave(self, session: Session) -> None:
         """A session ends: what it drives is released."""
         if session.number:  # else it has done nothing
-            self._left.tell_from_thread(session.number)
+            self._left.tell(session.number)
 
     def close(self) -> None:
         """The robot stops: give back what is driven, and end what waits."""
@@ -342,7 +342,7 @@ class Console:
             until,
         )
         self._waiting[given[:2]] = waiting
-        self._given.tell_from_thread(*given)
+        self._given.tell(*given)
 
     def _hear(self, *told: Any) -> None:
         """An act takes effect; in a replay there is nobody who has given it."""

@@ -15,7 +15,7 @@ from esair.buses.can import MemoryCan
 from esair.buses.i2c import ChipBus
 from esair.buses.serial import MemoryLine, PtyLine
 from esair.exceptions import ConfigError, hint_for
-from esair.loop import Door, Job, Scheduler
+from esair.loop import Door, Job, Scheduler, turn_of
 from esair.sim._arena import Arena
 from esair.sim._imu import SimMpu6050
 from esair.sim._motor import SimMotor
@@ -59,7 +59,7 @@ class Simulation:
     def __init__(self, arena: Arena | None = None, *, seed: int = 0) -> None:
         loop = asyncio.get_running_loop()
         self.world = World(arena, seed=seed)
-        self.in_memory: bool = getattr(loop, "virtual", False)
+        self.in_memory: bool = turn_of(loop).virtual
         self.late = 0
         self.frames: collections.deque[tuple[float, Frame]] = collections.deque(
             maxlen=FRAME_LIMIT

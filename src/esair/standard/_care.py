@@ -6,7 +6,16 @@ import asyncio
 from collections.abc import Callable, Iterator, Mapping
 
 from esair.exceptions import ConfigError
-from esair.loop import GLANCE, Gaps, Job, OwnedTasks, Scheduler, StallWatch, collector
+from esair.loop import (
+    GLANCE,
+    Gaps,
+    Job,
+    OwnedTasks,
+    Scheduler,
+    StallWatch,
+    collector,
+    turn_of,
+)
 
 STALL_WARNING = 0.1
 """How long code may hold the event loop before it is named, in seconds."""
@@ -31,11 +40,12 @@ class LoopCare:
         owned.install()
         self._undo.append(owned.uninstall)
         scheduler = Scheduler.of(loop)
-        scheduler.suspends.listen(self._resumed)
-        self._undo.append(lambda: scheduler.suspends.forget(self._resumed))
+        suspends = turn_of(loop).suspends
+        suspends.listen(self._resumed)
+        self._undo.append(lambda: suspends.forget(self._resumed))
         for components in crowds:
             scheduler.expect(components)
-        if getattr(loop, "virtual", False):  # there it would hide a deadlock
+        if turn_of(loop).virtual:  # there it would hide a deadlock
             return
         seconds = self.stall_warning
         if seconds is not None:
@@ -58,7 +68,11 @@ class LoopCare:
 
     def counts(self) -> Iterator[tuple[str, Mapping[str, int]]]:
         """Return what the collector counts; on a virtual clock it has no gaps."""
-        if self._gaps is not None and not getattr(self._loop, "virtual", False):
+        if (
+            self._gaps is not None
+            and self._loop is not None
+            and not turn_of(self._loop).virtual
+        ):
             yield "collector", collector.counts()
 
     def is_down(self) -> None:

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import ConfigError, RecordingError, describe
-from esair.loop import TurnLoop
+from esair.loop import turn_of
 from esair.messages import Recording
 from esair.standard._public_text import public_text
 
@@ -29,7 +29,7 @@ _log = logging.getLogger("esair")
 
 def repeats(loop: asyncio.AbstractEventLoop) -> bool:
     """Tell whether a loop repeats a run: then there is nothing outside of the robot."""
-    return isinstance(loop, TurnLoop) and loop.player is not None
+    return turn_of(loop).player is not None
 
 
 class Keeping:
@@ -49,8 +49,8 @@ class Keeping:
 
     def begin(self, robot: Robot) -> None:
         loop = asyncio.get_running_loop()
-        if isinstance(loop, TurnLoop) and loop.player is not None:
-            loop.play()
+        if repeats(loop):
+            turn_of(loop).play()
             return
         if self.recording is None:
             return
@@ -70,13 +70,13 @@ class Keeping:
                     plan.name, [*plan.resources, *plan.behaviors], text, str(robot.seed)
                 ),
                 components=lambda: components_of(robot),
-                waits=getattr(loop, "virtual", False),
+                waits=turn_of(loop).virtual,
             )
             about = self._replay(loop, file, simulated=simulated)
             recorder.note("replay", {**about, "sha256": digest})
             journal.count("recording", lambda: [("recording", recorder.counts())])
-            if isinstance(loop, TurnLoop):
-                loop.keep(recorder.keep_turns())
+            if turn_of(loop).repeats:
+                turn_of(loop).keep(recorder.keep_turns())
             recorder.start(loop.time())
             self.recorder = recorder
         except ImportError as error:
@@ -91,17 +91,17 @@ class Keeping:
         """Return what a replay has to know of the run."""
         import json  # it takes long to load: only what records needs it
 
-        virtual = getattr(loop, "virtual", False)
+        turn = turn_of(loop)
         why = ""
-        if virtual and self.script is None:
+        if turn.virtual and self.script is None:
             why = "its time was virtual: its own test or program repeats it"
-        elif not virtual and not isinstance(loop, TurnLoop):
+        elif not turn.virtual and not turn.repeats:
             why = f"its event loop is {type(loop).__name__}: esair.run brings its own"
         return {
             "format": FORMAT,
             "exact": "no" if why else "yes",
             "why": why,
-            "clock": "virtual" if virtual else "real",
+            "clock": "virtual" if turn.virtual else "real",
             "program": _program(),
             "file": "" if file is None else file.name,
             "simulated": "yes" if simulated else "no",
@@ -116,8 +116,7 @@ class Keeping:
         if self.recorder is None:
             return ""
         loop = asyncio.get_running_loop()
-        if isinstance(loop, TurnLoop):
-            loop.keep(None)
+        turn_of(loop).keep(None)
         # No thread is left behind, as one of the loop's own would be.
         with ThreadPoolExecutor(1, "esair-recorder-end") as last:
             await loop.run_in_executor(last, self.recorder.close)

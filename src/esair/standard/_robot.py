@@ -23,7 +23,7 @@ from esair.connections import (
 )
 from esair.exceptions import ConfigError, StoppingError, describe
 from esair.journal import Journal, LogLines
-from esair.loop import Budget, News, SignalWatch, leave_behind, spawn
+from esair.loop import Budget, News, SignalWatch, leave_behind, spawn, turn_of
 from esair.messages import (
     BehaviorsPolicy,
     Operator,
@@ -274,7 +274,7 @@ class Robot:
         self._resources.wake()
         self._behaviors.wake()
         if self.seed is None:
-            virtual = getattr(loop, "virtual", False)
+            virtual = turn_of(loop).virtual
             self.seed = 0 if virtual else int.from_bytes(os.urandom(8))
         self._resources.seed = self.seed
         self._host = asyncio.current_task()

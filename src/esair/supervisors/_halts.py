@@ -99,7 +99,7 @@ class Halts:
             taken, number = threading.Event(), next(self._numbers)
             self._from_threads[number] = halting, taken
             try:
-                self._halted_by.tell_from_thread(number, reason, by)
+                self._halted_by.tell(number, reason, by)
             except RuntimeError:  # the loop is closed: the stop was the last word
                 halting.settle(self._last)
             else:
@@ -115,7 +115,7 @@ class Halts:
         elif threading.get_ident() == self._home:
             self._let_go()
         else:
-            self._resumed.tell_from_thread()
+            self._resumed.tell()
 
     def _halt_of_thread(self, number: int, reason: str, by: str) -> None:
         made = Halting(), threading.Event()

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
 from esair.exceptions import ConfigError, describe
-from esair.loop import Job, News, Scheduler, outside, spawn
+from esair.loop import Job, News, Scheduler, outside, spawn, turn_of
 from esair.supervisors._resource_deployment import ResourceDeployment
 from esair.supervisors._watch import Armory
 from esair.values import check_choice, check_seconds
@@ -72,7 +72,7 @@ class Keeper:
         unwatched; it is tried again.
         """
         loop = asyncio.get_running_loop()
-        if getattr(loop, "virtual", False):
+        if turn_of(loop).virtual:
             _log.info("watchdog: none on a virtual clock")
             return
         self._resources.armory = self._armory

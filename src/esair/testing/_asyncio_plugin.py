@@ -13,6 +13,7 @@ from typing import Literal, get_args
 import pytest
 import pytest_asyncio
 
+from esair.loop import new_event_loop
 from esair.testing._clock import VirtualLoop
 from esair.testing._leaks import Leaks
 from esair.testing.plugin import on_virtual_clock, uses_kit
@@ -27,7 +28,7 @@ def pytest_asyncio_loop_factories(
 ) -> Mapping[str, LoopFactory]:
     """Choose the event loop of a test."""
     if not on_virtual_clock(item):
-        return {"real": asyncio.new_event_loop}
+        return {"real": new_event_loop}
     marker = item.get_closest_marker("virtual_clock")
     seed = marker.kwargs.get("seed") if marker is not None else None
     if seed is None:

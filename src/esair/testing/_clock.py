@@ -11,10 +11,15 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from esair.loop import Door, works_for
+from esair.loop import NEVER, SECOND, TurnLoop, works_for
 from esair.testing._threads import LOOK, Threads
 
-STEP_BUDGET = 200_000  # How many turns of the loop may pass without any time passing
+STEP_BUDGET = 200_000  # How many passes of the loop may go by without any time passing
+
+TOGETHER = 1e-6
+"""What comes so soon after the next moment comes with it, in seconds."""
+
+Select = Callable[[float | None], Any]
 
 
 class DeadlockError(RuntimeError):
@@ -25,8 +30,8 @@ class LivelockError(RuntimeError):
     """Tasks keep each other busy and time never passes."""
 
 
-class VirtualLoop(asyncio.SelectorEventLoop):
-    """An event loop that jumps to the next timer when there is nothing to do.
+class VirtualLoop(TurnLoop):
+    """The event loop of `esair.run`, but that it jumps when there is nothing to do.
 
     An hour of a robot's life takes seconds, and the same seed gives the same order
     of tasks. It waits in real time while a worker thread of esair computes, because
@@ -46,23 +51,26 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     """
 
     virtual = True
-    takes_entries = True
-    holds_work = True
 
     def __init__(self, *, seed: int | None = None, start: float = 0.0) -> None:
         self.suspended = 0.0
-        self._now = start
         self._random = random.Random(seed) if seed else None
-        self._turns = 0
+        self._passes = 0
         self._held = False
         self._aside: list[Any] = []
         """What is ready, and waits for the threads that began while it was held up."""
         self._threads = Threads()
+        self._now = start
         super().__init__()
+        self._door = self._turn.door
 
-    def time(self) -> float:
+    def clock(self) -> float:
         """Return the virtual time, in seconds."""
         return self._now
+
+    def slept(self) -> float:
+        """Return for how long the computer has slept in all, in seconds."""
+        return self.suspended
 
     def advance(self, seconds: float) -> None:
         """Let time pass at once, as if the computer had been busy for so long."""
@@ -76,18 +84,18 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     @property
     def threads_in_flight(self) -> int:
         """How many threads work for the loop; time stands still meanwhile."""
-        return Door.of(self).at_work
+        return self._door.at_work
 
     @threads_in_flight.setter
     def threads_in_flight(self, count: int) -> None:
-        Door.of(self).at_work = count
+        self._door.at_work = count
 
     def wait_in_thread(self, seconds: float) -> None:
         """Let virtual time pass in a thread that works for a robot, and wait for that.
 
         A blocking driver of a fake takes its time so; `time.sleep` takes real time.
         """
-        door, thread = Door.of(self), threading.current_thread()
+        door, thread = self._door, threading.current_thread()
         woken = threading.Event()
 
         def wake() -> None:
@@ -121,7 +129,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
                 )
                 self._default_executor = executor
 
-        door = Door.of(self)
+        door = self._door
         future: asyncio.Future[Any] = self.create_future()
 
         def work_for_loop(work: int, *args: Any) -> Any:
@@ -146,9 +154,21 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         finally:
             self.threads_in_flight -= 1
 
-    def _run_once(self) -> None:
-        ready, scheduled = self._ready, self._scheduled  # type: ignore[attr-defined]
-        self._turns += 1
+    def _pass(self, timeout: float | None, select: Select) -> Any:
+        events = self._wait(timeout, select)
+        door, turn = self._door, self._turn
+        if self._clock_resolution < 0.0 or door.at_work > 0:
+            # No turn: threads come first. What they have told takes effect all the same.
+            if door.has_news:
+                door.take()
+            return events
+        turn.number += 1
+        turn.border(self._now)
+        return events
+
+    def _wait(self, _timeout: float | None, select: Select) -> Any:
+        """Let go on what is ready, else threads, else what is due, else time."""
+        ready, door = self._ready, self._door  # type: ignore[attr-defined]
         if self._held:
             # Threads do not wait for a loop that is busy: they come first now, then
             # what was ready, and the timers of the time that has passed at last.
@@ -159,36 +179,66 @@ class VirtualLoop(asyncio.SelectorEventLoop):
                 calls = isinstance(handle._callback, _OfThread)
                 (ready if calls else self._aside).append(handle)
             self._clock_resolution = -math.inf
-        if ready:
-            if self._random is not None and len(ready) > 1:
-                self._shuffle(ready)
-        elif self._stopping:  # type: ignore[attr-defined]
+        if ready and self._random is not None:
+            self._shuffle(ready)
+        self._count()
+        while not (ready or self._stopping or door.has_news):  # type: ignore[attr-defined]
+            door.let_go()
+            self._threads.wake(door)
+            is_quiet = door.at_work == 0  # once: a thread may end at any moment
+            if door.ripen(works=is_quiet):
+                break
+            if is_quiet:
+                if self._clock_resolution < 0.0:
+                    self._put_back(ready)
+                    break
+                if self._turn.is_due(self._now) or self._jumped():
+                    break
+                if not self._threads.outside(door):
+                    if self._watches_nothing():
+                        raise DeadlockError(f"every task waits:\n{self._tasks()}")
+                    return self._others(select(None))
+            # In real time, until something comes in, or a thread has fallen asleep.
+            if not (events := select(LOOK)):
+                self._threads.look(door, self._passes)
+            elif events := self._others(events):
+                return events
+            self._count()
+        if self._stopping:  # type: ignore[attr-defined]
             self._put_back(ready)
-        elif not self._door_is_quiet():
-            if not ready:
-                self._wait_for_threads()
-                return
-        elif self._clock_resolution < 0.0:
-            self._put_back(ready)
-        else:
-            while scheduled and scheduled[0]._cancelled:
-                heapq.heappop(scheduled)._scheduled = False
-                self._timer_cancelled_count = max(0, self._timer_cancelled_count - 1)  # type: ignore[has-type]
-            if scheduled:
-                if scheduled[0]._when > self._now:
-                    self._now = scheduled[0]._when
-                    self._clock_resolution = self._resolution()
-                    self._turns = 0
-            elif self._threads.outside(Door.of(self)):
-                self._wait_for_threads()
-                return
-            elif self._watches_nothing():
-                raise DeadlockError(f"every task waits:\n{self._tasks()}")
-        if self._turns > STEP_BUDGET:
-            self._turns = 0
+        return self._others(select(0.0))
+
+    def _count(self) -> None:
+        self._passes += 1
+        if self._passes > STEP_BUDGET:
+            self._passes = 0
             raise LivelockError(f"time does not pass:\n{self._tasks()}")
-        del ready, scheduled  # asyncio makes new lists; the old ones keep tasks alive
-        super()._run_once()  # type: ignore[misc]
+
+    def _jumped(self) -> bool:
+        """Let time jump to what comes next, if there is anything."""
+        scheduled = self._scheduled  # type: ignore[attr-defined]
+        while scheduled and scheduled[0]._cancelled:
+            heapq.heappop(scheduled)._scheduled = False
+            self._timer_cancelled_count = max(0, self._timer_cancelled_count - 1)  # type: ignore[has-type]
+        timer = float(scheduled[0]._when) if scheduled else NEVER
+        both = (timer, self._turn.due / SECOND)
+        first = min(both)
+        if first == NEVER:
+            return False
+        moment = max(each for each in both if each <= first + TOGETHER)
+        if moment > self._now:
+            self._now = moment
+            self._clock_resolution = self._resolution()
+            self._passes = 0
+        return True
+
+    def _others(self, events: Any) -> Any:
+        """Return the events that are not just a wake-up."""
+        own = self._ssock.fileno()  # type: ignore[attr-defined]
+        others = [each for each in events if each[0].fd != own]
+        if len(others) < len(events):
+            self._read_from_self()  # type: ignore[attr-defined]
+        return others
 
     def _put_back(self, ready: Any) -> None:
         ready.extend(self._aside)
@@ -198,28 +248,6 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def _resolution(self) -> float:
         """Return how far ahead a timer is due: late in a long life the clock is coarse."""
         return max(1e-9, 2 * math.ulp(self._now))
-
-    def _door_is_quiet(self) -> bool:
-        """Let threads begin, and what they have done come in when all have ended."""
-        door = Door.of(self)
-        while True:
-            door.let_go()
-            self._threads.wake(door)
-            if door.at_work > 0:
-                return False
-            if not door.waiting:
-                return True
-            door.take(by_work=True)
-            if self._ready:  # type: ignore[attr-defined]
-                return False
-
-    def _wait_for_threads(self) -> None:
-        """Wait in real time until something comes in, or a thread has fallen asleep."""
-        events = self._selector.select(LOOK)  # type: ignore[attr-defined]
-        if events:
-            self._process_events(events)  # type: ignore[attr-defined]
-        else:
-            self._threads.look(Door.of(self), self._turns)
 
     def _watches_nothing(self) -> bool:
         own = self._ssock.fileno()  # type: ignore[attr-defined]

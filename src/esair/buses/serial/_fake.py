@@ -15,6 +15,7 @@ from esair.buses.serial._bus import SerialBus
 from esair.buses.serial._far_end import MemoryLine, PtyLine
 from esair.exceptions import DeviceLostError
 from esair.framing import Framing
+from esair.loop import turn_of
 
 SENT_LIMIT = 1024
 """How many messages of the robot are kept; then the newest win."""
@@ -269,7 +270,7 @@ class FakeSerial(SerialBus):
             raise DeviceLostError(self.name, "nothing is plugged in")
         self._far_framing = self.framing.fresh()
         if self._far is None:
-            virtual = getattr(asyncio.get_running_loop(), "virtual", False)
+            virtual = turn_of(asyncio.get_running_loop()).virtual
             self._far = MemoryLine(self.name) if virtual else PtyLine()
             self._far.heard = self._heard
             self._far.plug()

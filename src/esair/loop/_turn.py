@@ -1,0 +1,463 @@
+"""The turn: one border, at which everything takes effect, on every event loop.
+
+A turn is one pass of the loop. At its border what came in takes effect, in the order of
+its numbers; then each stepper that is due looks: deadlines and the scheduler, those of the
+robot and those of what is outside of it. Between two borders nothing takes effect but what
+coroutines on the loop do themselves.
+
+Loops differ in who comes to the border, and in how time passes, in nothing else. A
+`TurnLoop` comes there by itself, in its selector, and reads its clock there and nowhere
+else: so what the robot does in a turn follows from the time of the turn and from its
+entries alone, and a run can be replayed. The virtual loop of the test kit is a subclass
+with another way to wait. On any other loop (plain asyncio, uvloop) the border is asked for
+by ``call_soon`` and ``call_at``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import logging
+import math
+import os
+import selectors
+import time
+from collections.abc import Callable
+from typing import Any
+
+from esair.loop._deadlines import Deadlines
+from esair.loop._door import Door
+from esair.loop._futures import ignore, raisable, settle
+from esair.loop._of_loop import OfLoop
+from esair.loop._ownership import current_owner
+from esair.loop._rate_group import EARLY, NEVER, NOW, SECOND
+from esair.loop._scheduler import Scheduler
+from esair.loop._suspend import SuspendWatch, computer_slept
+from esair.loop._tape import Player, TapeWriter
+
+_log = logging.getLogger("asyncio")
+
+Select = Callable[[float | None], Any]
+
+
+class Turn(OfLoop):
+    """What the turns of a loop are made of, and the border between them.
+
+    This one is for loops that know nothing of turns: it asks them to come to the border.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.loop = loop
+        self.number = 0
+        """The number of this turn, since the run began that is kept or repeated."""
+        self.due: float = NEVER
+        """The earliest moment at which something is to be done, in ns; `NOW`: at once."""
+        self.time: Callable[[], float]
+        """Reads the clock of the turns, in seconds; in the loop."""
+        self.clock: Callable[[], float]
+        """Reads the clock amid a turn too, in any thread; see `clock_beside`."""
+        self.slept: Callable[[], float] = computer_slept
+        """Tells for how long the computer has slept in all, in seconds."""
+        self.wait_in_thread: Callable[[float], None] = time.sleep
+        """Lets time pass in a thread, in seconds."""
+        self.player: Player | None = None
+        """What repeats a run on this loop, sooner or later."""
+        self.repeats = False
+        """Whether a run of this loop can be repeated from a tape."""
+        self.virtual = False
+        """Whether time passes only when nothing is left to be done."""
+        self.keep: Callable[[TapeWriter | None], object] = ignore
+        """Keeps what happens from this turn on, where it can be repeated; None: no more."""
+        self.play: Callable[[], object] = ignore
+        """Begins to repeat the run that `player` has."""
+        self._timer: asyncio.TimerHandle | None = None
+        self._is_asked = False
+        self._is_at_border = False
+        self._take_over(loop)
+        Turn.settle(loop, self)
+        self.door = Door(self)
+        self.robot, self.outside = Scheduler(self), Scheduler(self)
+        self.deadlines = Deadlines(self, self.robot)
+        self.deadlines_outside = Deadlines(self, self.outside)
+        Door.settle(loop, self.door)
+        Scheduler.settle(loop, self.robot)
+        Deadlines.settle(loop, self.deadlines)
+        # In this order they look.
+        self._steppers = (
+            self.deadlines,
+            self.robot,
+            self.deadlines_outside,
+            self.outside,
+        )
+        self.suspends = SuspendWatch(self)
+        """Told when the computer slept, before anything else that is due."""
+
+    def _take_over(self, loop: Any) -> None:
+        self.time = self.clock = _clock_of_stranger(loop)
+
+    def want(self, due: float) -> None:
+        """Have the steppers look at a moment, in ns; called in the loop."""
+        if due < self.due:
+            self.due = due
+            self._ask()
+
+    def border(self, now: float) -> None:
+        """Let what came in take effect, and have those look who are due."""
+        if self.door.has_news:
+            self.door.take()
+        reached = round(now * SECOND) + EARLY
+        if self.due > reached:
+            return  # most passes end here
+        self.suspends.look()
+        steppers = self._steppers
+        for each in steppers:
+            if each.due <= reached:
+                each.look(reached)
+        self.due = min(each.due for each in steppers)
+
+    def is_due(self, now: float) -> bool:
+        """Tell whether something is to be done at a border now."""
+        return self.due <= round(now * SECOND) + EARLY
+
+    def gap(self) -> float:
+        """Tell for how long nothing is due, in seconds."""
+        if self.door.has_news:
+            return 0.0
+        return min(each.gap() for each in self._steppers)
+
+    def ring(self) -> None:
+        """Have the loop come to the border, from any thread.
+
+        Raises:
+            RuntimeError: The loop is closed.
+        """
+        self.loop.call_soon_threadsafe(self.come)
+
+    def come(self) -> None:
+        """Be at the border: the loop has come."""
+        self._is_asked = False
+        self._is_at_border = True  # what is wanted in it is asked for at its end
+        self.number += 1
+        try:
+            self.border(self.time())
+        finally:
+            self._is_at_border = False
+            self._ask()
+
+    def _ask(self) -> None:
+        """Ask the loop to come when something is due."""
+        if self._is_asked or self._is_at_border:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self.due == NOW:
+            self._is_asked = True
+            self.loop.call_soon(self.come)
+        elif self.due < NEVER:
+            self._timer = self.loop.call_at(self.due / SECOND, self.come)
+
+
+class OwnTurn(Turn):
+    """The turns of a loop that comes to the border by itself."""
+
+    def ring(self) -> None:
+        """Wake the selector, from any thread."""
+        self.loop.ring()  # type: ignore[attr-defined]
+
+    def _take_over(self, loop: TurnLoop) -> None:
+        self.time, self.clock, self.slept = loop.time, loop.clock, loop.slept
+        self.wait_in_thread = loop.wait_in_thread
+        self.player, self.virtual = loop.player, loop.virtual
+        self.repeats = not loop.virtual
+        self.keep, self.play = loop.keep, loop.play
+
+    def come(self) -> None:
+        """Have been woken: the border is in the selector."""
+
+    def _ask(self) -> None:
+        """Ask nobody: the selector looks at what is due."""
+
+
+class When(float):
+    """The moment of a timer; among equal moments the first one made comes first.
+
+    Equal moments are usual where the clock stands still in a turn, and a heap keeps no
+    order among equals: it would depend on timers of drivers, which a replay has not.
+    """
+
+    __slots__ = ("number",)
+    number: int
+
+    def __lt__(self, other: float) -> bool:
+        if float(self) == float(other) and isinstance(other, When):
+            return self.number < other.number
+        return float(self) < float(other)
+
+
+class NamedHandle(asyncio.Handle):
+    """A handle that says how long it took, in debug mode.
+
+    asyncio itself measures by the clock of the loop, which stands still in a turn.
+    """
+
+    __slots__ = ()
+
+    def _run(self) -> None:
+        began = time.monotonic()
+        super()._run()
+        loop: Any = self._loop  # type: ignore[attr-defined]
+        took = time.monotonic() - began
+        if took >= loop.slow_callback_duration:
+            who = getattr(self._callback, "__self__", None)  # type: ignore[attr-defined]
+            who = who if isinstance(who, asyncio.Task) else self
+            _log.warning("Executing %r took %.3f seconds", who, took)
+
+
+class TurnSelector(selectors.DefaultSelector):
+    """The selector of a loop that has a border."""
+
+    border: Callable[[float | None, Select], Any] | None = None
+
+    def select(self, timeout: float | None = None) -> Any:
+        if self.border is None:
+            return super().select(timeout)
+        return self.border(timeout, super().select)
+
+
+class TurnLoop(asyncio.SelectorEventLoop):
+    """The event loop of `esair.run`: what happens in it can be kept and repeated."""
+
+    virtual = False
+    """Whether time jumps instead of passing."""
+
+    def __init__(self, *, player: Player | None = None) -> None:
+        self.player = player
+        """What repeats a run on this loop, sooner or later."""
+        self._plays = False
+        self._tape: TapeWriter | None = None
+        self._shift = 0.0
+        if player is not None:
+            self._shift = player.began - time.monotonic()
+        self._now = self.clock()
+        self._timers = itertools.count()
+        self._works = itertools.count(1)
+        selector = TurnSelector()
+        super().__init__(selector)
+        self._turn = OwnTurn(self)
+        self._alarm = None if self.virtual else Alarm.on(selector)
+        selector.border = self._pass
+
+    @property
+    def turn(self) -> int:
+        """The number of this turn, since the run began that is kept or repeated."""
+        return self._turn.number
+
+    def keep(self, tape: TapeWriter | None) -> None:
+        """Keep what happens from this turn on; None: no more."""
+        if self._tape is not None:
+            self._tape.close()
+        self._tape = self._turn.door.tape = tape
+        if tape is not None:
+            self._turn.number = 0
+            tape.turn(self._now)
+
+    def play(self) -> None:
+        """Begin to repeat the run, in the turn in which its keeping began."""
+        player = self.player
+        assert player is not None
+        self._plays = True
+        self._turn.number = 0
+        self._now = player.began
+        self._turn.door.tape = player
+        player.begin(self._turn.door)
+
+    def time(self) -> float:
+        """Return when this turn began, in seconds of the monotonic clock."""
+        return self._now
+
+    def clock(self) -> float:
+        """Return the time amid a turn too, in any thread."""
+        return time.monotonic() + self._shift
+
+    def slept(self) -> float:
+        """Return for how long the computer has slept in all, in seconds."""
+        return computer_slept()
+
+    def wait_in_thread(self, seconds: float) -> None:
+        """Let time pass in a thread that works for a robot, and wait for that."""
+        time.sleep(seconds)
+
+    def ring(self) -> None:
+        """Wake the selector, from any thread."""
+        self._check_closed()  # type: ignore[attr-defined]
+        self._write_to_self()  # type: ignore[attr-defined]
+
+    def close(self) -> None:
+        """Close the loop; what was to be done in it is not done."""
+        if self._alarm is not None:
+            self._alarm.close()
+            self._alarm = None
+        super().close()
+
+    def call_at(  # type: ignore[override]
+        self, when: float, callback: Any, *args: Any, context: Any = None
+    ) -> asyncio.TimerHandle:
+        """Call a function at a moment; functions of one moment in the order of calls."""
+        moment = When(when)
+        moment.number = next(self._timers)
+        return super().call_at(moment, callback, *args, context=context)
+
+    def _call_soon(self, callback: Any, args: Any, context: Any) -> asyncio.Handle:
+        if not self.get_debug():
+            return super()._call_soon(callback, args, context)  # type: ignore[misc, no-any-return]
+        handle = NamedHandle(callback, args, self, context)
+        self._ready.append(handle)  # type: ignore[attr-defined]
+        return handle
+
+    def run_in_executor(  # type: ignore[override]
+        self, executor: Any, func: Callable[..., Any], *args: Any
+    ) -> asyncio.Future[Any]:
+        """Run a function in a thread; if a component asks, its end comes by the door."""
+        if current_owner() is None:
+            return super().run_in_executor(executor, func, *args)
+        future: asyncio.Future[Any] = self.create_future()
+        tag = ("thread", f"work {next(self._works)}")
+
+        def work() -> None:
+            result: Any = None
+            error: BaseException | None = None
+            try:
+                result = func(*args)
+            except BaseException as raised:  # contained, as in a task
+                error = raisable(raised, "the behavior")
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self._turn.door.post(0, tag, settle, future, result, error)
+
+        inner = super().run_in_executor(executor, work)
+        future.add_done_callback(lambda done: done.cancelled() and inner.cancel())
+        return future
+
+    def _pass(self, timeout: float | None, select: Select) -> Any:
+        """Wait for the next turn, and be at its border."""
+        if self._plays:
+            return self._replay(timeout, select)
+        events = self._wait(timeout, select)
+        turn = self._turn
+        turn.number += 1
+        now = self._now = self.clock()
+        if self._tape is not None:
+            self._tape.turn(now)
+        turn.border(now)
+        return events
+
+    def _wait(self, timeout: float | None, select: Select) -> Any:
+        turn = self._turn
+        if timeout is None or timeout > 0.0:
+            now = self.clock()
+            gap = 0.0 if turn.door.has_news else (turn.due - EARLY) / SECOND - now
+            if timeout is not None:  # asyncio counts from the beginning of the turn
+                timeout = max(0.0, timeout - (now - self._now))
+            if gap <= 0.0:
+                timeout = 0.0
+            elif self._alarm is not None and not self._shift:
+                self._alarm.set(turn.due)
+            elif gap < NEVER:
+                timeout = gap if timeout is None else min(timeout, gap)
+        events = select(timeout)
+        if self._alarm is not None and events:
+            self._alarm.heard(events)
+        return events
+
+    def _replay(self, timeout: float | None, select: Select) -> Any:
+        turn, player = self._turn, self.player
+        assert player is not None
+        events = select(0.0)
+        turn.number += 1
+        moment = None if player.is_over else player.next_turn()
+        if moment is not None:
+            self._now = moment
+            player.take()
+        else:
+            player.end()
+            events = [*events, *self._hurry(timeout, select)]
+        turn.border(self._now)
+        return events
+
+    def _hurry(self, timeout: float | None, select: Select) -> Any:
+        """Nothing is repeated any more: time goes to what is next, without a wait."""
+        turn = self._turn
+        gap = max(0.0, min(turn.gap(), math.inf if timeout is None else timeout))
+        if gap == 0.0:
+            return ()
+        events = select(0.001)  # what threads still do
+        if not (events or turn.door.has_news) and gap < math.inf:
+            self._now += gap
+        return events
+
+
+class Alarm:
+    """Ends the wait of a selector at a moment, which by itself it rounds up to a ms.
+
+    Linux's timerfd: the kernel wakes the selector, some 50 us after the moment.
+    """
+
+    def __init__(self, selector: selectors.BaseSelector) -> None:
+        from esair.loop import _timerfd  # loads ctypes: only when something runs
+
+        self._settime = _timerfd.settime
+        self._fd = _timerfd.create()
+        self._key = selector.register(self._fd, selectors.EVENT_READ)
+        self._due: float = NEVER
+
+    @classmethod
+    def on(cls, selector: selectors.BaseSelector) -> Alarm | None:
+        """Return one that wakes a selector; None if this system has none."""
+        try:
+            return cls(selector)
+        except (OSError, NotImplementedError, AttributeError):
+            return None
+
+    def set(self, due: float) -> None:
+        """End the wait at a moment, in ns, and at no other."""
+        if due != self._due:
+            self._settime(self._fd, 0 if due == NEVER else max(1, int(due)))
+            self._due = due
+
+    def heard(self, events: list[Any]) -> None:
+        """Take its own event away: it has done what it is for."""
+        for at, (key, _) in enumerate(events):
+            if key is self._key:
+                del events[at]
+                self._settime(self._fd, 0)  # silent again
+                self._due = NEVER
+                break
+
+    def close(self) -> None:
+        os.close(self._fd)
+
+
+def _clock_of_stranger(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
+    """Return the best function that reads a loop's clock, in seconds.
+
+    That of uvloop stands still between its turns and counts whole milliseconds.
+    """
+    kind = type(loop)
+    if kind.time is asyncio.BaseEventLoop.time or kind.__module__ == "uvloop":
+        return time.monotonic  # what they read
+    return loop.time
+
+
+def new_event_loop() -> asyncio.AbstractEventLoop:
+    """Make an event loop of the kind that `esair.run` uses.
+
+    On any other loop a robot does the same, but its recordings are not exact. It is a
+    loop factory for `asyncio.Runner`, for `asyncio.run` (Python 3.12) and for plugins
+    of pytest.
+
+    Example:
+        >>> with asyncio.Runner(loop_factory=esair.new_event_loop) as runner:
+        ...     runner.run(main())
+    """
+    return TurnLoop()
