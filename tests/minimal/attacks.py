@@ -316,6 +316,23 @@ def attack_a_month_has_more_milliseconds_than_a_small_integer():
     assert board.now == 0.0, board.motor.told
 
 
+def attack_ten_years_are_a_moment_like_any_other():
+    board = driving()
+    board.loop.skip(10 * 365 * 24 * 3600 * 1000 // STEP_MS)
+    assert board.loop.now_ms > 315000000000
+    board.step(1)
+    assert board.now == 0.0, board.motor.told
+    board.step(3, [BEAT, go(0.25)])
+    assert board.now == 0.25, board.motor.told
+    board.bumper.hit = True
+    board.step(2)
+    assert board.now == -0.5, board.motor.told
+    board.bumper.hit = False
+    board.step(SILENT)
+    assert board.now == 0.0, board.motor.told
+    assert board.loop.faults == 0, board.loop.fault
+
+
 def attack_a_reaction_that_blocks_or_raises_stops_the_motor():
     class Sour(Reaction):
         bumper = reads(bool)
