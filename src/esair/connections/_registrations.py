@@ -88,6 +88,7 @@ class Registrations:
         """Where the connections tell what flows."""
         self._numbers = itertools.count(1)
         self.live: dict[int, Registration] = {}  # what is valid now, by number
+        self._of_resource: dict[str, dict[int, Registration]] = {}
         self.halt: Halt | None = None
         """Set while the robot is halted: no command passes, whoever asks."""
 
@@ -103,6 +104,8 @@ class Registrations:
             raise BusyError("resources", "number of registrations", LIMIT)
         registration = Registration(next(self._numbers), terms)
         self.live[registration.number] = registration
+        of_resource = self._of_resource.setdefault(registration.resource, {})
+        of_resource[registration.number] = registration
         if self.journal.heard:
             self.journal.publish(Kind.REGISTERED, *terms[:3])
         return registration
@@ -113,6 +116,10 @@ class Registrations:
         if self.live.get(registration.number) is not registration:
             return False
         del self.live[registration.number]
+        of_resource = self._of_resource[registration.resource]
+        del of_resource[registration.number]
+        if not of_resource:
+            del self._of_resource[registration.resource]
         registration.end(reason)
         if self.journal.heard:
             self.journal.publish(Kind.REVOKED, *registration.terms[:3])
@@ -120,10 +127,11 @@ class Registrations:
 
     def find(self, terms: Terms) -> Registration | None:
         """Return the registration with exactly these terms, if there is one."""
-        return next((r for r in self.live.values() if r.terms == terms), None)
+        there = self._of_resource.get(terms.resource, {})
+        return next((r for r in there.values() if r.terms == terms), None)
 
     def of_resource(self, resource: str) -> list[Registration]:
-        return [r for r in self.live.values() if r.resource == resource]
+        return list(self._of_resource.get(resource, {}).values())
 
     def check(self, registration: Registration) -> None:
         """Pass if this is one of the table's own registrations, valid and for data."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
 from esair.plan._finding import Finding, mistake, warning
@@ -17,20 +17,16 @@ _RENUMBERED: Final = re.compile(r"/dev/tty(USB|ACM)\d+\Z")
 
 
 def claimed_twice(
-    about: Iterable[Resource], everybody: Iterable[Resource]
+    about: Iterable[Resource], claims: Mapping[tuple[int, str], str]
 ) -> Iterator[Finding]:
     """Find the resources that claim what another one has for itself alone."""
-    new = list(about)
-    owners = {_claim(each): each.name for each in everybody if each not in new}
-    for resource in new:
-        first = owners.setdefault(_claim(resource), resource.name)
-        if resource.claim is not None and first != resource.name:
+    for resource in about:
+        if resource.claim is None:
+            continue
+        first = claims.get((id(resource.bus), resource.claim), resource.name)
+        if first != resource.name:
             told = f"{resource.claim} belongs to {first!r}: they cannot share it"
             yield mistake("claim", resource, "", told)
-
-
-def _claim(resource: Resource) -> tuple[int, str | None]:
-    return id(resource.bus), resource.claim
 
 
 def odd_buses(plan: Plan) -> Iterator[Finding]:

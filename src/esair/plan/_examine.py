@@ -11,7 +11,7 @@ from esair.plan._actions import mistakes_in_action, mistyped
 from esair.plan._buses import claimed_twice, odd_buses
 from esair.plan._derived import underivable
 from esair.plan._finding import Finding, because
-from esair.plan._names import in_use, taken, used_already, wrong_kind
+from esair.plan._names import in_use, taken, taken_by_another, used_already, wrong_kind
 from esair.plan._needs import unmet, untimely
 from esair.plan._plan import Plan
 from esair.plan._protection import unprotected
@@ -48,16 +48,17 @@ def examine_resource(
     """Find what is wrong with a resource that comes into a running robot.
 
     Args:
-        plan: The robot with it, and without the one that gives its place.
+        plan: The robot, which does not have it yet.
         resource: What comes.
         instead_of: A resource that gives its place; it may take it again.
     """
     if in_use(resource) and resource is not instead_of:
         return [used_already(resource)]
-    return [
-        *taken("resource", [resource], plan.resources, set()),
-        *_about_resources(plan, [resource], instead_of),
-    ]
+    with plan.as_if(resource, instead_of):
+        return [
+            *taken_by_another("resource", resource, plan.resource_of),
+            *_about_resources(plan, [resource], instead_of),
+        ]
 
 
 def examine_action(
@@ -66,7 +67,7 @@ def examine_action(
     """Find what is wrong with a behavior or reaction that comes into a running robot.
 
     Args:
-        plan: The robot with it, and without the one that gives its place.
+        plan: The robot, which does not have it yet.
         action: What comes.
         instead_of: An action that gives its place.
     """
@@ -75,8 +76,9 @@ def examine_action(
         return [because("name", action, ConfigError(instead_of.name, "", told))]
     if in_use(action):
         return [used_already(action)]
+    there = plan.action_of if instead_of is None else {}
     return [
-        *taken("behavior", [action], plan.behaviors, set()),
+        *taken_by_another("behavior", action, there),
         *_about_actions(plan, [action]),
     ]
 
@@ -119,7 +121,7 @@ def _about_resources(
         if not any(finding.is_error for finding in found):
             sound.append(resource)
     if len(sound) == len(about):
-        yield from claimed_twice(sound, plan.resource_of.values())
+        yield from claimed_twice(sound, plan.claims)
 
 
 def _about_actions(plan: Plan, about: Collection[Any]) -> Iterator[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from esair.abc import Component
 from esair.actions import Behavior, Reaction
@@ -61,3 +61,12 @@ def taken(
         seen.add(id(component))
         if again or name in missing or owners.get(name, component) is not component:
             yield because("name", component, NameTakenError(kind, name))
+
+
+def taken_by_another(
+    kind: str, component: object, there: Mapping[str, object]
+) -> Iterator[Finding]:
+    """Find out if the name of a component that comes is another one's."""
+    name = name_of(component)
+    if name is not None and there.get(name, component) is not component:
+        yield because("name", component, NameTakenError(kind, name))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -12,7 +13,7 @@ from esair.actions import Behavior, Derived, Need, Reaction, Writes
 from esair.connections import Applied
 from esair.exceptions import EsairError
 from esair.messages import Policy
-from esair.resources import Actuator, Resource
+from esair.resources import APPLIED, Actuator, Resource
 
 if TYPE_CHECKING:
     from esair.buses import Bus
@@ -26,6 +27,9 @@ class Plan:
     """What a robot is made of: from a script, from a file, or of one that runs.
 
     Anything may stand in the lists of parts: what does not belong there is found.
+    Its tables are made of them when they are asked for. The plan of a robot that runs
+    begins with empty lists, and lives as long as the robot: what comes and goes changes
+    its own entries in the tables, and nothing else.
 
     Attributes:
         name: The name of the robot.
@@ -38,8 +42,8 @@ class Plan:
             ``behavior``).
         implied: Names of resources that come with another part: nobody has to use them.
         watchdog: Whether a second process makes safe what this one cannot.
-        writers: In a robot that runs, who is registered to write each actuator; None
-            if whoever declares it will be.
+        writers: In a robot that runs, tells who is registered to write an actuator;
+            None if whoever declares it will be.
     """
 
     name: str = "robot"
@@ -50,7 +54,7 @@ class Plan:
     missing: Mapping[str, str] = attrs.field(factory=dict)
     implied: Collection[str] = ()
     watchdog: bool = False
-    writers: Mapping[str, Sequence[str]] | None = None
+    writers: Callable[[str], Sequence[str]] | None = None
 
     @functools.cached_property
     def resource_of(self) -> dict[str, Resource]:
@@ -91,16 +95,16 @@ class Plan:
         return {each.resource: each for each in self.policies if type(each) is Policy}
 
     @functools.cached_property
-    def resource_names(self) -> list[str]:
+    def resource_names(self) -> dict[str, None]:
         """The names of all resources, also of those that could not be made."""
         missing = [name for name, kind in self.missing.items() if kind != "behavior"]
-        return list(dict.fromkeys([*self.resource_of, *missing]))
+        return dict.fromkeys([*self.resource_of, *missing])
 
     @functools.cached_property
-    def action_names(self) -> list[str]:
+    def action_names(self) -> dict[str, None]:
         """The names of all actions, also of those that could not be made."""
         missing = [name for name, kind in self.missing.items() if kind == "behavior"]
-        return list(dict.fromkeys([*self.action_of, *missing]))
+        return dict.fromkeys([*self.action_of, *missing])
 
     def needs(self) -> Iterator[Port]:
         """Yield each port of each action."""
@@ -109,23 +113,110 @@ class Plan:
                 yield name, action, attribute, need
 
     @functools.cached_property
-    def needs_of(self) -> dict[str, list[Port]]:
+    def needs_of(self) -> dict[str, dict[tuple[str, str], Port]]:
         """The ports by the name of what they are for."""
-        found: dict[str, list[Port]] = {}
+        found: dict[str, dict[tuple[str, str], Port]] = {}
         for port in self.needs():
-            found.setdefault(port[-1].resource, []).append(port)
+            found.setdefault(port[-1].resource, {})[port[0], port[2]] = port
         return found
+
+    @functools.cached_property
+    def claims(self) -> dict[tuple[int, str], str]:
+        """Who has something of a bus for itself alone: the first one, if several do."""
+        found: dict[tuple[int, str], str] = {}
+        for name, each in self.resource_of.items():
+            if each.claim is not None:
+                found.setdefault((id(each.bus), each.claim), name)
+        return found
+
+    def users_of(self, resource: str) -> dict[str, None]:
+        """Return the names of the actions that use a resource, or its last command."""
+        return {
+            user: None
+            for part in (resource, resource + APPLIED)
+            for user, _ in self.needs_of.get(part, ())
+        }
 
     def writes_of(self, resource: str) -> dict[str, Writes[Any]]:
         """Return who writes an actuator, by name: the port of the highest priority."""
         found: dict[str, Writes[Any]] = {}
-        for name, _, _, need in self.needs_of.get(resource, ()):
+        for name, _, _, need in self.needs_of.get(resource, {}).values():
             # A priority that is none is a mistake that is told.
             if isinstance(need, Writes) and type(need.priority) is int:
                 known = found.get(name)
                 if known is None or need.priority > known.priority:
                     found[name] = need
         return found
+
+    # Of a robot that runs.
+
+    def enter_resource(self, resource: Resource) -> None:
+        """Take a resource in, or put it in the place of the one that has its name."""
+        name = resource.name
+        self._unclaim(self.resource_of.get(name))
+        self.resource_of[name] = resource
+        self.resource_names[name] = None
+        if isinstance(resource, Derived):
+            self.derived_of[name] = resource
+        if resource.claim is not None:
+            self.claims.setdefault((id(resource.bus), resource.claim), name)
+
+    def leave_resource(self, name: str) -> None:
+        self._unclaim(self.resource_of.pop(name))
+        del self.resource_names[name]
+
+    def _unclaim(self, resource: Resource | None) -> None:
+        if resource is None:
+            return
+        self.derived_of.pop(resource.name, None)
+        claimed = resource.claim and (id(resource.bus), resource.claim)
+        if claimed and self.claims.get(claimed) == resource.name:
+            del self.claims[claimed]
+
+    def enter_action(self, action: Behavior | Reaction) -> None:
+        """Take an action in, or put it in the place of the one that has its name."""
+        name = action.name
+        self._unlist(self.action_of.get(name))
+        self.action_of[name] = action
+        self.action_names[name] = None
+        for attribute, need in action.needs.items():
+            port = name, action, attribute, need
+            self.needs_of.setdefault(need.resource, {})[name, attribute] = port
+
+    def leave_action(self, name: str) -> None:
+        self._unlist(self.action_of.pop(name))
+        del self.action_names[name]
+
+    def _unlist(self, action: Behavior | Reaction | None) -> None:
+        if action is None:
+            return
+        for attribute, need in action.needs.items():
+            ports = self.needs_of[need.resource]
+            del ports[action.name, attribute]
+            if not ports:
+                del self.needs_of[need.resource]
+
+    @contextlib.contextmanager
+    def as_if(self, resource: object, instead_of: Resource | None) -> Iterator[None]:
+        """Have a resource in the table of names while it is examined."""
+        name = name_of(resource)
+        before = None if name is None else self.resource_of.get(name)
+        if (
+            name is None
+            or not isinstance(resource, Resource)
+            or before is not instead_of
+        ):
+            yield  # it is no resource, or the name is taken
+            return
+        self.resource_of[name] = resource
+        self.resource_names[name] = None
+        try:
+            yield
+        finally:
+            if before is not None:
+                self.resource_of[name] = before
+            else:
+                del self.resource_of[name], self.resource_names[name]
 
 
 def name_of(component: object) -> str | None:

@@ -154,7 +154,7 @@ def _writers(plan: Plan, resource: str) -> Iterator[Writer]:
 
 
 def _guards(plan: Plan, resource: str) -> Iterator[Guard]:
-    for name, action, _, need in plan.needs_of.get(resource, ()):
+    for name, action, _, need in plan.needs_of.get(resource, {}).values():
         if (
             isinstance(need, Guards)
             and isinstance(action, Reaction)

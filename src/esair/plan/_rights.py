@@ -81,7 +81,7 @@ def _writers(
 ) -> Iterator[str]:
     """Yield who writes an actuator before an action does: the later one is refused."""
     if plan.writers is not None:
-        yield from plan.writers.get(need.resource, ())
+        yield from plan.writers(need.resource)
         return
     writers = plan.writes_of(need.resource)
     for name, other in plan.action_of.items():

@@ -22,7 +22,7 @@ from esair.exceptions import (
 from esair.journal import Event, Kind
 from esair.loop import ProcessWatch, current_owner, script_context, wake
 from esair.messages import Access, BehaviorsPolicy, BehaviorState, BehaviorStatus
-from esair.plan import Finding, Plan, refuse
+from esair.plan import Finding, refuse
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._member import Member
@@ -76,6 +76,7 @@ class BehaviorDeployment:
         self.commands = CommandQueue("behaviors", asleep=True)
         self.members: dict[str, Member] = {}
         self.mediator = Mediator(self.journal)
+        self.performing: dict[Member, None] = {}  # those with steps of their own
         self.coming: list[Member] = []  # those whose ``setup`` a command waits for
         self.ending: list[Member] = []
         self.grace = grace
@@ -138,11 +139,6 @@ class BehaviorDeployment:
 
     # What is asked about them.
 
-    def plan(self, *new: Any, without: Member | None = None) -> Plan:
-        """Return this robot, with what is about to come and without what goes."""
-        members = [each for each in self.members.values() if each is not without]
-        return self.resources.plan([*(each.action for each in members), *new])
-
     def declared(self, behavior: str, resource: str) -> Access:
         access = Access(0)
         for member in (self.members.get(behavior), *self.coming):
@@ -175,10 +171,12 @@ class BehaviorDeployment:
         """Give a member its name, or the place of the one that has it."""
         self.members[member.name] = member
         self.mediator.boxes[member.name] = member.mail
+        self.resources.plan.enter_action(member.action)
 
     def take_out(self, member: Member) -> None:
         del self.members[member.name]
         del self.mediator.boxes[member.name]
+        self.resources.plan.leave_action(member.name)
 
     async def gone(self, name: str) -> None:
         """Wait until a removal of that name that runs is over; others do not wait."""
@@ -228,7 +226,7 @@ class BehaviorDeployment:
         ]
         member.mail.state = BehaviorState.REMOVED
         channels = self.resources.actuators.channels
-        wrote = [channel for name, channel in channels.items() if name in member.used]
+        wrote = [channels[name] for name in sorted(member.used) if name in channels]
         if wrote:
             # What is sent goes on to be sent.
             await asyncio.gather(*(channel.safe_now(deadline) for channel in wrote))
@@ -333,12 +331,18 @@ class BehaviorDeployment:
 
     def _resource_changed(self, event: Event) -> None:
         if event.peer == "resource":
-            for member in tuple(self.members.values()):
+            for member in self._concerned(event.component):
                 member.resource_changed(event.component)
 
     def _resource_up(self, event: Event) -> None:
-        for member in tuple(self.members.values()):
+        for member in self._concerned(event.component):
             member.resource_up(event.component)
+
+    def _concerned(self, resource: str) -> list[Member]:
+        """Return who uses a resource, or performs a step now that may."""
+        performers = (m for m in self.performing if self.members.get(m.name) is m)
+        users = (self.members[name] for name in self.resources.plan.users_of(resource))
+        return list(dict.fromkeys([*users, *performers]))
 
 
 def refuse_all(found: list[Finding], action: Behavior | Reaction) -> None:

@@ -180,7 +180,8 @@ class BehaviorSupervisor(abc.Supervisor):
 
         async def work() -> None:
             await self._deployment.gone(name_of(action))
-            refuse_all(examine_action(self._deployment.plan(action), action), action)
+            plan = self._deployment.resources.plan
+            refuse_all(examine_action(plan, action), action)
             member = Member(action, self._deployment, action.name)
             self._deployment.take_in(member)
             member.sight.accept()
@@ -263,7 +264,7 @@ class BehaviorSupervisor(abc.Supervisor):
             old = self._deployment.member(name)
             if isinstance(action, abc.Component) and not in_use(action):
                 action._name = name  # noqa: SLF001 - a supervisor gives names
-            plan = self._deployment.plan(action, without=old)
+            plan = self._deployment.resources.plan
             found = examine_action(plan, action, instead_of=old.action)
             refuse_all(found, action)
             new = Member(action, self._deployment, name)

@@ -71,7 +71,7 @@ class DerivedLife(ResourceLife):
 
     def _sources(self) -> dict[str, Source]:
         found: dict[str, Source] = {}
-        resources, plan = self._deployment, self._deployment.plan(())
+        resources, plan = self._deployment, self._deployment.plan
         for attribute, need in self._derived.inputs.items():
             if need.optional and need.provider not in resources.lives:
                 continue  # it gets None for it

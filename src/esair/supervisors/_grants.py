@@ -97,12 +97,12 @@ class Grants:
         if wanted is not None:
             kind = Reads if Access.READ in access else Writes
             need: Need = kind(wanted, name=resource)
-            if found := unmet(self._crew.plan(), action, resource, need):
+            if found := unmet(self._crew.resources.plan, action, resource, need):
                 refuse([found], f"{self._name} is described wrongly")
 
     def misfit(self, action: Action, resource: str) -> str:
         """Say why a resource that is there now does not fit a port; empty if it does."""
-        plan = self._crew.plan()
+        plan = self._crew.resources.plan
         for attribute, need in action.needs.items():
             asked = need.provider == resource and resource in plan.resource_names
             if asked and (found := unmet(plan, action, attribute, need)):

@@ -150,9 +150,14 @@ class Member:
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
         self.mail.check_speaker()
-        return await self.steps.perform(
-            reaction, self.mail.owner, until, timeout, blind_timeout
-        )
+        self.crew.performing[self] = None
+        try:
+            return await self.steps.perform(
+                reaction, self.mail.owner, until, timeout, blind_timeout
+            )
+        finally:
+            if not self.steps.now:
+                self.crew.performing.pop(self, None)
 
     def halt_robot(self, reason: str) -> Halting:
         """Make every actuator safe, and keep it so."""

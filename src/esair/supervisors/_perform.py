@@ -48,7 +48,7 @@ class Steps:
                 "perform",
                 f"expected an esair.Reaction, not {reaction!r:.80}",
             )
-        found = examine_step(self._crew.plan(), reaction, performer=self._name)
+        found = examine_step(self._crew.resources.plan, reaction, performer=self._name)
         refuse(found, f"what {self._name} performs is described wrongly")
         resources = self._crew.resources
         table = resources.actuators.protections

@@ -6,7 +6,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from esair.actions import Derived
 from esair.connections import (
@@ -70,9 +70,14 @@ class ResourceDeployment:
         self.lives: dict[str, ResourceLife] = {}
         self._derived: dict[str, DerivedLife] = {}
         self._leaving: set[str] = set()
+        rules = Rules(policies, registrations, declared)
+        self.plan = Plan(
+            policies=tuple(rules.policies.values()), writers=rules.writers_of
+        )
+        """This robot as the rulebook sees it, with its actions: always as it is now."""
         self.control = ControlPath(
             registrations,
-            Rules(policies, registrations, declared),
+            rules,
             self.lives,
             self._leaving,
             sensors,
@@ -122,18 +127,6 @@ class ResourceDeployment:
             f"when this computer dies: {when_alone(life.resource)}"
         )
 
-    def plan(
-        self, behaviors: Sequence[Any] = (), *new: Any, without: Resource | None = None
-    ) -> Plan:
-        """Return this robot, with what is about to come and without what goes."""
-        there = (life.resource for life in self.lives.values())
-        return Plan(
-            resources=[*(each for each in there if each is not without), *new],
-            behaviors=behaviors,
-            policies=tuple(self.control.rules.policies.values()),
-            writers=self.control.rules.writers(),
-        )
-
     # How one comes.
 
     def deploy(
@@ -168,6 +161,7 @@ class ResourceDeployment:
         else:
             life = ResourceLife(resource, channel, policy, self.armory)
         self.lives[resource.name] = life
+        self.plan.enter_resource(resource)
         life.start()
         return life
 
@@ -317,6 +311,7 @@ class ResourceDeployment:
 
     def _forget(self, name: str, state: ResourceState) -> None:
         life = self.lives.pop(name)
+        self.plan.leave_resource(name)
         self._derived.pop(name, None)
         life.channel.state = state
         if state is ResourceState.REMOVED:

@@ -129,7 +129,7 @@ class ResourceSupervisor(abc.Supervisor):
 
         async def work() -> None:
             await self._deployment.gone(getattr(added, "name", ""))
-            self._refuse(examine_resource(self._deployment.plan((), added), added))
+            self._refuse(examine_resource(self._deployment.plan, added))
             life = self._deployment.deploy(added)
             self._commands.changed()
             try:
@@ -200,7 +200,7 @@ class ResourceSupervisor(abc.Supervisor):
             old = self._deployment.life(name).resource
             if isinstance(added, Resource) and not in_use(added):
                 added._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
-            plan = self._deployment.plan((), added, without=old)
+            plan = self._deployment.plan
             self._refuse(examine_resource(plan, added, instead_of=old))
             same_kind = isinstance(old, Actuator) is isinstance(added, Actuator)
             keep = same_kind and same_type(added.value_type, old.value_type)

@@ -63,19 +63,12 @@ class Rules:
         if refusal := denial(policy, behavior, access, priority):
             raise refusal[1]
         if policy.exclusive and Access.WRITE in access:
-            for other in self._writers_of(resource):
+            for other in self.writers_of(resource):
                 if other not in {behavior, instead_of}:
                     raise not_alone(policy, behavior, other)
 
-    def writers(self) -> dict[str, list[str]]:
-        """Return who is registered to write each actuator that is exclusive."""
-        return {
-            name: self._writers_of(name)
-            for name, policy in self.policies.items()
-            if policy.exclusive
-        }
-
-    def _writers_of(self, resource: str) -> list[str]:
+    def writers_of(self, resource: str) -> list[str]:
+        """Return who is registered to write an actuator."""
         return [
             registration.behavior
             for registration in self._registrations.of_resource(resource)
