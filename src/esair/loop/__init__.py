@@ -1,4 +1,16 @@
-"""What the one event loop needs: a scheduler for time, threads for blocking code."""
+"""One event loop: its turns, and what everything in it stands on.
+
+A turn is one pass of the loop. It begins at a border (`_turn`): what came in by the one
+door (`_door`) takes effect, in the order of its numbers; polls go out and steps that are due
+decide, on one grid (`_scheduler`); what has not come until then is over (`_deadlines`).
+Between two borders nothing takes effect but what coroutines do themselves. So a run follows
+from the times of its turns and from what came in, which a tape keeps (`_tape`); and it means
+the same on the loop of `esair.run`, the virtual clock, plain asyncio and uvloop.
+
+The rest is what components run on: the first steps of driver calls (`_light_task`), threads
+for blocking code (`_executor`, `_portal`), who owns a task (`_ownership`), a budget of awaits,
+seeded randomness, garbage collected in gaps, signals, and the end of a loop.
+"""
 
 from esair.loop._arrivals import Arrivals, arrive
 from esair.loop._budget import PUT_COST, SPENDABLE, VERB_COST, WRITE_COST, Budget
