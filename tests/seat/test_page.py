@@ -152,6 +152,23 @@ async def test_half_requests_lock_nobody_out(served, way_in, half):
 
 
 @pytest.mark.promise("SEC-1")
+async def test_a_connection_has_one_answer(served):
+    """Who sends a thousand questions at once has one turn of the robot's loop, not all."""
+    async with served(Wander()) as robot:
+        port = port_of(robot)
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        asked = f"GET /page.js HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n"
+        writer.write(asked.encode() * 1000)
+        answers = b""
+        with contextlib.suppress(ConnectionError):
+            while found := await reader.read(65536):
+                answers += found
+        assert answers.count(b"HTTP/1.1 200") <= 1
+        writer.close()
+        assert (await get(robot, "/page.js"))[0] == 200
+
+
+@pytest.mark.promise("SEC-1")
 async def test_a_browser_on_a_lane_outlives_the_crowd(served):
     """What has shown its token is not sent away for those that have not."""
     async with served(Wander()) as robot, Browser(robot) as browser:

@@ -212,15 +212,23 @@ async def test_who_waits_no_more_for_an_answer(
 
 
 @pytest.mark.promise("GRD-4")
+@pytest.mark.parametrize(
+    "nowhere",
+    [
+        Outlet("i2c", target={"path": "/nowhere"}),
+        Outlet("can", target={"channel": "nowhere0"}),
+    ],
+)
 async def test_a_watch_stays_until_the_next_one_stands(
-    dog: Watchdog, line: Line, monkeypatch: pytest.MonkeyPatch
+    dog: Watchdog, line: Line, nowhere: Outlet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Refused, or without an answer, a re-arming keeps it; a late answer renews it."""
     monkeypatch.setattr(_watchdog, "ANSWER_WITHIN", 0.1)
     outlet = Outlet("serial", descriptor=line.near)
-    nowhere = Outlet("i2c", target={"path": "/nowhere"})
     assert not await dog.arm("wheels", SAFE, outlet)
-    assert os.strerror(errno.ENOENT) in await dog.arm("wheels", SAFE, nowhere)
+    refused = await dog.arm("wheels", SAFE, nowhere)
+    assert refused
+    assert nowhere.kind == "can" or os.strerror(errno.ENOENT) in refused
     assert dog.watches("wheels")
     before = dog._places["wheels"]
     os.kill(pid_of(dog), signal.SIGSTOP)

@@ -52,8 +52,10 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
+    "Connection": "close",
 }
-"""What each answer says to the browser: nothing from elsewhere, nothing inline."""
+"""What each answer says to the browser: nothing from elsewhere, nothing inline, and one
+answer for each connection: a thousand questions in one would hold the robot's loop."""
 
 _FILES = {
     "/": ("page.html", "text/html"),
