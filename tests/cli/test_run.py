@@ -137,6 +137,7 @@ def test_a_time_can_be_set(folder, start) -> None:
 
 
 @pytest.mark.fault("O15")
+@pytest.mark.long
 def test_a_log_that_nobody_reads_holds_nothing_up(folder, start) -> None:
     """The pipe is full at once: the robot drives on, and ends in time and safe."""
     where = folder("Chatter")

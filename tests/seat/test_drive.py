@@ -283,6 +283,7 @@ class Terminal:
 
 @pytest.mark.promise("OPS-4")
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP, None])
+@pytest.mark.long
 async def test_the_terminal_goes_while_it_drives(rover, seen, end):
     """Killed, stopped, or just no key any more: safe within the lease + 0.1 s."""
     async with rover(wheels=seen):
