@@ -53,6 +53,9 @@ class OfTurn(OfLoop):
 
         def __init__(self, turn: Turn) -> None: ...
 
+    made_by: ClassVar[Callable[[asyncio.AbstractEventLoop], Turn]]
+    """What makes the turn of a loop, and with it all of its parts."""
+
     @classmethod
     def of(cls, loop: asyncio.AbstractEventLoop) -> Self:
         """Return the one of a loop, that of the robot if there is another beside it."""
@@ -66,11 +69,7 @@ class OfTurn(OfLoop):
 def turn_of(loop: asyncio.AbstractEventLoop) -> Turn:
     """Return what the turns of a loop have in common."""
     found: Turn | None = vars(loop).get("_esair_Turn")
-    if found is None:
-        from esair.loop._turn import Turn  # which is made of what asks for it here
-
-        found = Turn.of(loop)
-    return found
+    return OfTurn.made_by(loop) if found is None else found
 
 
 def clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:

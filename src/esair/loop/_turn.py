@@ -29,7 +29,7 @@ from typing import Any
 from esair.loop._deadlines import Deadlines
 from esair.loop._door import Door
 from esair.loop._futures import ignore, raisable, settle
-from esair.loop._of_loop import OfLoop
+from esair.loop._of_loop import OfLoop, OfTurn
 from esair.loop._ownership import current_owner
 from esair.loop._rate_group import EARLY, NEVER, NOW, SECOND
 from esair.loop._scheduler import Scheduler
@@ -157,6 +157,9 @@ class Turn(OfLoop):
             self.loop.call_soon(self.come)
         elif self.due < NEVER:
             self._timer = self.loop.call_at(self.due / SECOND, self.come)
+
+
+OfTurn.made_by = Turn.of
 
 
 class OwnTurn(Turn):
