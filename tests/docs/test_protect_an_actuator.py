@@ -38,6 +38,7 @@ async def test_the_cart_slows_down_and_says_so(fake_sensor, fake_actuator):
         assert written.command.speed == pytest.approx(0.2)
         assert (written.asked, written.by) == (Drive(0.5, 0.1), "slow")
         ahead.unplug()
+        await asyncio.sleep(0)  # a loss takes effect with the next turn
         written = await work.wheels.write(Drive(0.5, 0.1))
         assert written.command == Drive(0.0, 0.1)
         assert (await work.wheels.write(Drive(-0.1, 0.0))).by is None
