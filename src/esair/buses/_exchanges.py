@@ -374,6 +374,9 @@ class Exchange:
             raise
         except TimeoutError:
             raise self._stuck() from None
+        if self.left <= 0.0:  # its turn came with the end of its time
+            self._exchanges.end_turn(self)
+            raise self._stuck()
 
     async def __aenter__(self) -> Self:
         if not self._exchanges.take(self):

@@ -231,7 +231,10 @@ class Deadlines(OfTurn):
 
     def add(self, deadline: Deadline, when: float) -> None:
         """Look at a deadline at a moment, unless it is looked at before."""
-        place = round(min(when, FAR) * SECOND)
+        when = min(when, FAR)
+        place = round(when * SECOND)
+        if place / SECOND < when:
+            place += 1  # called before, who waits for the rest would wait for ever
         if deadline.number and deadline.place <= place:
             return
         heap = self._heap

@@ -71,6 +71,8 @@ class Turn(OfLoop):
         """Keeps what happens from this turn on, where it can be repeated; None: no more."""
         self.play: Callable[[], object] = ignore
         """Begins to repeat the run that `player` has."""
+        self.early = EARLY
+        """How far ahead something is due already, in ns; nothing where time jumps."""
         self._timer: asyncio.TimerHandle | None = None
         self._is_asked = False
         self._is_at_border = False
@@ -106,7 +108,7 @@ class Turn(OfLoop):
         """Let what came in take effect, and have those look who are due."""
         if self.door.has_news:
             self.door.take()
-        reached = round(now * SECOND) + EARLY
+        reached = round(now * SECOND) + self.early
         if self.due > reached:
             return  # most passes end here
         self.suspends.look()
@@ -118,7 +120,7 @@ class Turn(OfLoop):
 
     def is_due(self, now: float) -> bool:
         """Tell whether something is to be done at a border now."""
-        return self.due <= round(now * SECOND) + EARLY
+        return self.due <= round(now * SECOND) + self.early
 
     def gap(self) -> float:
         """Tell for how long nothing is due, in seconds."""
@@ -173,6 +175,7 @@ class OwnTurn(Turn):
         self.time, self.clock, self.slept = loop.time, loop.clock, loop.slept
         self.wait_in_thread = loop.wait_in_thread
         self.player, self.virtual = loop.player, loop.virtual
+        self.early = 0 if loop.virtual else EARLY
         self.repeats = not loop.virtual
         self.keep, self.play = loop.keep, loop.play
 
