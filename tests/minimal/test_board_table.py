@@ -208,9 +208,13 @@ def test_without_a_board_it_is_said_so(tmp_path) -> None:
         firmware.monitor("/dev/ttyACM99", print)
 
 
-def test_a_board_whose_rates_do_not_fit_is_told_by_check(tmp_path, capsys) -> None:
+def test_a_board_whose_rates_do_not_fit_is_told_by_check(
+    tmp_path, capsys, monkeypatch
+) -> None:
     """At the rate that it is built for: its fastest."""
     from esair.cli import main
+
+    monkeypatch.setenv("COLUMNS", "300")  # each finding in one line
 
     built(tmp_path)
     text = (tmp_path / "base.toml").read_text()
