@@ -229,3 +229,18 @@ async def test_a_new_wait_takes_nobody_the_chance_that_he_was_given() -> None:
     await asyncio.sleep(1.0)
 
     assert called == pytest.approx([2.1, 3.5], abs=1e-3)
+
+
+async def test_a_clock_may_be_later_than_timers_count() -> None:
+    """A deadline comes at its moment there too, and none at all holds nothing up."""
+    loop = asyncio.get_running_loop()
+    deadlines = Deadlines.of(loop)
+    called: list[str] = []
+    await asyncio.sleep(1e10)
+    deadlines.idle(called.append, "never").start(float("inf"))
+    deadlines.after(1.0, called.append, "later")
+
+    await asyncio.sleep(0.5)
+    assert called == []
+    await asyncio.sleep(1.0)
+    assert called == ["later"]

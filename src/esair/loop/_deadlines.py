@@ -24,13 +24,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 from esair.loop._futures import ignore, wake
 from esair.loop._of_loop import OfTurn, turn_of
 from esair.loop._rate_group import (
-    FAR,
     NEVER,
     NOW,
     REACHED,
     SECOND,
     Order,
     contained,
+    on_grid,
 )
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Deadline:
         self.is_patient = is_patient
         """Whether it is put off if the loop was held up."""
         self.number = 0  # that of its place in the heap; 0 if it has none
-        self.place = 0  # when it is looked at, in ns
+        self.place: float = 0  # when it is looked at, in ns
         self._deadlines = deadlines
         self._function = function
         self._arguments = arguments
@@ -176,7 +176,7 @@ class Deadlines(OfTurn):
         self._turn = turn
         self._scheduler = scheduler
         self._numbers = itertools.count(1)
-        self._heap: list[tuple[int, int, Deadline]] = []
+        self._heap: list[tuple[float, int, Deadline]] = []
         self._crowd = FEW  # with how many places it is looked which are of use
         self._later: list[Deadline] = []  # whose moment has come in this turn,
         self._next: list[Deadline] = []  # in the one before it,
@@ -231,8 +231,7 @@ class Deadlines(OfTurn):
 
     def add(self, deadline: Deadline, when: float) -> None:
         """Look at a deadline at a moment, unless it is looked at before."""
-        when = min(when, FAR)
-        place = round(when * SECOND)
+        place = on_grid(when)
         if place / SECOND < when:
             place += 1  # called before, who waits for the rest would wait for ever
         if deadline.number and deadline.place <= place:
@@ -261,7 +260,7 @@ class Deadlines(OfTurn):
             moment = deadline.moment()
             if moment == NEVER:
                 continue
-            late = reached - round(moment * SECOND)
+            late = reached - on_grid(moment)
             if late < 0:
                 self.add(deadline, moment)
             elif late > HELD_UP and deadline.is_patient and not deadline.put_off:

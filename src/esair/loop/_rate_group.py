@@ -41,6 +41,11 @@ FAR = 9e9
 """What is due later than that many seconds is due then: timers end there."""
 
 
+def on_grid(when: float) -> float:
+    """Return a moment in nanoseconds: whole ones, as far as timers count."""
+    return round(when * SECOND) if when < FAR else when * SECOND
+
+
 class Order(enum.IntEnum):
     """In which order the things of one instant are called."""
 

@@ -31,7 +31,7 @@ from esair.loop._door import Door
 from esair.loop._futures import ignore, raisable, settle
 from esair.loop._of_loop import OfLoop, OfTurn
 from esair.loop._ownership import current_owner
-from esair.loop._rate_group import EARLY, NEVER, NOW, SECOND
+from esair.loop._rate_group import EARLY, FAR, NEVER, NOW, SECOND
 from esair.loop._scheduler import Scheduler
 from esair.loop._suspend import SuspendWatch, computer_slept
 from esair.loop._tape import Player, TapeWriter
@@ -428,7 +428,7 @@ class Alarm:
     def set(self, due: float) -> None:
         """End the wait at a moment, in ns, and at no other."""
         if due != self._due:
-            self._settime(self._fd, 0 if due == NEVER else max(1, int(due)))
+            self._settime(self._fd, 0 if due == NEVER else max(1, int(min(due, FAR * SECOND))))
             self._due = due
 
     def heard(self, events: list[Any]) -> None:
