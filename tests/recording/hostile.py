@@ -298,8 +298,10 @@ def by_hand(make: Maker) -> Iterator[tuple[str, bytes]]:
         "inf": float("inf"),
         "past": -1e300,
         "far": 1e11,
+        "aeon": 8.9e9,
     }.items():
         yield f"moment {name}", make.run(moment(when), moment(101.0))
+    yield "moment late", make.run(moment(3.9e9))
     for name, payload in {
         "cut": b"\x01t\xff\xff\xff\x7f", "nothing": b"", "items": b"\x01l\x40\x42\x0f\x00" + b"N" * 1_000_000,
         "sets": b"\x01l\x20\xa1\x07\x00" + b"u\0\0\0\0" * 500_000,

@@ -19,7 +19,7 @@ from esair.codec import CodecError, Kinds, declared, decode, encode
 from esair.exceptions import RecordingBrokenError
 from esair.loop import SPOILED, First, Tag, TapeWriter
 from esair.messages import Reading, Stamped, StampedReading
-from esair.recording._reading import LATEST, MESSAGE
+from esair.recording._reading import MESSAGE
 
 TOPIC = "/esair/journal"  # The topic of the turns
 AT_ONCE = 64  # How many items are encoded at once: it holds up the loop meanwhile
@@ -32,6 +32,9 @@ HELD = 128 << 20
 
 ROOM: Final = 1 << 16
 """How many bytes of a message are left for all but one value."""
+
+LONGEST: Final = 4e9
+"""For how long a computer has been on at most, in seconds: timers count twice as far."""
 
 _MOMENT, _CAME, _FIRST, _WAITS, _SPOILED = b"MAFWX"
 _moment = struct.Struct("<Bd")
@@ -201,7 +204,7 @@ class Kept:
                 not what `Turns` has written.
         """
         found = False
-        now = -LATEST
+        now = 0.0
         for expected, data in enumerate(self._chunks):
             try:
                 (number,) = _number.unpack_from(data)
@@ -209,7 +212,7 @@ class Kept:
                     for item in _items_of(data):
                         found = True
                         if type(item) is float:
-                            if not now <= item < LATEST:  # no clock goes back
+                            if not now <= item < LONGEST:  # no clock goes back
                                 raise ValueError
                             now = item
                         elif type(item) is str:
