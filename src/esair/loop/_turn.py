@@ -428,7 +428,8 @@ class Alarm:
     def set(self, due: float) -> None:
         """End the wait at a moment, in ns, and at no other."""
         if due != self._due:
-            self._settime(self._fd, 0 if due == NEVER else max(1, int(min(due, FAR * SECOND))))
+            when = 0 if due == NEVER else max(1, int(min(due, FAR * SECOND)))
+            self._settime(self._fd, when)
             self._due = due
 
     def heard(self, events: list[Any]) -> None:
