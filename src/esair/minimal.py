@@ -247,7 +247,7 @@ class _Task:
             port.output.sure = None
             port.time = -1
             if hasattr(port, "latch"):
-                port.output.news = True
+                port.output.due = True
 
     def ask(self, said: "Any", now: int) -> None:
         """Ask for what a reaction has said for each of its ports, as one port does."""
@@ -276,7 +276,7 @@ class _Port:
         if hasattr(need, "latch"):
             self.latch, beside = need.latch, output.guards
         else:
-            self.hold = _ms(need.hold) if need.hold else output.timeout
+            self.hold = _ms(need.hold) if need.hold else output.hold
             if (need.blind or "safe") == "safe":
                 self.bar = need.priority
             beside = output.ports
@@ -294,7 +294,7 @@ class _Port:
             self.command = self.output.checked(said)
             self.said, self.time = said, now
 
-    def passes(self, command: "Any") -> "Any":
+    def checked(self, command: "Any") -> "Any":
         """Return what a guard lets pass of a command: None, or never more than it."""
         task, output = self.task, self.output
         reaction, now, passed = task.reaction, output.loop.now_ms, None
@@ -328,18 +328,18 @@ class _Output:
     name: str
     writer: "Any"  # the port whose command stands; None if it is safe
     last: "Any"  # that command
-    since = 0  # when it was sent
+    time = 0  # when it was sent
     holder: "Any" = None  # the port that keeps lower priorities away
     sure: "Any"  # the writer, if nothing can be in its way
     bad: bool  # it has not taken its safe command
-    news = False  # a guard sees something new
+    due = False  # a guard sees something new
 
     def __init__(self, loop: "Any", part: "Any") -> None:
-        self.loop, self.send = loop, part.write
+        self.loop, self.write = loop, part.write
         loop.insert(loop.outputs, self, part)
         loop.parts.append(self)
         self.safe, self.type = part.safe, type(part.safe)
-        self.timeout = _ms(part.command_timeout)
+        self.hold = _ms(part.command_timeout)
         self.clamp, limits = part.clamp, part.limits or {}
         self.limits = limits if isinstance(limits, dict) else {"": limits}
         self.ports: "Any" = []
@@ -369,13 +369,12 @@ class _Output:
                 command = kind(low if each < low else high)
         return command
 
-    def settle(self, now: int, late: int = 0) -> None:
+    def step(self, now: int, late: int = 0) -> None:
         """Do the will of the best who asks, as it is by now, or was so much before."""
+        self.close()
         if self.bad:
-            self.tell()
-            if self.bad:
-                return
-        loop, holder, age = self.loop, self.holder, now - late - self.since
+            return
+        loop, holder, age = self.loop, self.holder, now - late - self.time
         self.sure = best = None
         bar = _ENDS[not loop.armed]
         over = not holder or age >= holder.hold
@@ -391,38 +390,47 @@ class _Output:
                 or (port is holder and not over and port.priority == best.priority)
             ):
                 best = port
-        lost = not holder or age > holder.hold or holder.priority <= bar
-        if lost and bar > _ENDS[0] and self.writer:
+        if (
+            bar > _ENDS[0]
+            and self.writer
+            and self.last != self.safe
+            and (not holder or age > holder.hold or holder.priority <= bar)
+        ):
             holder = self.writer = None
+        still = best and best.priority <= bar and best.command == self.safe
+        if still:
+            bar = _ENDS[0]  # what is safe passes who is blind, and holds nothing
         if over:
             holder = None
         elif holder and best is not holder:
             bar = max(bar, holder.priority)
         self.holder = holder
-        if best and best.priority > bar:
-            self.holder, self.since, age = best, now, 0
+        if not best or best.priority <= bar:
+            loop.refused += best is not None
+            best = still = None
+        elif not still:
+            self.holder, self.time, age = best, now, 0
             if not self.guards:
                 self.sure = best
-        else:
-            loop.refused += best is not None
-            best = None
-        if age >= self.timeout:
+        if age >= self.hold:
             self.writer = None  # before a guard looks at what it stopped
-        if best or self.news:
+        if still:
+            self.tell(self.writer and self.safe, self.writer)
+        elif best or self.due:
             self.look(best)
         if self.last is not None and not self.writer:
             self.tell()
 
     def look(self, port: "Any") -> None:
         """Send what the guards let pass: of a new command, or less of what stands."""
-        self.news = False
+        self.due = False
         writer = port or self.writer
         if not writer:
             return
         command = writer.command
         for guard in self.guards:
             if command is not None:
-                command = guard.passes(command)
+                command = guard.checked(command)
         if command is None:
             self.loop.refused += port is not None
             self.writer = None
@@ -440,7 +448,7 @@ class _Output:
         if self.bad:
             self.sure, command = None, self.safe
         try:
-            self.send(command)
+            self.write(command)
             self.bad = False
         except Exception as error:
             self.loop.note(self.name, error)
@@ -554,7 +562,7 @@ class Loop:
                 node = dark.pop(0)  # reactions, then guards
                 node.go_dark()
                 for port in node.ports.values():
-                    port.output.settle(now, 1)
+                    port.output.step(now, 1)
             for node in inputs:
                 if node.due:
                     try:
@@ -613,14 +621,14 @@ class Loop:
                         else:
                             self.refused += 1
                 if best is node.sure:
-                    node.since = now
+                    node.time, node.last = now, best.command
                     try:
-                        node.send(best.command)
+                        node.write(best.command)
                     except Exception as error:
                         self.note(node.name, error)
                         node.open()
                 else:
-                    node.settle(now)
+                    node.step(now)
             self.steps += 1
             if odd:
                 self.skip(1)

@@ -291,6 +291,43 @@ def test_any_world_is_the_same_in_std_and_min(rng) -> None:
     assert in_std(world) == in_min(world)
 
 
+def reflex(priority: int, *decisions: Any) -> dict[str, Any]:
+    """Describe a reaction to the one sensor that decides so on the one actuator."""
+    return {
+        "inputs": [[0, None]],
+        "outputs": [[0, priority, None]],
+        "every": 1,
+        "dies": None,
+        "decisions": list(decisions),
+    }
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("MIN-2", "MIN-3", "PRO-2")
+@pytest.mark.parametrize(
+    ("above", "below", "steps"),
+    [
+        ([1], [False], [-1, 0, 1, 2, 3]),  # 1 is no command: who says it is blind
+        ([None, 1, 1, 1], [False, None, None, None], [-1, 0, 3]),  # it times out
+        ([None, 1, 1, 1], [True, None, None, None], [-1, 0, 1]),
+    ],
+    ids=["it passes a blind hold", "none takes it back", "a motion is taken back"],
+)
+def test_what_equals_safe_is_safe_in_std_and_min(above, below, steps) -> None:
+    """A blind hold lets it pass, and does not send safe again for what stands."""
+    world = {
+        "sensors": [1],
+        "actuators": [{"kind": "switch", "timeout": 2, "limits": None, "clamp": False}],
+        "reactions": [reflex(7, *above), reflex(6, *below)],
+        "journal": [[0], [1], [2], [3]],
+    }
+
+    told = in_min(world)
+
+    assert [line for line, _ in json.loads(told)["m0"]] == steps
+    assert in_std(world) == told
+
+
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-2", "AC-2", "REA-1")
 @hypothesis.given(st.randoms(use_true_random=False))

@@ -250,6 +250,8 @@ class Wiring:
             f"static const {kind.c} safe_{name} = {safe};",
             f"static bool send_{name}(const void *command) "
             f"{{ return write_{name}(*(const {kind.c} *)command); }}",
+            f"static bool still_{name}(const void *command) "
+            f"{{ return {equal(kind, f'*(const {kind.c} *)command', f'safe_{name}')}; }}",
             "",
             f"static inline {kind.c} fit_{name}({kind.c} command)",
             "{",
@@ -479,16 +481,18 @@ class Wiring:
 
     def _output_row(self, name: str, ports: list[Any], guards: list[Any]) -> str:
         output = self._loop.outputs[name]
-        lessen = f"lessen_{name}, &safe_{name}, &pass_{name}, &last_{name}"
+        lessen = (
+            f"still_{name}, lessen_{name}, &safe_{name}, &pass_{name}, &last_{name}"
+        )
         if not output.guards:
-            lessen = f"NULL, &safe_{name}, NULL, NULL"
+            lessen = f"still_{name}, NULL, &safe_{name}, NULL, NULL"
         first = [
             len([p for p in each if self._before(p, name)]) for each in (ports, guards)
         ]
         return (
             f"{{send_{name}, {lessen}, es_ports + {first[0]}, es_guards + {first[1]}, "
-            f"{output.timeout}, 0, NULL, NULL, NULL, sizeof safe_{name}, {len(output.ports)}, "
-            f"{len(output.guards)}, ROBOT_ACTUATOR_{name.upper()}, false, false, false}}"
+            f"{output.hold}, 0, NULL, NULL, NULL, sizeof safe_{name}, {len(output.ports)}, "
+            f"{len(output.guards)}, ROBOT_ACTUATOR_{name.upper()}, false, false, false, false}}"
         )
 
     def _before(self, port: Any, name: str) -> bool:

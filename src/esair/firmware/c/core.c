@@ -49,6 +49,7 @@ typedef struct { /* what passes judgement on each command of an actuator */
 
 typedef struct es_output { /* an actuator, and whose will it does */
     bool (*send)(const void *command);
+    bool (*still)(const void *command); /* it equals safe */
     bool (*lessen)(void); /* passing is no more than last; tell whether it is last */
     const void *safe;
     void *passing, *last;
@@ -58,7 +59,7 @@ typedef struct es_output { /* an actuator, and whose will it does */
     es_port *writer, *holder, *steady;
     uint16_t size;
     uint8_t n_ports, n_guards, part;
-    bool stands, bad, news;
+    bool stands, rests, bad, news; /* rests: what stands equals safe */
 } es_output;
 
 #define ES_OLD UINT32_C(0x40000000) /* ages end here: older than any time that can be set */
@@ -186,6 +187,7 @@ static void es_tell(es_output *o, const void *command, es_port *writer)
     o->writer = writer;
     o->stands = writer != NULL;
     o->bad = writer == NULL;
+    o->rests = o->bad || o->still(command);
     if (o->bad) o->steady = NULL;
     else if (o->n_guards) memcpy(o->last, command, o->size);
     if (o->send(o->bad ? o->safe : command)) {
@@ -254,21 +256,26 @@ static void es_settle(es_output *o, uint32_t late)
                    || (port == holder && !over && port->priority == best->priority)))
             best = port;
     }
-    bool lost = holder == NULL || age > holder->hold || holder->priority <= bar;
-    if (lost && bar > ES_NEVER && o->writer != NULL) holder = o->writer = NULL;
+    if (bar > ES_NEVER && o->writer != NULL && !o->rests
+        && (holder == NULL || age > holder->hold || holder->priority <= bar))
+        holder = o->writer = NULL;
+    bool still = best != NULL && best->priority <= bar && o->still(best->command);
+    if (still) bar = ES_NEVER; /* what is safe passes who is blind, and holds nothing */
     if (over) holder = NULL;
     else if (holder != NULL && best != holder && holder->priority > bar) bar = holder->priority;
     o->holder = holder;
-    if (best != NULL && best->priority > bar) {
+    if (best == NULL || best->priority <= bar) {
+        robot.refused += best != NULL;
+        best = NULL;
+        still = false;
+    } else if (!still) {
         o->holder = best;
         o->age = age = 0;
         if (!o->n_guards) o->steady = best;
-    } else {
-        robot.refused += best != NULL;
-        best = NULL;
     }
     if (age >= o->timeout) o->writer = NULL; /* before a guard looks at what it stopped */
-    if (best != NULL || o->news) es_review(o, best);
+    if (still) es_tell(o, best->command, o->writer);
+    else if (best != NULL || o->news) es_review(o, best);
     if (o->stands && o->writer == NULL) es_tell(o, NULL, NULL);
 }
 
@@ -419,6 +426,7 @@ void robot_step(void)
             continue;
         }
         o->age = 0;
+        o->rests = o->still(best->command);
         if (!o->send(best->command)) {
             es_note(o->part);
             o->holder = NULL;
