@@ -235,7 +235,7 @@ class _Task:
         place = len(loop.tasks) if timed is self else 0  # guards last
         loop.tasks.insert(place, (self, timed, terms, react, port, self.values))
 
-    def go_dark(self) -> None:
+    def dark(self) -> None:
         """Be blind: whatever it moves, or bars, is safe until it sees again."""
         if not self.blind:
             self.blind = True
@@ -560,7 +560,7 @@ class Loop:
                 node.phase %= every
             while dark:  # as it was since the last step, before anybody sees again
                 node = dark.pop(0)  # reactions, then guards
-                node.go_dark()
+                node.dark()
                 for port in node.ports.values():
                     port.output.step(now, 1)
             for node in inputs:
@@ -587,7 +587,7 @@ class Loop:
                     elif now - source.time > age - gap:
                         dark.append(node)
                         if now - source.time > age:
-                            node.go_dark()
+                            node.dark()
                             break
                     values[key] = value
                 else:
@@ -608,7 +608,7 @@ class Loop:
                                 port.ask(command, now)
                         except Exception as error:
                             self.note(node.name, error)
-                            node.go_dark()
+                            node.dark()
                             dark.append(node)
                     elif node.blind:
                         dark.append(node)
