@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,7 +72,7 @@ def facts_of(path: str | Path) -> dict[str, dict[str, str]]:
     return facts
 
 
-def events_of(path: str | Path) -> Iterator[Recorded]:
+def events_of(path: str | Path) -> Generator[Recorded, None, None]:
     """Yield the events of a recording, as far as it is readable, in their order.
 
     Those of its later segments too. One is read at a time: a recording may be of any
@@ -87,7 +87,7 @@ def events_of(path: str | Path) -> Iterator[Recorded]:
             yield event
 
 
-def chunks_of(path: Path) -> Iterator[bytes]:
+def chunks_of(path: Path) -> Generator[bytes, None, None]:
     """Yield the turns of a recorded run, as `Turns` has made bytes of them.
 
     Raises:
@@ -96,7 +96,7 @@ def chunks_of(path: Path) -> Iterator[bytes]:
     return _messages_of(path, TURNS, MESSAGE)
 
 
-def _messages_of(path: Path, encoding: str, most: int) -> Iterator[bytes]:
+def _messages_of(path: Path, encoding: str, most: int) -> Generator[bytes, None, None]:
     """Yield the messages of one encoding, a file at a time."""
     for segment in segments_of(path):
         wanted: set[int] = set()

@@ -7,7 +7,7 @@ import contextlib
 import json
 import math
 import time
-from collections.abc import Callable, Coroutine, Iterable, Iterator
+from collections.abc import Callable, Coroutine, Generator, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -150,15 +150,17 @@ class Replay:
         kept: Kept | None = None
         player: Player | None = None
         span: Span
+        chunks: Generator[bytes, None, None] | _Events
         if loop is None:
             kinds = kinds_of(lambda: components_of(robot))
-            kept = Kept(self.path, chunks_of(self.path), kinds)
+            chunks = chunks_of(self.path)
+            kept = Kept(self.path, chunks, kinds)
             span = player = Player(kept, read=kept.read)
             if player.error is not None:
                 raise player.error
             loop = TurnLoop(player=player)
         else:
-            span = _Events(self.path)
+            span = chunks = _Events(self.path)
         found: list[Divergence] = []
         refused: list[BaseException] = []
         task: asyncio.Task[None]
@@ -176,8 +178,9 @@ class Replay:
                 return False
             return kept is None or not _spoiled(kept, player)
 
+        events = events_of(self.path)
         comparison = Comparison(
-            events_of(self.path),
+            events,
             span,
             whole=whole,
             turn_of=lambda moment: self._turn_of(moment, has_tape=player is not None),
@@ -207,7 +210,11 @@ class Replay:
             comparison.end()
 
         began = time.monotonic()
-        run_and_end(main(), lambda: loop)
+        try:
+            run_and_end(main(), lambda: loop)
+        finally:
+            for each in (events, chunks):  # else they are open until a collection
+                each.close()
         for error in refused:
             raise error
         if player is not None and player.error is not None and not found:
@@ -250,6 +257,10 @@ class _Events:
         self.began = self.moment = next(self._moments, 0.0)
         self.turns = 1
 
+    def close(self) -> None:
+        """Read no further."""
+        self._moments.close()
+
     def reaches(self, moment: float) -> bool:
         """Tell whether something has happened at a moment or later."""
         while self.moment < moment:
@@ -261,7 +272,7 @@ class _Events:
         return True
 
 
-def _moments_of_events(path: Path) -> Iterator[float]:
+def _moments_of_events(path: Path) -> Generator[float, None, None]:
     """Yield when something has happened, each moment once."""
     last: float | None = None
     for event in events_of(path):
