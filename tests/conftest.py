@@ -34,6 +34,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "xdist_group(name): kept on one worker")
     config.addinivalue_line("markers", "long: too long for every run (--esair-long)")
     config.addinivalue_line("markers", "longer: does more with --esair-long")
+    config.addinivalue_line("markers", "soak: too long for that too (--esair-soak)")
     patience.measures = config.getoption("--esair-long")
     has_compiled = not sys.dont_write_bytecode
     sys.dont_write_bytecode = False  # of this process; its children read their own
@@ -79,6 +80,10 @@ def pytest_collection_modifyitems(
     Most of what needs real time waits: for a process to start, for a time-out. It runs
     on one worker, one test after the other, and those of other files meanwhile.
     """
+    if not config.getoption("--esair-soak"):
+        for item in items:
+            if item.get_closest_marker("soak") is not None:
+                item.add_marker(pytest.mark.skip(reason="hours: --esair-soak"))
     if config.getoption("--esair-long"):
         config.hook.pytest_deselected(items=[i for i in items if not _is_longer(i)])
         items[:] = [item for item in items if _is_longer(item)]

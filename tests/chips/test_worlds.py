@@ -100,7 +100,7 @@ def test_nothing_undefined(tmp_path) -> None:
     assert differing(range(300, 303), 8, tmp_path, "-O1", *robots.SANITIZED) == {}
 
 
-@pytest.mark.long
+@pytest.mark.soak
 @pytest.mark.parametrize("part", range(8))
 def test_ten_thousand_worlds(tmp_path, part) -> None:
     first = 10_000 + 50 * part
@@ -190,7 +190,14 @@ def test_natural_wiring(tmp_path, request) -> None:
 
 
 @pytest.mark.skipif(avr.why_not() is not None, reason=str(avr.why_not()))
-@pytest.mark.parametrize("count", [2, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "count",
+    [
+        2,
+        pytest.param(20, marks=pytest.mark.long),
+        pytest.param(300, marks=pytest.mark.soak),
+    ],
+)
 def test_on_an_atmega328p(tmp_path, count) -> None:
     """The same worlds on the simulated chip, but for what single floats round."""
     rng = random.Random(7)

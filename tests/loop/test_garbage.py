@@ -97,7 +97,8 @@ class Litter(esair.Behavior):
             most = max(most, resident())
             {pause}
         print(json.dumps(dict(start=start, most=most, longest=longest, made=made,
-              thresholds=gc.get_threshold(), **robot.journal.counts()["collector"])), flush=True)
+              freed=sum(each["collected"] for each in gc.get_stats()),
+              **robot.journal.counts()["collector"])), flush=True)
         os._exit(0)
 
 robot = esair.Robot(behaviors=[Beat(), Litter()])
@@ -146,13 +147,13 @@ def test_the_pile_does_not_grow(request: Any, how: str, alive: int) -> None:
     assert seen["made"] >= 167_000 * seconds
     assert seen["most"] < 3 * seen["start"], seen
     assert seen["longest"] < 0.05, seen
-    assert seen["collected"] > seen["made"] / 2 or seen["thresholds"][2] > 0
+    assert seen["freed"] > seen["made"] / 2, seen  # young ones the interpreter itself
 
 
 @pytest.mark.promise("ROB-7")
 def test_what_comes_too_fast_is_collected_in_the_midst_and_counted() -> None:
     """Of code that never lets go of the loop, with the pause in which it is bounded."""
-    seen = litter("held up", 400_000, 1.0, 5_000)
+    seen = litter("held up", 400_000, 1.0, 50_000)  # none of them dies young
     assert seen["forced"] > 0
     assert seen["most"] < 3 * seen["start"], seen
     assert 0 < seen["longest_forced_us"] < 50_000

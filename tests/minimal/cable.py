@@ -21,6 +21,8 @@ import tty
 from pathlib import Path
 from typing import Any, Self
 
+import pytest
+
 from esair.boards import stand_in
 
 MACHINE = (
@@ -63,6 +65,17 @@ WAYS: dict[str, dict[str, Any]] = {
     "damages": {"damage": 0.00005, "seed": 7},
 }
 """How a cable may be."""
+
+
+def each_way(*, not_yet: tuple[str, ...] = ()) -> list[Any]:
+    """Return the ways as parameters of a test: the plain one for each run.
+
+    Those in which something does not work yet are for ``--esair-soak`` alone.
+    """
+    marks = dict.fromkeys(WAYS, pytest.mark.long)
+    marks |= dict.fromkeys(not_yet, pytest.mark.soak)
+    del marks["plain"]
+    return ["plain", *(pytest.param(each, marks=mark) for each, mark in marks.items())]
 
 
 class Cable:

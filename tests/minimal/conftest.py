@@ -12,7 +12,7 @@ import pytest
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
-from tests.minimal.cable import WAYS, Cable  # noqa: E402
+from tests.minimal.cable import WAYS, Cable, each_way  # noqa: E402
 from tests.minimal.hw.board import Board, why_not  # noqa: E402
 from tests.minimal.linked import Plugged, built  # noqa: E402
 
@@ -84,14 +84,7 @@ def small_board(board: Path) -> Iterator[Board]:
         yield started
 
 
-EACH_WAY = [
-    each if each == "plain" else pytest.param(each, marks=pytest.mark.long)
-    for each in WAYS
-]
-"""The ways of a cable; tests of what is on it run in each of them."""
-
-
-@pytest.fixture(params=EACH_WAY)
+@pytest.fixture(params=each_way())
 def way(request: pytest.FixtureRequest) -> str:
     """How the cable is."""
     return str(request.param)

@@ -9,6 +9,7 @@ import tty
 from collections.abc import Iterator
 
 import pytest
+from tests.minimal.cable import each_way
 from tests.minimal.linked import built
 from tests.minimal.test_link import last, until
 
@@ -44,6 +45,7 @@ driver = "roaming:Explore"
 """
 
 
+@pytest.mark.parametrize("way", each_way(not_yet=("slow", "damages")), indirect=True)
 async def test_a_table_makes_the_board_a_part_of_the_robot(plugged, tmp_path) -> None:
     """Its sensors and actuators by their names; unplugged, and back."""
     board = plugged
@@ -159,6 +161,7 @@ def test_a_folder_is_put_on_a_board_and_again(machine, tmp_path, capsys) -> None
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("way", each_way(not_yet=("goes away",)), indirect=True)
 def test_a_program_that_moves_is_made_safe_before_the_next_one(
     machine, tmp_path
 ) -> None:

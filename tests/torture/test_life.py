@@ -122,7 +122,7 @@ def sound_robots() -> dict[str, Target]:
     return robots
 
 
-@pytest.mark.long
+@pytest.mark.soak
 @pytest.mark.promise("TOR-1")
 def test_no_sound_robot_is_blamed() -> None:
     """The examples, the robots of the docs and tests, the demo: fifty of them."""
