@@ -111,7 +111,7 @@ def test_keys_drive_while_they_are_held(tractor: subprocess.Popen[bytes]) -> Non
 
     assert {str(e.value) for e in told("operator")} == {"{'speed': 0.5, 'turn': 0.0}"}
     assert "operator > tracks" in said("log", "run.mcap", "-k", "operator")
-    assert said("replay", "run.mcap").startswith("equal")
+    assert said("replay", "run.mcap", "--with", "tractor.toml").startswith("equal")
 
 
 def test_what_is_not_allowed_is_refused(tractor: subprocess.Popen[bytes]) -> None:

@@ -47,11 +47,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.promise("REP-2")
 def test_the_first_wrong_decision_is_found(folder: Path) -> None:
     """Equal with the mistake; without it the first difference is the missed echo."""
-    code, said = esair(folder, "replay", "run.mcap")
+    code, said = esair(folder, "replay", "run.mcap", "--with", "corridor.toml")
     assert (code, said[:7]) == (0, "equal: ")
 
     shutil.copy(CODE / "corridor_fixed.py", folder / "corridor.py")
-    code, said = esair(folder, "replay", "run.mcap")
+    code, said = esair(folder, "replay", "run.mcap", "--with", "corridor.toml")
     assert code == 3
     lines = [line.strip() for line in said.splitlines()]
     assert lines[0] == "changed since it was recorded: corridor.Keep"
