@@ -222,8 +222,9 @@ def test_a_board_whose_rates_do_not_fit_is_told_by_check(
     built(tmp_path)
     text = (tmp_path / "base.toml").read_text()
     (tmp_path / "base.toml").write_text(text.replace("rate = 50", "rate = 25"))
-    (tmp_path / "roaming.py").write_text(EXPLORE)
-    (tmp_path / "robot.toml").write_text(HOST.format(port="/dev/ttyACM0"))
+    (tmp_path / "strolling.py").write_text(EXPLORE)  # one of each name a process
+    host = HOST.format(port="/dev/ttyACM0").replace("roaming", "strolling")
+    (tmp_path / "robot.toml").write_text(host)
     with pytest.raises(SystemExit):
         main(["check", str(tmp_path / "robot.toml")])
 
