@@ -109,20 +109,32 @@ class Wheel:
         best = asking[0] if asking else None
         if self.holder in asking and not over and self.holder.priority == best.priority:
             best = self.holder
-        # 3. What stands is stopped by a bar, unless a hold above it still runs.
+        # 3. A motion that stands is stopped by a bar, unless a hold above it still runs.
         gone = self.holder is None or age > self.holder.hold
-        if bar > NEVER and (gone or self.holder.priority <= bar):
+        moves = self.writer is not None and self.last != self.actuator.safe
+        if bar > NEVER and moves and (gone or self.holder.priority <= bar):
             self.holder = self.writer = None
+        # What is safe passes every bar, and holds nothing.
+        still = best is not None and best.priority <= bar
+        still = still and best.command == self.actuator.safe
+        if still:
+            bar = NEVER
         # 4. A hold that runs keeps lower and equal priorities away.
         if over:
             self.holder = None
         elif self.holder is not None and best is not self.holder:
             bar = max(bar, self.holder.priority)
         # 5. The best gets it; or what stands goes on, until its time is out.
-        if best is not None and best.priority > bar:
+        passes = best is not None and best.priority > bar
+        if passes and not still:
             self.holder, self.since = best, now
             self.send(best.command, best)
-        elif (self.writer is None or age >= self.timeout) and self.last is not None:
+            return
+        if age >= self.timeout:
+            self.writer = None
+        if passes:
+            self.send(best.command if self.writer else None, self.writer)
+        if self.writer is None and self.last is not None:
             self.send(None, None)
 
 

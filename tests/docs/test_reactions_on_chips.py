@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,7 @@ def whole(tmp_path_factory) -> Path:
 @pytest.fixture
 def folder(whole, monkeypatch) -> Path:
     monkeypatch.chdir(whole)
+    monkeypatch.delitem(sys.modules, "reflex", raising=False)  # of another page
     return Path(whole)
 
 
