@@ -50,6 +50,7 @@ import json, sys
 from websockets.sync.client import connect
 host = sys.argv[1]
 with connect(f"ws://{host}/operate", origin=f"http://{host}") as link:
+    link.send(sys.argv[2])  # the token
     link.send(json.dumps({"v": 1, "id": "w", "act": "watch", "every": 0.25}))
     print("looks", flush=True)
     while True:
@@ -168,7 +169,10 @@ async def _shares() -> list[Row]:
         async with robot:
             assert robot._seat.seat is not None
             host = f"127.0.0.1:{robot._seat.seat.port}"
-            async with _program(BROWSER, host) as browser:
+            served = robot._seat.seat._page
+            assert served is not None
+            token = served.token
+            async with _program(BROWSER, host, token) as browser:
                 assert browser.stdout is not None
                 await browser.stdout.readline()
                 page.append(await cpu_share(SECONDS) - bare)
