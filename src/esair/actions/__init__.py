@@ -8,8 +8,6 @@ from esair.actions._blocking_ports import (
     blocking,
 )
 from esair.actions._derived import Derivation, Derived
-from esair.actions._from_minimal import MinimalReaction, adapt_action
-from esair.actions._guard_runner import GuardRunner
 from esair.actions._host import Host
 from esair.actions._needs import (
     Blind,
@@ -22,8 +20,8 @@ from esair.actions._needs import (
     reads,
     writes,
 )
-from esair.actions._reaction import Reaction
-from esair.actions._reaction_runner import ReactionRunner
+from esair.actions._reaction import MinimalReaction, Reaction, adapt_action
+from esair.actions._reaction_runner import GuardRunner, Hooks, ReactionRunner
 from esair.actions._request import Request, taken
 from esair.actions._takes import (
     BlockingRequestPort,
@@ -50,6 +48,7 @@ __all__ = [
     "Derived",
     "GuardRunner",
     "Guards",
+    "Hooks",
     "Host",
     "MinimalReaction",
     "Need",

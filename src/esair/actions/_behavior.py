@@ -7,10 +7,9 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, overload
 
 from esair import minimal
-from esair.actions._from_minimal import adapt_action
 from esair.actions._host import Host, Mail
 from esair.actions._needs import ProfiledAction, Unbound, not_bound
-from esair.actions._reaction import Reaction
+from esair.actions._reaction import Reaction, adapt_action
 from esair.actions._request import Request
 from esair.actions._supervisor import Behaviors, BlockingBehaviors
 from esair.actions._takes import Takes, declared_requests

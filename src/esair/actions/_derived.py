@@ -9,12 +9,11 @@ import attrs
 
 from esair.actions._needs import Reads, attributes_of
 from esair.actions._reaction import Reaction
-from esair.actions._reaction_ports import FOR_EVER, Input
-from esair.actions._reaction_runner import ReactionRunner
-from esair.actions._step_clock import StepClock
+from esair.actions._reaction_runner import Hooks, ReactionRunner
+from esair.actions._senses import Input
 from esair.connections import DerivedChannel, Source
 from esair.exceptions import DeviceLostError, EsairError
-from esair.loop import Owner, Scheduler, ignore
+from esair.loop import NEVER, Owner
 from esair.messages import ResourceState, Stamped
 from esair.resources import Sensor
 
@@ -153,7 +152,7 @@ class _Tap(Input):
 class Derivation(ReactionRunner):
     """Computes one derived sensor until it is stopped."""
 
-    __slots__ = ("_began", "_channel", "_derived", "on_change")
+    __slots__ = ("_channel", "_derived", "on_change")
 
     input_type = _Tap
 
@@ -166,30 +165,19 @@ class Derivation(ReactionRunner):
         began: float = 0.0,
         owner: Owner | None = None,
     ) -> None:
-        super().__init__(
-            _Computing(derived),
-            on_state=ignore,
-            on_crash=ignore,
-            began=began,
-            owner=owner,
-        )
+        super().__init__(_Computing(derived), Hooks(), began=began, owner=owner)
         self._derived = derived
         self._channel = channel
-        self._began = began
         self.on_change = on_change
 
     def follow(self, sources: Mapping[str, Source]) -> None:
         """Begin to follow the sources; nothing is computed before `begin`."""
         self._channel.computed_of(tuple(sources.values()))
         self._channel.catch_up = self._catch_up
-        scheduler = Scheduler.of(self._loop)
-        self.job = scheduler.derived(
+        self.job = self.scheduler.derived(
             self._turn, name=self._derived.name, depth=self._channel.depth
         )
-        self.start(
-            {name: each[:3] for name, each in sources.items()},
-            {},
-        )
+        self.start({name: each[:3] for name, each in sources.items()}, {})
 
     def stop(self) -> None:
         super().stop()
@@ -197,33 +185,33 @@ class Derivation(ReactionRunner):
         self._channel.catch_up = None
 
     def begin(self) -> None:
-        for each in self._inputs:
+        for each in self.senses.inputs:
             ready = each.channel.state is ResourceState.READY
             if not each.optional and not (ready and each.registration.usable):
                 assert isinstance(each, _Tap)
                 raise each.absence()
-        self._clock = StepClock(self._began, self._derived)
+        self.clock.begin_anew(self._derived)
         self._derived.open()
-        if not self.missing:
+        if not self.senses.missing:
             self.job.soon()
 
     def _catch_up(self) -> None:
         if self.job.queued:
             self.job.queued = False
-            self.job.function(self._time())
+            self.job.function(self.time())
 
     def _step(self, now: float) -> None:
         """Compute a value of the readings that there are now."""
-        channel = self._channel
-        if not self._sees(now) or channel.state is not ResourceState.READY:
+        channel, senses = self._channel, self.senses
+        if not senses.see(now) or channel.state is not ResourceState.READY:
             return
-        self.steps += 1
+        senses.steps += 1
         channel.is_current = False
-        self._clock.step(now)
+        self.clock.step(now)
         stepping = self._stepping
         stepping.stepper = self
         try:
-            value = self.reaction.react(**self.readings())
+            value = self.reaction.react(**senses.by_name())
         except BaseException as error:  # contained: one component's failure
             channel.fail(error)
             return
@@ -231,8 +219,8 @@ class Derivation(ReactionRunner):
             stepping.stepper = None
         if value is None:
             return
-        needed = [each for each in self._inputs if not each.optional]
-        known = [each.channel.newest for each in needed or self._inputs]
+        needed = [each for each in senses.inputs if not each.optional]
+        known = [each.channel.newest for each in needed or senses.inputs]
         oldest = min((each.time for each in known if each is not None), default=now)
-        stale_at = min((each.stale_at for each in needed), default=FOR_EVER)
+        stale_at = min((each.stale_at for each in needed), default=NEVER)
         channel.publish_until(value, oldest, stale_at)

@@ -1,15 +1,77 @@
-"""Reactions: the reactive actions of a robot."""
+"""Reactions: the reactive actions of a robot, and what they know of time."""
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, TypeVar, cast, overload
 
-from esair.actions._needs import Blind, Guards, ProfiledAction, Reads, Writes
-from esair.actions._step_clock import StepClock, Told
+from esair import minimal
+from esair.actions._needs import Blind, Guards, Need, ProfiledAction, Reads, Writes
+from esair.loop import REACHED
 from esair.messages import Restart
+from esair.values import snake_case
 
-EVERY_LIMIT = 256
-"""How many readings of ports with ``every=True`` wait for a step; the oldest go."""
+T = TypeVar("T")
+
+_OF_STD = ("rate", "restart", "budget", "overrun_limit")
+"""What a class of MIN may say about itself; all but the rate is for STD alone."""
+
+
+class StepClock:
+    """Knows the moments of a reaction's steps, and computes them when it asks."""
+
+    __slots__ = ("_began", "before", "now", "reaction")
+
+    def __init__(self, began: float, reaction: Any = None) -> None:
+        self._began = began
+        self.now: float | None = None
+        """When the step began, in seconds of the loop's clock; None before the first,"""
+        self.before: float | None = None  # and the one before it
+        self.reaction = reaction
+
+    def step(self, now: float) -> None:
+        self.before = self.now
+        self.now = now
+        if self.reaction is not None:
+            self.tell()
+
+    def begin_anew(self, reaction: Any) -> None:
+        """Know of no step; tell this one from now on."""
+        self.now = self.before = None
+        self.reaction = reaction
+
+    def tell(self) -> None:
+        """Tell the reaction, which cannot ask."""
+        self.reaction.now_ms = self.now_ms
+        self.reaction.elapsed_ms = self.elapsed_ms
+
+    @property
+    def now_ms(self) -> int:
+        """The moment of this step, in whole milliseconds since the robot started."""
+        return 0 if self.now is None else self._since_start(self.now)
+
+    @property
+    def elapsed_ms(self) -> int:
+        """Milliseconds since its previous step; 0 at the first."""
+        return (
+            0 if self.before is None else self.now_ms - self._since_start(self.before)
+        )
+
+    def _since_start(self, moment: float) -> int:
+        return int((moment - self._began + REACHED) * 1000.0)
+
+
+class Told:
+    """An attribute of a reaction that its clock answers.
+
+    Outside of a robot, in a test of ``react`` say, it is 0 or what it was set to.
+    """
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, reaction: Any, owner: type | None = None) -> int:
+        clock = None if reaction is None else vars(reaction).get("_step_clock")
+        return 0 if clock is None else getattr(clock, self._name)
 
 
 class Reaction(ProfiledAction):
@@ -104,3 +166,54 @@ class Reaction(ProfiledAction):
             if isinstance(need, Guards):
                 return key, need
         return None
+
+
+class MinimalReaction(Reaction):
+    """Runs a reaction that was written for `esair.minimal`, as it is.
+
+    Attributes:
+        reaction: What decides.
+    """
+
+    def __init__(self, reaction: minimal.Reaction) -> None:
+        reaction.name = reaction.name or snake_case(type(reaction).__name__)
+        reads: dict[str, Reads[Any]] = {}
+        writes: dict[str, Writes[Any]] = {}
+        guarded: dict[str, Need] = {}
+        for key, need in minimal.declared(reaction):
+            of = Any if need.type is None else need.type
+            about = of, need.name
+            if hasattr(need, "max_age"):
+                reads[key] = Reads(
+                    *(*about, need.max_age, need.configure),
+                    every=need.every,
+                    optional=need.optional,
+                )
+            elif hasattr(need, "latch"):
+                guarded[key] = Guards(*about, need.priority, need.latch, key)
+            else:
+                writes[key] = Writes(
+                    *(*about, need.priority, need.hold, need.configure),
+                    blind=need.blind,
+                )
+        super().__init__(name=reaction.name, reads=reads, writes=writes)
+        self.reaction = reaction
+        if guarded:
+            self._profile = {**self._profile, **guarded}
+        for name in _OF_STD:
+            if hasattr(reaction, name):
+                setattr(self, name, getattr(reaction, name))
+        if type(reaction).react is not minimal.Reaction.react:
+            # In the instance: its parameters are looked at, and nothing lies between.
+            self.react = reaction.react  # type: ignore[method-assign]
+        if type(reaction).blind is not minimal.Reaction.blind:
+            self.blind = reaction.blind  # type: ignore[method-assign]
+
+
+@overload
+def adapt_action(action: minimal.Reaction) -> MinimalReaction: ...
+@overload
+def adapt_action(action: T) -> T: ...
+def adapt_action(action: Any) -> Any:
+    """Return what runs in STD: a reaction of MIN in its adapter, all else as it is."""
+    return MinimalReaction(action) if isinstance(action, minimal.Reaction) else action

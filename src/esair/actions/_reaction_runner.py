@@ -1,37 +1,68 @@
-"""How a reaction runs: fed by sensors, stepped by the scheduler, writing actuators."""
+"""How a reaction runs: fed by sensors, stepped by the scheduler, writing actuators.
+
+A step is three things in a row: what it sees (`Senses`), ``react``, and what it decides
+(`Outputs`). While it cannot see, or its own command is bad, it is parked.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import collections
+import inspect
+import logging
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
-from esair.actions._by_name import by_name, ordered
-from esair.actions._from_minimal import MinimalReaction
-from esair.actions._reaction import EVERY_LIMIT, Reaction
-from esair.actions._reaction_ports import FOR_EVER, Input, Output
-from esair.actions._sampling import Sampling, polled_for
-from esair.actions._step_clock import StepClock
-from esair.actions._step_time import step_time
-from esair.connections import ActuatorChannel, Decision, Registration, SensorChannel
-from esair.exceptions import BadValueError, EsairError, StaleReadingError
+import attrs
+
+from esair.actions._outputs import Outputs
+from esair.actions._reaction import MinimalReaction, Reaction, StepClock
+from esair.actions._senses import Input, Sampling, Senses
+from esair.connections import (
+    BLIND,
+    ActuatorChannel,
+    Decision,
+    Protection,
+    Registration,
+    SensorChannel,
+    Sight,
+)
+from esair.exceptions import BadValueError, BehaviorFailedError, EsairError
 from esair.loop import (
     Job,
-    OneShot,
-    Order,
     Owner,
     Scheduler,
     Step,
     Stepping,
+    ask_outside,
+    clock_beside,
     clock_of,
     ignore,
 )
 
-_EARLY = 1e-6  # timers may fire a hair early
+_COLLECTS = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
-_QUICK = 100.0
-"""From this rate on, in Hz, the next step finds soon enough that a reading is too old."""
+_log = logging.getLogger("esair")
+
+
+@attrs.frozen(kw_only=True)
+class Hooks:
+    """What is told of a reaction that runs.
+
+    Attributes:
+        state: Told with True that it runs, with False that it is parked, and why.
+        crash: Told what the reaction raised; it has been stopped.
+        sight: Told that it has decided for the first time since it was blind, before
+            what it has decided leaves.
+        end: Told that ``until`` came true.
+        until: Ends the reaction; asked after each step.
+    """
+
+    state: Callable[[bool, str], None] = ignore
+    crash: Callable[[BaseException], None] = ignore
+    sight: Callable[[], None] = ignore
+    end: Callable[[], None] = ignore
+    until: Callable[..., bool] | None = None
 
 
 class ReactionRunner:
@@ -39,214 +70,123 @@ class ReactionRunner:
 
     Args:
         reaction: What to run.
-        on_state: Called with True when it runs and False when it is parked, and
-            the reason.
-        on_crash: Called with what the reaction raised; it has been stopped.
-        until: Ends the reaction; asked after each step.
-        on_end: Called when ``until`` came true.
-        on_sight: Called when it has decided for the first time since it was blind,
-            before what it has decided leaves.
+        hooks: What is told of it.
         began: When the robot has started, in seconds of the loop's clock.
         owner: Whose random numbers it draws.
     """
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
-        "_clock",
-        "_inputs",
-        "_is_alone",
+        "_hooks",
         "_late",
-        "_loop",
-        "_names",
-        "_on_crash",
-        "_on_end",
-        "_on_sight",
-        "_on_state",
-        "_outputs",
-        "_polled",
         "_react",
         "_sampling",
-        "_scheduler",
-        "_single",
-        "_step_time",
         "_stepping",
-        "_time",
         "_until",
-        "_watch",
-        "_watch_at",
-        "_watches",
         "blind",
-        "conflated",
-        "every",
+        "clock",
         "flaw",
         "job",
-        "missing",
-        "on_reading",
-        "overflow",
+        "outputs",
         "owner",
         "parked",
         "reaction",
-        "refused",
-        "rejected",
-        "settling",
-        "skipped",
-        "stale_at",
-        "steps",
+        "scheduler",
+        "senses",
+        "step_time",
         "stopped",
-        "values",
+        "time",
     )
 
     input_type: ClassVar[type[Input]] = Input  # what each of its sensors feeds
 
     grace: ClassVar[float] = 1e-5
-    """Seconds that a reading may be older than its limit: timers are a hair early."""
+    """Seconds that a reading may be older than its limit: timers are early."""
 
     def __init__(
         self,
         reaction: Reaction,
+        hooks: Hooks,
         *,
-        on_state: Callable[[bool, str], None],
-        on_crash: Callable[[BaseException], None],
-        until: Callable[..., bool] | None = None,
-        on_end: Callable[[], None] | None = None,
-        on_sight: Callable[[], None] = ignore,
         began: float = 0.0,
         owner: Owner | None = None,
     ) -> None:
         self.reaction = reaction
         self.owner = owner
+        self._hooks = hooks
         told = reaction.reaction if isinstance(reaction, MinimalReaction) else None
-        self._clock = StepClock(began, told)
-        reaction.take_clock(self._clock)
-        self.every: collections.deque[tuple[int, Any]] | None = None
-        """The readings that wait for a step each, of ports with ``every=True``."""
-        if any(need.every for need in reaction.inputs.values()):
-            self.every = collections.deque()
-        self.overflow = 0  # how many of those were dropped because too many waited
-        self.skipped = 0  # how many readings were replaced by a newer one before a step
+        self.clock = StepClock(began, told)
+        reaction.take_clock(self.clock)
+        loop = asyncio.get_running_loop()
+        self.time = clock_of(loop)
+        self.step_time = step_time(reaction, loop)
+        self.scheduler = Scheduler.of(loop)
+        self._stepping = Stepping.of(loop)
+        names, self._react = _ordered(reaction)
+        self.senses = Senses(self, names, self.grace)
+        self.outputs = Outputs(self)
+        self.job: Job = self.scheduler.on_demand(self._turn, name=reaction.name)
+        self._sampling: Sampling | None = None
+        """How its steps wait for their samples, if it has a rate."""
+        self._late = 0
+        self._until = None if hooks.until is None else _by_name(hooks.until, reaction)
+        self.parked = True
         self.blind = True  # whether it has not decided since it could not
         self.flaw: BadValueError | None = None
         """Why it is parked, if that is what it has decided itself."""
-        self._on_sight = on_sight
-        self.on_reading = reaction.rate is None
-        self._watches = reaction.rate is None or reaction.rate < _QUICK
-        self._names, self._react = ordered(reaction)
-        self.values: list[Any] = [None] * len(self._names)
-        """The newest readings, in the order of the names."""
-        self.missing = 0  # how many sensors have no reading that may be used
-        self.steps = 0
-        self.refused = 0
-        self.rejected = 0
-        """How many commands were no good, or met a device that is not there."""
-        self.conflated = 0
-        """How many commands were replaced by a newer one before they could leave."""
-        self.stale_at = FOR_EVER
-        self.parked = True
-        self._loop = asyncio.get_running_loop()
-        self._time = clock_of(self._loop)
-        self._step_time = step_time(reaction, self._loop)
-        self._scheduler = Scheduler.of(self._loop)
-        self._stepping = Stepping.of(self._loop)
-        self.job: Job = self._scheduler.on_demand(self._turn, name=reaction.name)
-        self._sampling: Sampling | None = None
-        """How its steps wait for their samples, if it has a rate."""
-        self._polled: tuple[SensorChannel, ...] | None = None
-        self._late = 0
-        self._inputs: list[Input] = []
-        self._outputs: dict[str, Output] = {}
-        self._single: Output | None = None
-        self._on_state = on_state
-        self._on_crash = on_crash
-        self._until = by_name(until, reaction) if until is not None else None
-        self._on_end = on_end
-        self._watch: OneShot | None = None
-        self._watch_at = FOR_EVER
         self.stopped = False
-        self.settling: set[asyncio.Task[Any]] = set()
-        """The tasks of writes whose drivers wait."""
 
     def counts(self) -> dict[str, int]:
+        senses, outputs, timed = self.senses, self.outputs, self.step_time
         return {
-            "steps": self.steps,
-            "late": self.late,
-            "refused": self.refused,
-            "rejected": self.rejected,
-            "conflated": self.conflated,
-            "skipped": self.skipped,
-            "overflow": self.overflow,
-            "overruns": self.overruns,
+            "steps": senses.steps,
+            "late": self._late + self.job.skipped,
+            "refused": outputs.refused,
+            "rejected": outputs.rejected,
+            "conflated": outputs.conflated,
+            "skipped": senses.skipped,
+            "overflow": senses.overflow,
+            "overruns": 0 if timed is None else timed.overruns,
         }
-
-    @property
-    def overruns(self) -> int:
-        """How many steps have taken longer than their budget."""
-        return 0 if self._step_time is None else self._step_time.overruns
-
-    @property
-    def late(self) -> int:
-        """How many steps were left out because they came too late."""
-        return self._late + self.job.skipped
 
     def start(
         self,
         inputs: Mapping[str, tuple[SensorChannel, Registration, float | None]],
         outputs: Mapping[str, tuple[ActuatorChannel, Registration]],
     ) -> None:
-        needs, place = self.reaction.inputs, self._names.index
-        self._inputs = [
-            self.input_type(
-                *(self, name, place(name), *terms),
-                optional=needs[name].optional,
-                every=needs[name].every,
-            )
-            for name, terms in inputs.items()
-        ]
-        self._is_alone = len(needs) == 1
-        self._outputs = {
-            name: Output(self, name, *terms) for name, terms in outputs.items()
-        }
-        if len(self._outputs) == 1:
-            (self._single,) = self._outputs.values()
-        self.missing = sum(not each.optional for each in self._inputs)
+        senses = self.senses
+        senses.begin(inputs)
+        self.outputs.begin(outputs)
         self.resample()
-        for each in self._inputs:
-            each.channel.follow(each)
-            newest = each.channel.newest
-            if newest is not None and self._time() - newest.time <= each.limit:
-                each.feed(newest)
-        if self.missing == 0 and self.parked:
-            self._unpark()
-            if self.on_reading:  # with optional ones alone none may ever come
+        senses.follow(self.time())
+        if senses.missing == 0 and self.parked:
+            self.unpark()
+            if senses.on_reading:  # with optional ones alone none may ever come
                 self.job.soon()
         elif self.parked:
-            waits = ", ".join(
-                each.name for each in self._inputs if not (each.ready or each.optional)
-            )
-            self._on_state(False, f"no reading of {waits} yet")
+            waits = ", ".join(each.name for each in senses.lacking())
+            self._hooks.state(False, f"no reading of {waits} yet")
 
     @property
     def moved(self) -> list[tuple[Decision, float]]:
         """The decisions in which it takes part, each with its priority there."""
-        outputs = self._outputs.values()
-        return [(each.decision, each.registration.priority) for each in outputs]
+        return self.outputs.moved
 
     def resample(self) -> None:
         """Go by the sensors that are asked now: a source may be another one."""
-        polled = polled_for(self._inputs)
-        if polled == self._polled or self.stopped:
+        if self.stopped or not self.senses.resample():
             return
-        self._polled = polled
+        polled = self.senses.polled or ()
         self._join(polled)
         if self.reaction.rate is not None:
             self._take_rate(self.reaction.rate, polled)
 
     def _join(self, polled: tuple[SensorChannel, ...]) -> None:
-        for output in self._outputs.values():
-            output.join(polled)
+        self.outputs.join(polled)
 
     def _take_rate(self, rate: float, polled: tuple[SensorChannel, ...]) -> None:
         """Step on the grid, at the moments at which the sensors are asked."""
-        name, scheduler = self.reaction.name, self._scheduler
+        name, scheduler = self.reaction.name, self.scheduler
         self._late += self.job.skipped
         self.job.stop()
         if self._sampling is not None:
@@ -260,8 +200,9 @@ class ReactionRunner:
         self.job.waits = self._sampling.waits
 
     def _near(self) -> tuple[object, ...]:
-        near = [self, self._clock, self._react, self.reaction, self.values]
-        for each in self._outputs.values():
+        senses = self.senses
+        near = [self, self.clock, self._react, self.reaction, senses, senses.values]
+        for each in self.outputs.all.values():
             near += (each, each.registration, each.channel, each.decision)
         return tuple(near)
 
@@ -271,229 +212,312 @@ class ReactionRunner:
         self.job.stop()
         if self._sampling is not None:
             self._sampling.stop()
-        if self._watch is not None:
-            self._scheduler.cancel(self._watch)
-            self._watch = None
-        for each in self._inputs:
-            each.channel.unfollow(each)
-        for output in self._outputs.values():
-            output.leave()
-        for task in tuple(self.settling):
-            task.cancel()
+        self.senses.stop()
+        self.outputs.stop()
 
     # Parking.
 
     def absence(self) -> EsairError | None:
         """Make the error for what blinds it: a reading that it needs, or its command."""
-        for each in self._inputs:
-            if not (each.ready or each.optional):
-                channel = each.channel
-                if channel.error is not None:
-                    return channel.error.with_traceback(None)
-                newest = channel.newest
-                age = None if newest is None else self._time() - newest.time
-                return StaleReadingError(channel.name, age, each.limit)
-        return self.flaw
+        return self.senses.absence(self.time()) or self.flaw
 
-    def arrived(self) -> None:
-        self.missing -= 1
-        if self.missing == 0:
-            self._unpark()
-
-    def refresh(self, fed: Input) -> None:
-        """Compute anew when the first reading becomes stale."""
-        if self._is_alone:
-            self.stale_at = fed.stale_at
-        else:
-            self.stale_at = min(each.stale_at for each in self._inputs)
-        if self.stale_at < self._watch_at and self._watches:
-            self._watch_for_age()
-
-    def park(self, reason: str, *, missing: int = 0) -> None:
+    def park(self, reason: str) -> None:
         """Be blind and give the actuators back, until the sensors are back."""
-        self.missing += missing
         if self.stopped or (self.parked and self.flaw is None):
             return
         self.flaw = None
         self.parked = self.blind = True
-        if self.every:
-            self.every.clear()
-        for output in self._outputs.values():
-            output.forget()
-            output.active = False
-            output.channel.drop(output.registration)
-        self._on_state(False, reason)
+        if self.senses.waiting:
+            self.senses.waiting.clear()
+        self.outputs.drop()
+        self._hooks.state(False, reason)
 
     def flawed(self, error: BadValueError) -> None:
         """Be blind until its next good decision: nothing of this one is sent."""
-        for output in self._outputs.values():
-            output.forget()
+        self.outputs.forget()
         if self.flaw is None:
             self.park(f"its command is bad: {error}")
         self.flaw = error
 
-    def _unpark(self) -> None:
+    def unpark(self) -> None:
         self.flaw = None
         self.parked = False
-        self._on_state(True, "")
-
-    def _look(self, now: float) -> None:
-        """Park a reaction that nothing steps before a reading is too old."""
-        self._watch, self._watch_at = None, FOR_EVER
-        if self.stale_at == FOR_EVER:
-            return  # it is parked; the next reading begins anew
-        if now + _EARLY < self.stale_at:
-            self._watch_for_age()
-        else:
-            self._stale(max(now, self.stale_at))
-
-    def _watch_for_age(self) -> None:
-        """Look when the first reading becomes stale: earlier than was thought, maybe."""
-        if self._watch is not None:
-            self._scheduler.cancel(self._watch)
-        self._watch_at = self.stale_at
-        self._watch = self._scheduler.at(self.stale_at, self._look, order=Order.STALE)
-
-    def _stale(self, now: float) -> None:
-        for each in self._inputs:
-            if each.ready and now >= each.stale_at:
-                each.lose(f"{each.name} is older than {each.limit:g} s")
-        self.forget()
-
-    def forget(self) -> None:
-        """Compute anew when the first reading becomes stale, after one is gone."""
-        self.stale_at = min((each.stale_at for each in self._inputs), default=FOR_EVER)
-        if self.stale_at < self._watch_at and self._watches and not self.stopped:
-            self._watch_for_age()
+        self._hooks.state(True, "")
 
     # Steps.
 
     @property
     def _turn(self) -> Step:
         """What the scheduler calls: chosen once, so that no step has to ask."""
-        if self._step_time is not None:
+        if self.step_time is not None:
             return self._timed_step
-        return self._step if self.every is None else self._step_on_each
+        return self._step if self.senses.waiting is None else self._step_on_each
 
     def _timed_step(self, now: float) -> None:
-        assert self._step_time is not None
-        begin = self._step_time.begin()
-        if self.every is None:
+        assert self.step_time is not None
+        begin = self.step_time.begin()
+        if self.senses.waiting is None:
             self._step(now)
         else:
             self._step_on_each(now)
-        failed = self._step_time.end(begin)
+        failed = self.step_time.end(begin)
         if failed is not None and not self.stopped:
-            self._crash(failed)
+            self.crash(failed)
 
     def _step_on_each(self, now: float) -> None:
-        assert self.every is not None
-        while self._sees(now) and not self.stopped:
-            if self.every:
-                place, value = self.every.popleft()
-                self.values[place] = value
+        senses = self.senses
+        while senses.see(now) and not self.stopped:
+            if senses.waiting:
+                place, value = senses.waiting.popleft()
+                senses.values[place] = value
             self._step(now)
-            if not self.every:
+            if not senses.waiting:
                 break
 
-    def _sees(self, now: float) -> bool:
-        """Tell whether it can decide; one with a reading that is too old is parked."""
-        if self.missing:
-            return False
-        if now >= self.stale_at:
-            self._stale(now)
-            return False
-        return True
-
     def _step(self, now: float) -> None:
-        if self.missing or now >= self.stale_at:
-            self._sees(now)
+        senses = self.senses
+        if senses.missing or now >= senses.stale_at:
+            senses.see(now)
             return
-        self.steps += 1
-        clock = self._clock  # `StepClock.step` in its place: each step comes here
+        senses.steps += 1
+        clock = self.clock  # hot: `StepClock.step` in its place
         clock.before = clock.now
         clock.now = now
         if clock.reaction is not None:
             clock.tell()
         stepping = self._stepping
         stepping.stepper = self
-        react = self._react  # by itself: see the scheduler
+        react = self._react  # hot: by itself
         try:
-            values = self.values
-            result = react(values[0]) if self._is_alone else react(*values)
+            values = senses.values
+            result = react(values[0]) if senses.is_alone else react(*values)
         except BaseException as error:  # contained: one component's failure
-            self._crash(error)
+            self.crash(error)
             return
         finally:
             stepping.stepper = None
         if self._until is not None and self._is_over():
             return
-        output = self._single
+        output = self.outputs.single
         try:
-            if output is None:
-                self._decide_all(result)
-            elif result is None:
-                if output.active:
-                    output.decide(None)
-            elif type(result) is dict:
-                self._decide_all(result)
-            else:
+            if output is None or type(result) is dict:
+                self.outputs.decide(result)
+            elif result is not None or output.active:
                 output.decide(result)
         except BadValueError:  # told, and blind
             return
         if self.blind and not self.stopped:
             if self.flaw is not None:
-                self._unpark()
+                self.unpark()
             self.blind = False
-            self._on_sight()
-
-    def readings(self) -> dict[str, Any]:
-        return dict(zip(self._names, self.values, strict=True))
-
-    def queue(self, place: int, value: Any) -> None:
-        """Keep a reading for a step of its own."""
-        waiting = self.every
-        if waiting is None:
-            return
-        if len(waiting) >= EVERY_LIMIT:
-            waiting.popleft()
-            self.overflow += 1
-        waiting.append((place, value))
+            self._hooks.sight()
 
     def _is_over(self) -> bool:
         assert self._until is not None
-        assert self._on_end is not None
         try:
-            over = self._until(self.readings())
+            over = self._until(self.senses.by_name())
         except BaseException as error:  # contained: one component's failure
-            self._crash(error)
+            self.crash(error)
             return True
         if over:
             self.stop()
-            self._on_end()
+            self._hooks.end()
         return bool(over)
 
-    def _crash(self, error: BaseException) -> None:
+    def crash(self, error: BaseException) -> None:
         self.stop()
-        self._on_crash(error)
+        self._hooks.crash(error)
 
-    def _decide_all(self, result: Any) -> None:
-        single = self._single
-        if single is not None and single.name not in result:
-            single.decide(result)  # its commands are dictionaries
-            return
-        commands = {} if result is None else result
-        if type(commands) is not dict or not commands.keys() <= self._outputs.keys():
-            expected = ", ".join(self._outputs) or "nothing"
-            told = f"expected a dictionary with commands for {expected}, not {result!r:.80}"
-            self._crash(BadValueError(self.reaction.name, "react", told))
-            return
-        for name, output in self._outputs.items():
-            command = commands.get(name)
-            if command is not None or output.active:
-                output.decide(command)
 
-    def forget_waiting(self) -> None:
-        """Drop the commands that have not left yet: the robot is halted."""
-        for output in self._outputs.values():
-            output.forget()
+class GuardRunner(ReactionRunner):
+    """Runs one guard until it is stopped.
+
+    Its ``react`` is called at the commit point of the actuator, for each command, and
+    from there again when a sensor has a new reading, or at its rate: then the command
+    that was asked for last is put to it.
+    """
+
+    grace = 2e-5  # what moves by the same reading is safe before: that latches nothing
+
+    __slots__ = ("_channel", "_port", "_protection", "_sight")
+
+    def __init__(
+        self,
+        reaction: Reaction,
+        port: str,
+        protection: Protection,
+        hooks: Hooks,
+        **options: Any,
+    ) -> None:
+        super().__init__(reaction, hooks, **options)
+        self._port = port
+        self._protection = protection
+        self._channel: ActuatorChannel | None = None
+        self._sight: Sight | None = None
+
+    def guard(
+        self,
+        channel: ActuatorChannel,
+        inputs: Mapping[str, tuple[SensorChannel, Registration, float | None]],
+    ) -> None:
+        """Begin to follow the sensors, and to judge the commands of an actuator."""
+        self._channel = channel
+        protection = self._protection
+        protection.judge = self._judge
+        protection.fallback = self._fallback
+        protection.on_crash = self._crashed
+        self.start(inputs, {})
+
+    def _join(self, polled: tuple[SensorChannel, ...]) -> None:
+        for decision, priority in self.moved:
+            decision.leave(self._sight)
+            self._sight = Sight(priority, polled)
+            decision.join(self._sight)
+
+    @property
+    def moved(self) -> list[tuple[Decision, float]]:
+        """All guards of the actuator look together."""
+        return [] if self._channel is None else [(self._channel.decision, math.inf)]
+
+    def stop(self) -> None:
+        """Judge no command any more: while its entry is in the table none passes."""
+        super().stop()
+        if self._channel is not None:
+            self._channel.decision.leave(self._sight)
+        if self._protection.judge == self._judge:
+            self._protection.judge = None
+
+    @property
+    def _turn(self) -> Step:
+        return self._step if self.senses.waiting is None else self._step_on_each
+
+    def unpark(self) -> None:
+        super().unpark()
+        self.blind = False
+        self._hooks.sight()
+
+    def _step(self, now: float) -> None:
+        if not self.senses.see(now) or (self._until is not None and self._is_over()):
+            return
+        if self._channel is None:
+            return
+        if self.senses.waiting:  # another reading waits, so this one has its own look
+            self._channel.review()
+        else:
+            self._channel.decision.look()
+
+    def _judge(self, command: Any) -> Any:
+        began, senses = self.time(), self.senses
+        if senses.missing or began >= senses.stale_at:
+            self.job.soon()  # it is parked in a step of its own
+            return BLIND
+        senses.steps += 1
+        timed = self.step_time
+        first = timed.begin() if timed is not None else 0.0
+        self.clock.step(began)
+        stepping = self._stepping
+        stepping.stepper, before = self, stepping.stepper
+        try:
+            passed = self.reaction.react(**senses.by_name(), **{self._port: command})
+        finally:
+            stepping.stepper = before
+        if timed is None:
+            return passed
+        failed = timed.end(first)
+        if failed is not None:
+            raise failed
+        return BLIND if timed.in_row else passed
+
+    def _fallback(self, command: Any) -> Any:
+        return self.reaction.blind(**{self._port: command})
+
+    def _crashed(self, error: BaseException) -> None:
+        if not self.stopped:
+            self.crash(error)
+
+
+class StepTime:
+    """Counts the steps that take longer than their budget."""
+
+    def __init__(
+        self, reaction: Reaction, loop: asyncio.AbstractEventLoop, budget: float
+    ) -> None:
+        self._reaction = reaction
+        self._budget = budget
+        self._clock = clock_beside(loop)
+        self.overruns = 0  # how many have taken longer,
+        self.in_row = 0  # and how many of them the last ones
+
+    def begin(self) -> float:
+        return self._clock()
+
+    def end(self, begin: float) -> BehaviorFailedError | None:
+        """Count a step that took too long; return an error if there were too many."""
+        reaction = self._reaction
+        # When the run was recorded, it is what the step took then.
+        took = ask_outside((reaction.name, "took"), lambda: self._clock() - begin)
+        if took <= self._budget:
+            self.in_row = 0
+            return None
+        self.overruns += 1
+        self.in_row += 1
+        text = f"step took {took:.3g} s, its budget is {self._budget:g} s"
+        if self.overruns == 1 or self.overruns % 1000 == 0:
+            _log.warning("%s: overrun %d: %s", reaction.name, self.overruns, text)
+        limit = reaction.overrun_limit
+        if limit is None or self.in_row <= limit:
+            return None
+        row = f"overrun {self.in_row} in a row: {text}"
+        return BehaviorFailedError(reaction.name, row)
+
+
+def step_time(reaction: Reaction, loop: asyncio.AbstractEventLoop) -> StepTime | None:
+    """Return what counts the steps of a reaction; only who has a budget pays for it."""
+    budget = reaction.budget
+    if budget is None and loop.get_debug():
+        budget = loop.slow_callback_duration
+    return None if budget is None else StepTime(reaction, loop, budget)
+
+
+# What its functions get: the readings, by the names of their parameters.
+
+
+def _by_name(
+    until: Callable[..., bool], reaction: Reaction
+) -> Callable[[Mapping[str, Any]], bool]:
+    """Adapt a condition that names the readings it wants."""
+    if not callable(until):
+        raise BadValueError(
+            reaction.name, "until", f"expected a function, not {until!r:.80}"
+        )
+    parameters = inspect.signature(until).parameters.values()
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return lambda values: until(**values)
+    wanted = [
+        p.name
+        for p in parameters
+        if p.default is p.empty and p.kind is not p.VAR_POSITIONAL
+    ]
+    unknown = [name for name in wanted if name not in reaction.inputs]
+    if unknown:
+        raise BadValueError(
+            reaction.name,
+            "until",
+            f"its parameters must be readings ({', '.join(reaction.inputs)}), "
+            f"not {', '.join(unknown)}",
+        )
+    return lambda values: until(**{name: values[name] for name in wanted})
+
+
+def _ordered(reaction: Reaction) -> tuple[tuple[str, ...], Callable[..., Any]]:
+    """Return the names of the readings, and ``react`` as it takes them in that order.
+
+    By place is three times as quick as by name, where its parameters are known.
+    """
+    inputs, react = tuple(reaction.inputs), reaction.react
+    code = getattr(getattr(react, "__func__", None), "__code__", None)
+    if not (code is None or code.co_kwonlyargcount or code.co_flags & _COLLECTS):
+        parameters = code.co_varnames[1 : code.co_argcount]
+        if sorted(parameters) == sorted(inputs):
+            return parameters, react
+    return inputs, lambda *values: react(**dict(zip(inputs, values, strict=True)))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from esair.actions import (
     ActuatorPort,
     Behavior,
+    Hooks,
     Reaction,
     ReactionRunner,
     SensorPort,
@@ -172,7 +173,7 @@ class Member:
     def forget_waiting(self) -> None:
         """Drop the commands that its reactions keep until a driver is done."""
         for runner in self._runners():
-            runner.forget_waiting()
+            runner.outputs.forget()
 
     def halt(self) -> None:
         """Let its reactions take no further step: the robot stops."""
@@ -187,15 +188,10 @@ class Member:
         self.mail.state = BehaviorState.STARTING
         if isinstance(self.action, Reaction):
             self.sight.blind(UNDECIDED)
-            self.runner = runner_for(
-                self.action,
-                self.sight,
-                on_state=self._runs,
-                on_crash=self._crashed,
-                on_sight=self.sight.sees,
-                began=self.crew.resources.began,
-                owner=self.mail.owner,
-            )
+            sees = self.sight.sees
+            hooks = Hooks(state=self._runs, crash=self._crashed, sight=sees)
+            began, owner = self.crew.resources.began, self.mail.owner
+            self.runner = runner_for(self.action, self.sight, hooks, began, owner)
             self._start_runner(self.runner, self.action)
             return
         if self.task is not None and (misfit := self._misfit()):
@@ -487,7 +483,7 @@ class Member:
         return found | (self.runner.counts() if self.runner is not None else {})
 
     def status(self) -> BehaviorStatus:
-        runner = self.runner
+        counts = {} if self.runner is None else self.runner.counts()
         return BehaviorStatus(
             self.name,
             self.mail.state,
@@ -496,10 +492,10 @@ class Member:
             self.life.restarts.count,
             self.mail.error,
             next(filter(None, (each.detail for each in self.steps.now)), self.detail),
-            runner.steps if runner is not None else 0,
-            runner.late if runner is not None else 0,
+            counts.get("steps", 0),
+            counts.get("late", 0),
             self.mail.senders.count,
-            runner.overruns if runner is not None else 0,
+            counts.get("overruns", 0),
             sum(queue.count for queue in self.mail.queues.values()),
             sum(len(queue.working) for queue in self.mail.queues.values()),
             self.mail.dropped,

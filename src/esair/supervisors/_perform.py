@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from esair.actions import GuardRunner, Reaction, ReactionRunner
+from esair.actions import GuardRunner, Hooks, Reaction, ReactionRunner
 from esair.connections import Registration
 from esair.exceptions import ConfigError
 from esair.loop import Owner, fail, raisable
@@ -53,8 +53,7 @@ class Steps:
         resources = self._crew.resources
         table = resources.actuators.protections
         sight = Sight(table, reaction, reaction.name, step_of=self._name)
-        hooks = {"until": until, "began": resources.began, "owner": owner}
-        step = Step(reaction, sight, blind_timeout, hooks)
+        step = Step(reaction, sight, blind_timeout, until, resources.began, owner)
         self.now = (*self.now, step)
         sight.accept()
         timer = None
@@ -82,18 +81,19 @@ class Step:
         reaction: Reaction,
         sight: Sight,
         blind_timeout: float | None,
-        hooks: Mapping[str, Any],
+        until: Callable[..., bool] | None,
+        began: float,
+        owner: Owner,
     ) -> None:
         self.sight = sight
-        self.runner = runner_for(
-            reaction,
-            sight,
-            on_state=self._state,
-            on_crash=self.crash,
-            on_sight=self._sees,
-            on_end=lambda: self.end(True),
-            **hooks,
+        hooks = Hooks(
+            state=self._state,
+            crash=self.crash,
+            sight=self._sees,
+            end=lambda: self.end(True),
+            until=until,
         )
+        self.runner = runner_for(reaction, sight, hooks, began, owner)
         self._loop = loop = asyncio.get_running_loop()
         self._blind_timeout = blind_timeout
         self._blind_timer: asyncio.TimerHandle | None = None
@@ -148,8 +148,11 @@ class Step:
         fail(self.ended, raisable(error))
 
 
-def runner_for(reaction: Reaction, sight: Sight, **hooks: Any) -> ReactionRunner:
+def runner_for(
+    reaction: Reaction, sight: Sight, hooks: Hooks, began: float, owner: Owner
+) -> ReactionRunner:
     """Make what runs a reaction: one that moves something, or a guard."""
     if reaction.guarded is None:
-        return ReactionRunner(reaction, **hooks)
-    return GuardRunner(reaction, reaction.guarded[0], sight.guard, **hooks)
+        return ReactionRunner(reaction, hooks, began=began, owner=owner)
+    port, guard = reaction.guarded[0], sight.guard
+    return GuardRunner(reaction, port, guard, hooks, began=began, owner=owner)

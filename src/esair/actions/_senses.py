@@ -1,0 +1,397 @@
+"""What a running reaction sees: the newest reading of each sensor, and how old it may be."""
+
+from __future__ import annotations
+
+import collections
+import functools
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from esair.connections import Decision, Registration, SensorChannel
+from esair.exceptions import (
+    DeviceLostError,
+    EsairError,
+    ResourceRemovedError,
+    StaleReadingError,
+)
+from esair.loop import NEVER, REACHED, Job, OneShot, Order, Scheduler, Step
+from esair.messages import Reading
+
+if TYPE_CHECKING:
+    from esair.actions._reaction_runner import ReactionRunner
+
+EVERY_LIMIT = 256
+"""How many readings of ports with ``every=True`` wait for a step; the oldest go."""
+
+_QUICK = 100.0
+"""From this rate on, in Hz, the next step finds soon enough that a reading is too old."""
+
+
+class Input:
+    """One sensor of a running reaction."""
+
+    __slots__ = (
+        "channel",
+        "every",
+        "max_age",
+        "name",
+        "optional",
+        "place",
+        "ready",
+        "registration",
+        "runner",
+        "seen",
+        "senses",
+        "stale_at",
+    )
+
+    def __init__(
+        self,
+        runner: ReactionRunner,
+        name: str,
+        channel: SensorChannel,
+        registration: Registration,
+        max_age: float | None,
+    ) -> None:
+        self.runner = runner
+        self.senses = runner.senses
+        self.name = name
+        self.place = self.senses.names.index(name)
+        """Where its value is among those of the reaction."""
+        self.channel = channel
+        self.registration = registration
+        self.max_age = max_age
+        """The greatest age of a reading; the sensor's own limit if it is None."""
+        need = runner.reaction.inputs[name]
+        self.optional = need.optional
+        self.every = need.every  # whether each single reading has a step
+        self.seen = -1  # how many steps there were when it was fed last
+        self.ready = False
+        self.stale_at = NEVER
+
+    def feed(self, reading: Reading[Any]) -> None:
+        """Take a new reading; the reaction's next step decides on it."""
+        senses = self.senses
+        # By their places: a name in a tuple takes three times as long.  # hot
+        value = senses.values[self.place] = reading[0]
+        limit = self.max_age
+        if limit is None:
+            limit = self.channel.max_age
+        if limit < NEVER:
+            self.stale_at = reading[1] + limit + senses.grace
+            senses.refresh(self)
+        if not self.ready:
+            self.ready = True
+            if not self.optional:
+                senses.arrived()
+        if senses.missing:
+            self.seen = senses.steps
+            return
+        if self.every:
+            senses.queue(self.place, value)
+        elif self.seen == senses.steps:
+            senses.skipped += 1
+        self.seen = senses.steps
+        if senses.on_reading:
+            self.runner.job.soon()
+
+    @property
+    def limit(self) -> float:
+        """The greatest age of a reading that the reaction decides on, in seconds."""
+        return self.channel.max_age if self.max_age is None else self.max_age
+
+    @property
+    def grace(self) -> float:
+        """Who has more of it is told later of what happens in one moment."""
+        return self.senses.grace
+
+    def changed(self, error: EsairError | None) -> None:
+        """Park the reaction when the sensor is gone; feeding it wakes it up."""
+        if error is None:
+            self.runner.resample()
+        else:
+            self.lose(_in_short(self.name, error))
+
+    def limited(self) -> None:
+        """Have the newest reading for as long as is said now, where the sensor says it."""
+        newest = self.channel.newest
+        if self.ready and self.max_age is None and newest is not None:
+            self.stale_at = newest[1] + self.limit + self.senses.grace
+            self.senses.refresh(self)
+
+    def doubt(self, error: EsairError) -> None:
+        """Park it at a bad reading, if nothing else tells how old the last good one is."""
+        if self.limit == NEVER:
+            self.lose(f"{self.name} is bad: {error}")
+
+    def lose(self, reason: str) -> None:
+        """Have no reading any more; without one that it needs the reaction is blind."""
+        if not self.ready:
+            return
+        self.ready = False
+        self.stale_at = NEVER
+        senses = self.senses
+        senses.forget()
+        if self.optional:
+            senses.values[self.place] = None
+            if senses.on_reading:
+                self.runner.job.soon()
+        else:
+            senses.missing += 1
+            self.runner.park(reason)
+
+
+class Senses:
+    """The newest readings of a reaction, and until when it may decide on them.
+
+    Args:
+        runner: What decides.
+        names: The ports that give ``react`` its readings, in the order of its parameters.
+        grace: How many seconds a reading may be older than its limit: timers are early.
+    """
+
+    __slots__ = (
+        "_runner",
+        "_watch",
+        "_watch_at",
+        "_watches",
+        "grace",
+        "inputs",
+        "is_alone",
+        "missing",
+        "names",
+        "on_reading",
+        "overflow",
+        "polled",
+        "skipped",
+        "stale_at",
+        "steps",
+        "values",
+        "waiting",
+    )
+
+    def __init__(
+        self, runner: ReactionRunner, names: tuple[str, ...], grace: float
+    ) -> None:
+        reaction = runner.reaction
+        self._runner = runner
+        self.names = names
+        self.grace = grace
+        self.values: list[Any] = [None] * len(names)
+        """The newest readings, in the order of the names."""
+        self.inputs: list[Input] = []
+        self.polled: tuple[SensorChannel, ...] | None = None
+        """The sensors that are asked for what is decided on, each once."""
+        self.is_alone = len(names) == 1
+        self.on_reading = reaction.rate is None  # each new reading has a step
+        self.missing = 0  # how many sensors have no reading that may be used
+        self.steps = 0  # how often was decided on them
+        self.skipped = 0  # how many readings were replaced by a newer one before a step
+        self.stale_at = NEVER
+        self.waiting: collections.deque[tuple[int, Any]] | None = None
+        """The readings that wait for a step each, of ports with ``every=True``."""
+        if any(need.every for need in reaction.inputs.values()):
+            self.waiting = collections.deque()
+        self.overflow = 0  # how many of those were dropped because too many waited
+        self._watches = reaction.rate is None or reaction.rate < _QUICK
+        self._watch: OneShot | None = None
+        self._watch_at = NEVER
+
+    def begin(
+        self, inputs: Mapping[str, tuple[SensorChannel, Registration, float | None]]
+    ) -> None:
+        """Have these sensors, none of which is heard yet."""
+        kind, runner = self._runner.input_type, self._runner
+        self.inputs = [kind(runner, name, *terms) for name, terms in inputs.items()]
+        self.missing = sum(not each.optional for each in self.inputs)
+
+    def follow(self, now: float) -> None:
+        """Hear them from now on; what was heard lately is a reading, too."""
+        for each in self.inputs:
+            each.channel.follow(each)
+            newest = each.channel.newest
+            if newest is not None and now - newest.time <= each.limit:
+                each.feed(newest)
+
+    def resample(self) -> bool:
+        """Go by the sensors that are asked now; tells whether those are others."""
+        asked = [each for one in self.inputs for each in one.channel.sampled]
+        before, self.polled = self.polled, tuple(dict.fromkeys(asked))
+        return self.polled != before
+
+    def stop(self) -> None:
+        """Hear nothing more."""
+        if self._watch is not None:
+            self._runner.scheduler.cancel(self._watch)
+            self._watch = None
+        for each in self.inputs:
+            each.channel.unfollow(each)
+
+    def by_name(self) -> dict[str, Any]:
+        return dict(zip(self.names, self.values, strict=True))
+
+    def absence(self, now: float) -> EsairError | None:
+        """Make the error for a reading that is needed and not there."""
+        for each in self.lacking():
+            channel = each.channel
+            if channel.error is not None:
+                return channel.error.with_traceback(None)
+            newest = channel.newest
+            age = None if newest is None else now - newest.time
+            return StaleReadingError(channel.name, age, each.limit)
+        return None
+
+    def lacking(self) -> list[Input]:
+        return [each for each in self.inputs if not (each.ready or each.optional)]
+
+    def arrived(self) -> None:
+        self.missing -= 1
+        if self.missing == 0:
+            self._runner.unpark()
+
+    def queue(self, place: int, value: Any) -> None:
+        """Keep a reading for a step of its own."""
+        waiting = self.waiting
+        if waiting is None:
+            return
+        if len(waiting) >= EVERY_LIMIT:
+            waiting.popleft()
+            self.overflow += 1
+        waiting.append((place, value))
+
+    # How old they are.
+
+    def see(self, now: float) -> bool:
+        """Tell whether it can decide; one with a reading that is too old is parked."""
+        if self.missing:
+            return False
+        if now >= self.stale_at:
+            self._stale(now)
+            return False
+        return True
+
+    def refresh(self, fed: Input) -> None:
+        """Compute anew when the first reading becomes stale."""
+        if self.is_alone:
+            self.stale_at = fed.stale_at
+        else:
+            self.stale_at = min(each.stale_at for each in self.inputs)
+        if self.stale_at < self._watch_at and self._watches:
+            self._watch_for_age()
+
+    def forget(self) -> None:
+        """Compute anew when the first reading becomes stale, after one is gone."""
+        self.stale_at = min((each.stale_at for each in self.inputs), default=NEVER)
+        if (
+            self.stale_at < self._watch_at
+            and self._watches
+            and not self._runner.stopped
+        ):
+            self._watch_for_age()
+
+    def _watch_for_age(self) -> None:
+        """Look when the first reading becomes stale: earlier than was thought, maybe."""
+        scheduler = self._runner.scheduler
+        if self._watch is not None:
+            scheduler.cancel(self._watch)
+        self._watch_at = self.stale_at
+        self._watch = scheduler.at(self.stale_at, self._look, order=Order.STALE)
+
+    def _look(self, now: float) -> None:
+        """Park a reaction that nothing steps before a reading is too old."""
+        self._watch, self._watch_at = None, NEVER
+        if self.stale_at == NEVER:
+            return  # it is parked; the next reading begins anew
+        if now + REACHED < self.stale_at:
+            self._watch_for_age()
+        else:
+            self._stale(max(now, self.stale_at))
+
+    def _stale(self, now: float) -> None:
+        for each in self.inputs:
+            if each.ready and now >= each.stale_at:
+                each.lose(f"{each.name} is older than {each.limit:g} s")
+        self.forget()
+
+
+class Sampling:
+    """Has a step wait for the polls of its own instant, half a period at most.
+
+    For its own, and for those of who has as much to say about what it moves: the guards,
+    and whoever writes it with its priority or a higher one. So all decide together, on
+    what there is to see at that moment. A sensor that lately took longer than half a
+    period is not waited for.
+    """
+
+    def __init__(
+        self,
+        scheduler: Scheduler,
+        polled: tuple[SensorChannel, ...],
+        moved: Sequence[tuple[Decision, float]],
+        step: Step,
+        name: str,
+        rate: float,
+    ) -> None:
+        self._scheduler = scheduler
+        self._polled = polled
+        self._moved = moved
+        self._half = 0.5 / rate
+        self._deferred: Job = scheduler.on_demand(step, name=name)
+        self._awaits = 0  # for how many samples it waits,
+        self._sampled_in = 0  # and of which turn they are; 0 if it waits for none
+        self._patience: OneShot | None = None
+
+    def waits(self, now: float) -> bool:
+        """Tell whether the step waits; then it comes when its samples are there."""
+        turn, half = self._scheduler.turns, self._half
+        bearing = list(self._polled)
+        for decision, priority in self._moved:
+            for sight in decision.sights:
+                if sight.priority >= priority:
+                    bearing += sight.sensors
+        awaited = [
+            each
+            for each in dict.fromkeys(bearing)
+            if each.awaited_in == turn and each.latency <= half
+        ]
+        if not awaited:
+            return False
+        self._awaits = len(awaited)
+        self._sampled_in = turn
+        for each in awaited:
+            each.when_answered(functools.partial(self._answered, turn))
+        self._lose_patience()
+        self._patience = self._scheduler.at(
+            now + half, self._wait_no_longer, order=Order.EXPIRY
+        )
+        return True
+
+    def stop(self) -> None:
+        self._deferred.stop()
+        self._lose_patience()
+
+    def _answered(self, turn: int) -> None:
+        """A sample has come; step when all have."""
+        if turn == self._sampled_in:
+            self._awaits -= 1
+            if self._awaits == 0:
+                self._wait_no_longer(0.0)
+
+    def _wait_no_longer(self, _now: float) -> None:
+        self._sampled_in = 0
+        self._lose_patience()
+        self._deferred.soon()
+
+    def _lose_patience(self) -> None:
+        if self._patience is not None:
+            self._scheduler.cancel(self._patience)
+            self._patience = None
+
+
+def _in_short(sensor: str, error: EsairError) -> str:
+    """Say in a few words why there is no reading of a sensor."""
+    if isinstance(error, ResourceRemovedError):
+        return f"{sensor} removed"
+    if isinstance(error, DeviceLostError):
+        return f"{sensor} lost: {error.detail}" if error.detail else f"{sensor} lost"
+    return f"{sensor}: {error}"
