@@ -18,7 +18,7 @@ import pytest
 
 import esair
 from esair.loop import collector
-from esair.loop._stall import describe_holder
+from esair.loop._overseer import describe_holder
 
 pytestmark = pytest.mark.real_clock
 

@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import AsyncIterator, Callable
 
-from esair.loop import _timerfd
+from esair.loop._turn import timerfd
 
 Step = Callable[[float], None]
 
@@ -52,15 +52,15 @@ async def bare_wheel(steps: list[Step], period: float) -> AsyncIterator[None]:
             step(now)
         while due() <= time.monotonic():
             turn += 1
-        _timerfd.settime(timer, round(1e9 * due()))
+        settime(round(1e9 * due()))
 
     def expired() -> None:
         os.read(timer, 8)
         call()
 
-    timer = _timerfd.create()
+    timer, settime = timerfd()
     loop.add_reader(timer, expired)
-    _timerfd.settime(timer, round(1e9 * begin))
+    settime(round(1e9 * begin))
     try:
         yield
     finally:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from esair.loop._bell import Bell
+from esair.loop._door import Bell
 
 pytestmark = pytest.mark.real_clock
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from esair.loop._ending import LoopHeldError, break_out
+from esair.loop._overseer import LoopHeldError, break_out
 
 pytestmark = pytest.mark.virtual_clock
 

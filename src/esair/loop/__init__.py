@@ -8,31 +8,18 @@ from the times of its turns and from what came in, which a tape keeps (`_tape`);
 the same on the loop of `esair.run`, the virtual clock, plain asyncio and uvloop.
 
 The rest is what components run on: the first steps of driver calls (`_light_task`), threads
-for blocking code (`_executor`, `_portal`), who owns a task (`_ownership`), a budget of awaits,
-seeded randomness, garbage collected in gaps, signals, and the end of a loop.
+for blocking code (`_threads`), who owns a task, with a budget of awaits and seeded randomness
+(`_ownership`), garbage collected in gaps, signals, and the end of a loop (`_overseer`).
 """
 
-from esair.loop._arrivals import Arrivals, arrive
-from esair.loop._budget import PUT_COST, SPENDABLE, VERB_COST, WRITE_COST, Budget
 from esair.loop._deadlines import Deadline, Deadlines, DeadMan
-from esair.loop._door import Door
+from esair.loop._door import Arrivals, Door, News, arrive, ask_outside, outside
 from esair.loop._end_of_loop import (
     leave_behind,
     run_and_end,
     threads_that_keep_the_process,
 )
-from esair.loop._ending import Ending
 from esair.loop._every import every
-from esair.loop._executor import CallRefused, Executor
-from esair.loop._futures import (
-    fail,
-    has_come,
-    ignore,
-    look_at,
-    raisable,
-    wake,
-    wake_one,
-)
 from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import (
     ENDED,
@@ -41,27 +28,54 @@ from esair.loop._light_task import (
     LightTask,
     current_task_of,
     current_tasks,
+    fail,
+    has_come,
+    ignore,
+    look_at,
+    raisable,
+    wake,
+    wake_one,
 )
-from esair.loop._now import now, sleep_in_thread, works_for
 from esair.loop._of_loop import clock_beside, clock_of, turn_of
-from esair.loop._outside import News, ask_outside, outside
+from esair.loop._overseer import Ending, StallWatch
 from esair.loop._ownership import (
+    PUT_COST,
+    SPENDABLE,
+    VERB_COST,
+    WRITE_COST,
+    Budget,
+    ComponentRandom,
     OwnedTasks,
     Owner,
+    Stepping,
+    Stream,
     current_owner,
     script_context,
     spawn,
     speaks_for_nobody,
 )
-from esair.loop._portal import Portal, portal
-from esair.loop._random import ComponentRandom, Stepping, Stream
-from esair.loop._rate_group import NEVER, REACHED, SECOND, Job, OneShot, Order, Step
-from esair.loop._scheduler import Scheduler
+from esair.loop._scheduler import (
+    NEVER,
+    REACHED,
+    SECOND,
+    Job,
+    OneShot,
+    Order,
+    Scheduler,
+    Step,
+)
 from esair.loop._signals import LateSignals, ProcessWatch, SignalWatch
-from esair.loop._stall import StallWatch
-from esair.loop._suspend import GLANCE, SuspendWatch
 from esair.loop._tape import SPOILED, First, Player, Tag, TapeWriter
-from esair.loop._turn import TurnLoop, new_event_loop
+from esair.loop._threads import (
+    CallRefused,
+    Executor,
+    Portal,
+    now,
+    portal,
+    sleep_in_thread,
+    works_for,
+)
+from esair.loop._turn import GLANCE, SuspendWatch, TurnLoop, new_event_loop
 
 __all__ = [
     "ENDED",

@@ -21,9 +21,9 @@ import itertools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
-from esair.loop._futures import ignore, wake
+from esair.loop._light_task import ignore, wake
 from esair.loop._of_loop import OfTurn, turn_of
-from esair.loop._rate_group import (
+from esair.loop._scheduler import (
     NEVER,
     NOW,
     REACHED,

@@ -1,28 +1,168 @@
-"""The one door: what comes in from threads takes effect in one order.
+"""The one door: what comes in from outside takes effect in one order.
 
 An entry gets a number and a time when it comes in. Entries take effect in the order of
 their numbers, at the next border of the loop. On a virtual clock what comes from threads
 ripens before: news when nothing is ready, ends of works when no thread is at work either,
 in the order in which the work was given out. So a run repeats, however long threads take.
+
+Threads wake the loop by the `Bell`. What one callback of the loop brings is an `Arrivals`:
+driver calls that wait for it go on in that callback. What a robot asks of the world beside
+its drivers (`outside`, `ask_outside`, `News`) is kept, and answered from the tape.
 """
 
 from __future__ import annotations
 
+import asyncio
 import collections
+import contextlib
+import contextvars
 import itertools
 import logging
+import os
 import threading
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Coroutine
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from esair.loop._arrivals import Arrivals
-from esair.loop._bell import Bell
-from esair.loop._of_loop import OfTurn
-from esair.loop._rate_group import NOW
-from esair.loop._tape import Entry, Player, Tag, TapeWriter
+from esair.loop._light_task import LightTask, settle
+from esair.loop._of_loop import OfLoop, OfTurn
+from esair.loop._ownership import Contained
+from esair.loop._scheduler import NOW, contained
+from esair.loop._tape import WAITS, Entry, First, Player, Tag, TapeWriter
 
 if TYPE_CHECKING:
     from esair.loop._turn import Turn
+
+
+T = TypeVar("T")
+
+
+_Arrived = list[tuple[asyncio.Future[Any], Any, tuple[Any, contextvars.Context]]]
+"""What somebody waits for, the value, and how who waits goes on."""
+
+
+class Arrivals(OfLoop):
+    """All that one callback of the loop brings from outside.
+
+    A call of a driver that waits for some of it goes on in that very callback, and needs no
+    turn of the loop for that; but only when all of it is there, so that nothing that came
+    before it went on is taken for what came after it.
+
+    Example:
+        >>> with Arrivals.of(loop):
+        ...     for message in framing.feed(data):
+        ...         deliver(message)  # calls `arrive`
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._depth = 0
+        self.so_far: _Arrived | None = None
+        """What has arrived; None where a task runs, as no other can go on in it."""
+
+    def __enter__(self) -> None:
+        self._depth += 1
+        if self._depth == 1 and asyncio.current_task(self._loop) is None:
+            self.so_far = []
+
+    def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
+        so_far = self.so_far
+        try:
+            if self._depth == 1 and so_far is not None:
+                self.so_far = made_of_it = _Arrived()
+                self._go_on(so_far)
+                self.so_far = None  # else who is answered at once would never give way
+                self._go_on(made_of_it)
+        finally:
+            self._depth -= 1
+            if not self._depth:
+                self.so_far = None
+
+    def _go_on(self, arrived: _Arrived) -> None:
+        for future, value, (step, context) in arrived:
+            if not future.done():
+                future.remove_done_callback(step)
+                future.set_result(value)
+                contained(self._loop, context.run, step, future)
+
+
+def arrive(future: asyncio.Future[T], value: T) -> None:
+    """Bring what a future waits for; fine if nobody wants it any more."""
+    if future.done():
+        return
+    arrivals = Arrivals.of(future.get_loop())
+    callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
+    if (
+        callbacks
+        and arrivals.so_far is not None
+        and isinstance(getattr(callbacks[0][0], "__self__", None), LightTask)
+    ):
+        arrivals.so_far.append((future, value, callbacks[0]))
+        return
+    future.set_result(value)  # who waits goes on in the next turn
+
+
+class Bell:
+    """Has a loop come to the border of its turns when a thread rings.
+
+    While it is held it is an eventfd, which costs the loop a third of its own way: that
+    reads its socket until an exception says that there is no more.
+    """
+
+    def __init__(self, turn: Turn) -> None:
+        self._turn = turn
+        self._loop = turn.loop
+        self._lock = threading.Lock()
+        self._holders = 0
+        self._fd = -1
+
+    def ring(self) -> None:
+        """Have the loop come, from any thread.
+
+        Raises:
+            RuntimeError: The loop is closed.
+        """
+        with self._lock:  # a number that was closed may be another file's
+            if self._fd >= 0 and not self._loop.is_closed():
+                os.eventfd_write(self._fd, 1)
+                return
+        self._turn.ring()
+
+    def hold(self) -> None:
+        """Be quick for a thread that will ring; called in the loop."""
+        self._holders += 1
+        if self._fd >= 0 or self._turn.virtual:
+            return
+        with contextlib.suppress(OSError, NotImplementedError, AttributeError):
+            fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+            try:
+                self._loop.add_reader(fd, self._heard)
+            except BaseException:
+                os.close(fd)
+                raise
+            self._fd = fd
+
+    def let_go(self) -> None:
+        """It may still ring, but not for long; called in the loop."""
+        self._holders -= 1
+        if self._holders or self._fd < 0:
+            return
+        if not self._loop.is_closed():
+            self._loop.remove_reader(self._fd)
+            self._loop.call_soon(self._turn.come)  # it may have been rung just now
+        self._close()
+
+    def _close(self) -> None:
+        with self._lock:
+            fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)
+
+    __del__ = _close  # with a loop that was closed while it was held
+
+    def _heard(self) -> None:
+        os.eventfd_read(self._fd)
+        self._turn.come()
+
 
 _log = logging.getLogger("esair")
 
@@ -231,3 +371,88 @@ class Door(OfTurn):
 
 def _by_work(entry: Entry) -> tuple[int, Tag, int]:
     return entry.work, entry.tag, entry.number
+
+
+def ask_outside(tag: Tag, look: Callable[[], T]) -> T:
+    """Look at something outside of the robot, now; a replay does not look."""
+    tape = Door.of(asyncio.get_running_loop()).tape
+    if isinstance(tape, Player):
+        _, first = tape.first(tag)
+        if not tape.is_over:
+            value: T = first.value
+            return value
+    value = look()
+    if isinstance(tape, TapeWriter):
+        tape.first(tag, First(waits=False, value=value, error=None))
+    return value
+
+
+async def outside(tag: Tag, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
+    """Await work outside of the robot; in a replay only its outcome comes again.
+
+    The outcome takes effect at the border of a turn.
+    """
+    loop = asyncio.get_running_loop()
+    door = Door.of(loop)
+    tape = door.tape
+    outcome: asyncio.Future[T] = loop.create_future()
+    number = 0
+
+    def over(end: tuple[Any, BaseException | None]) -> None:
+        if isinstance(tape, TapeWriter):
+            tape.arrived(tag, end, number=number)
+        value, error = end
+        is_over = isinstance(tape, Player) and tape.is_over
+        settle(outcome, value, None if is_over else error)
+
+    if isinstance(tape, Player):
+        if tape.is_over:  # the robot stops: nothing outside is left that could fail
+            await asyncio.sleep(0)
+            return None  # type: ignore[return-value]
+        number, _ = tape.first(tag)
+        tape.expect(tag, number, over)
+        return await outcome
+    if isinstance(tape, TapeWriter):
+        number = tape.first(tag, WAITS)
+    # A context of nobody: what it starts is no part of the robot.
+    task = asyncio.Task(
+        Contained(work()), loop=loop, name=" ".join(tag), context=contextvars.Context()
+    )
+    task.add_done_callback(lambda done: door.end(tag, over, _end_of(done)))
+    try:
+        return await outcome
+    except asyncio.CancelledError:
+        task.cancel()
+        raise
+
+
+def _end_of(task: asyncio.Task[Any]) -> tuple[Any, BaseException | None]:
+    if task.cancelled():
+        return None, asyncio.CancelledError()
+    error = task.exception()
+    return (None, error) if error is not None else (task.result(), None)
+
+
+class News:
+    """What is told from outside, in the loop or in a thread: kept, and told again."""
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, tag: Tag, function: Callable[..., object]
+    ) -> None:
+        self._home = threading.get_ident()
+        self._door = Door.of(loop)
+        self._tag = tag
+        self._function = function
+        if self._door.player is not None:
+            self._door.player.listen(tag, lambda told: function(*told))
+
+    def tell(self, *told: Any) -> None:
+        """Tell it, in any thread; it takes effect at the border of a turn."""
+        in_loop = threading.get_ident() == self._home
+        bring = self._door.end if in_loop else self._door.tell
+        bring(self._tag, self._take, told)
+
+    def _take(self, told: tuple[Any, ...]) -> None:
+        if isinstance(self._door.tape, TapeWriter):
+            self._door.tape.arrived(self._tag, told)
+        self._function(*told)

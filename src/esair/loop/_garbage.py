@@ -9,8 +9,7 @@ import sys
 import time
 
 from esair.loop._of_loop import OfLoop, turn_of
-from esair.loop._rate_group import OneShot
-from esair.loop._scheduler import Scheduler
+from esair.loop._scheduler import OneShot, Scheduler
 
 LOOK = 0.25
 """How often the collector looks whether there is something to do, in seconds."""

@@ -1,15 +1,32 @@
-"""The overseer: one thread beside all event loops, for what a stuck loop cannot see."""
+"""The overseer: one thread beside all event loops, for what a stuck loop cannot see.
+
+It says who holds a loop, while it is held (`StallWatch`), and makes sure that something
+ends (`Ending`): the loop is told, freed, and at last left.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import logging
 import math
 import os
 import select
+import selectors
+import signal
+import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable
+from types import FrameType
 from typing import Protocol
+
+import anyio
+
+from esair.abc import Component
+from esair.loop._of_loop import OfLoop
+from esair.loop._ownership import current_owner
 
 JOIN = 1.0  # how long the last one who leaves waits for the thread, in seconds
 
@@ -96,3 +113,271 @@ class Overseer:
 
 
 overseer = Overseer()  # the one of this process
+
+
+_log = logging.getLogger("esair")
+
+
+class StallWatch(OfLoop):
+    """Asks a loop again and again, from a thread, whether it still turns.
+
+    Code that holds it longer than allowed is named in the log with its stack, while
+    it still holds it. One for each loop; the strictest of its robots counts.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._thread = threading.get_ident()
+        self._limits: list[float] = []
+        self._asked: float | None = None
+        self._said = False
+        self.stalls = 0  # how often the loop was held too long
+
+    def start(self, limit: float) -> None:
+        """Watch for turns that take longer than a limit, in seconds."""
+        self._thread = threading.get_ident()
+        self._limits.append(limit)
+        if len(self._limits) == 1:
+            overseer.join(self)
+
+    def stop(self, limit: float) -> None:
+        self._limits.remove(limit)
+        if not self._limits:
+            overseer.leave(self)
+            self._asked = None
+
+    def look(self, now: float) -> float:
+        """Ask the loop, or say that it does not answer; called by the overseer."""
+        limit = min(self._limits, default=math.inf)
+        if self._asked is None:
+            self._asked = now
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self._loop.call_soon_threadsafe(self._answer)
+        elif not self._said and now - self._asked >= limit:
+            self._said = True
+            self.stalls += 1
+            frame = sys._current_frames().get(self._thread)  # noqa: SLF001 - the only way to see it
+            if frame is not None:
+                # In a thread of its own: the loop may be stuck in the log.
+                threading.Thread(
+                    target=_log.log,
+                    args=(*describe_holder(frame), limit),
+                    daemon=True,
+                    name="esair-stall",
+                ).start()
+        return now + limit / 2
+
+    def _answer(self) -> None:
+        self._asked = None
+        self._said = False
+
+
+def describe_holder(frame: FrameType) -> tuple[int, str]:
+    """Name the component whose code a thread executes, the line, and its stack."""
+    if frame.f_code.co_filename == selectors.__file__:
+        return logging.INFO, "the computer is busy: no turn for more than %g s"
+    name, where = "the program", ""
+    each: FrameType | None = frame
+    while each is not None:
+        owner = each.f_locals.get("self")
+        if isinstance(owner, Component):
+            with contextlib.suppress(Exception):  # a user's name may be anything
+                name = str(owner.name)
+                where = f" ({each.f_code.co_filename}:{each.f_lineno})"
+            break
+        each = each.f_back
+    stack = "".join(traceback.format_stack(frame))
+    text = f"{name}{where}:\n{stack}".replace("%", "%%")
+    return logging.WARNING, f"the event loop is held for more than %g s by {text}"
+
+
+PATIENCE = 0.25  # how long a loop may take to hear that it should end, in seconds
+
+KICK = 0.02
+"""How often code that holds a loop which should end is interrupted, in seconds."""
+
+_ALWAYS = 25
+"""From this kick on code is interrupted even inside of what it calls of the loop."""
+
+_INSIDE = ("esair.", "asyncio.", "selectors", "anyio.")
+
+_LOOPS = {"asyncio.base_events", "asyncio.runners", "esair.loop._end_of_loop"}
+
+_LIBRARIES = (
+    "<frozen ",
+    os.path.dirname(os.__file__),
+    os.path.dirname(os.path.dirname(anyio.__file__)),
+)
+"""Where code lies that holds a loop only for who has called it."""
+
+_KICK_SIGNAL = getattr(signal, "SIGURG", None)  # ignored unless somebody wants it
+_TIMER_SIGNAL = getattr(signal, "SIGALRM", None)
+
+
+class LoopHeldError(Exception):
+    """Raised in code that holds the event loop of a robot that has to stop."""
+
+
+class Ending:
+    """Watches that an event loop hears that it should end, and that it does.
+
+    A loop that does not hear is held by some code: that code is interrupted, as
+    Ctrl-C would do it, so that every actuator can still be told its safe command.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        hear: Callable[[], None] | None = None,
+        *,
+        patience: float = math.inf,
+        is_done: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self._loop = loop
+        self._hear = hear
+        self._is_done = is_done  # until then the loop may be held once more
+        self._patience = patience
+        self._thread = threading.get_ident()
+        self._reason = self._asked = math.inf
+        self._limit = math.inf
+        self._code = 1
+        self._told = False
+        self._kicks = 0
+        self._spared_until = -math.inf
+        self.heard = False  # whether the loop has heard of it
+
+    def start(self) -> None:
+        overseer.join(self)
+
+    def stop(self) -> None:
+        overseer.leave(self)
+
+    def because(self, moment: float, code: int = 1) -> None:
+        """Take note of a reason to end; the earliest counts."""
+        if moment < self._reason:
+            self._reason, self._asked, self._code = moment, moment, code
+            self._limit = moment + self._patience
+        overseer.wake()
+
+    def tell(self) -> None:
+        """Tell the loop that there is a reason to end, once; in any thread."""
+        if not self._told:
+            self._told = True
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self._loop.call_soon_threadsafe(self._acknowledge)
+
+    @property
+    def held(self) -> bool:
+        """Whether some code keeps the loop from hearing that it should end."""
+        return self._told and not self.heard
+
+    def is_spared(self, now: float) -> bool:
+        """Tell whether what was interrupted may still be on its way to the end."""
+        return now < self._spared_until
+
+    def interrupted(self, now: float) -> None:
+        """Code was interrupted: what it does to end has its own time to do so."""
+        self._kicks = 0
+        self._spared_until = now + PATIENCE
+
+    @property
+    def forced(self) -> bool:
+        """Whether that code was spared often enough."""
+        return self._kicks >= _ALWAYS
+
+    def look(self, now: float) -> float:
+        """Do what is due; called by the overseer."""
+        if now >= self._limit:
+            leave_at_once(self._code, "it did not end in time")
+        if now < self._reason:
+            return min(self._reason, self._limit)
+        if self.heard and not self._is_done():
+            self._told, self.heard, self._asked = False, False, now
+        self.tell()
+        if self.heard:
+            return self._limit
+        if now - self._asked >= PATIENCE:
+            self._kicks += 1
+            kick(self._thread)
+        return now + KICK
+
+    def _acknowledge(self) -> None:
+        self.heard = True
+        hear, self._hear = self._hear, None
+        if hear is not None:
+            hear()
+
+
+def kick(thread: int) -> None:
+    """Interrupt the main thread, whatever it waits for; see `Kicks`."""
+    if _KICK_SIGNAL is not None and thread == threading.main_thread().ident:
+        signal.pthread_kill(thread, _KICK_SIGNAL)
+
+
+class Kicks:
+    """The signals that interrupt the main thread, where nobody else uses them."""
+
+    def __init__(self, kicked: Callable[[int, FrameType | None], None]) -> None:
+        self._kicked = kicked
+        self._mine: list[int] = []
+
+    def start(self) -> None:
+        for number in (_KICK_SIGNAL, _TIMER_SIGNAL):
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, self._kicked)
+                self._mine.append(number)
+
+    def stop(self) -> None:
+        self.disarm()
+        for number in self._mine:
+            signal.signal(number, signal.SIG_DFL)
+        self._mine.clear()
+
+    def arm(self) -> None:
+        """Have the kernel kick from soon on: no other thread may get to run."""
+        if _TIMER_SIGNAL in self._mine:
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE, KICK)
+
+    def disarm(self) -> None:
+        if _TIMER_SIGNAL in self._mine:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def break_out(frame: FrameType | None, *, forced: bool) -> None:
+    """Raise in the code that holds the loop, unless it is the loop's own."""
+    if asyncio._get_running_loop() is None:  # noqa: SLF001 - public, but for its name
+        return  # nobody holds it: it has ended, or is being ended
+    if not _is_of_a_user(frame, forced=forced):
+        return
+    if current_owner() is not None:
+        raise asyncio.CancelledError("it holds the event loop, and the robot stops")
+    raise LoopHeldError("it holds the event loop, and the robot stops")
+
+
+def _is_of_a_user(frame: FrameType | None, *, forced: bool) -> bool:
+    """Whether it is a user's code, or a library that this has called."""
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__", ""))
+        inside = module.startswith(_INSIDE)
+        if module in _LOOPS or (inside and not forced):
+            return False
+        if not inside and not frame.f_code.co_filename.startswith(_LIBRARIES):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def leave_at_once(code: int, why: str) -> None:
+    """End the process now; say why, if that does not take long."""
+    frame = sys._current_frames().get(threading.main_thread().ident or 0)  # noqa: SLF001 - the only way to see it
+    where = "" if frame is None else "".join(traceback.format_stack(frame)[-3:])
+
+    def say() -> None:
+        os.write(
+            2, f"esair: the process is ended: {why}; it was here:\n{where}".encode()
+        )
+
+    saying = threading.Thread(target=say, daemon=True)  # nobody may read it
+    saying.start()
+    saying.join(0.1)
+    os._exit(code)

@@ -1,18 +1,25 @@
-"""Which component a task belongs to, so that it ends with its component."""
+"""Whose work it is: the owner of a task, so that it ends with its component.
+
+What an owner has of its own stands here too: a budget of awaits that need not wait, and
+random numbers that repeat.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextvars
 import itertools
+import random
 import threading
+import weakref
 from collections.abc import Callable, Coroutine, Generator, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from esair.loop._of_loop import OfLoop
 
 if TYPE_CHECKING:
     from random import Random
+
 
 T = TypeVar("T")
 
@@ -268,3 +275,168 @@ def _adopted(task: asyncio.Task[Any], owner: Owner | None) -> asyncio.Task[Any]:
     if owner is not None and not task.done():
         owner.adopt(task)
     return task
+
+
+SPENDABLE = 48
+"""What a task may spend on awaits that end without a wait: it gives way by twice this."""
+
+WRITE_COST = 3
+"""What a write costs: it takes about three times as long as a read, which costs 1."""
+
+PUT_COST = 2  # what handing data over costs
+
+VERB_COST = 16
+"""What costs that changes more than that: an operation, a step, a command of the user."""
+
+
+class Budget(OfLoop):
+    """Counts awaits that need not wait; a task that makes too many gives way.
+
+    An await that is answered at once never gives the loop back, so a task that loops
+    over such awaits would have it for itself. A counter costs next to nothing, and
+    unlike a clock it repeats.
+
+    Example:
+        >>> budget.left -= 1
+        >>> if budget.left < 0:
+        ...     await budget.give_way()
+    """
+
+    __slots__ = ("_spender", "left")
+
+    def __init__(self, _loop: asyncio.AbstractEventLoop) -> None:
+        self.left = SPENDABLE
+        self._spender: Callable[[], object] = _nobody
+
+    @classmethod
+    async def spend(cls, cost: int = 1) -> None:
+        """Count one await of the running loop, and give way if all is spent."""
+        loop = asyncio.get_running_loop()
+        # What is outside of the robot may not change who of it gives way.
+        budget = _BudgetBeside.of(loop) if is_outside() else cls.of(loop)
+        budget.left -= cost
+        if budget.left < 0:
+            await budget.give_way()
+
+    async def give_way(self) -> None:
+        """Let everybody else go on first, if it is this task that has spent all.
+
+        The counter is shared, which makes it cheap: who finds it spent was perhaps not
+        the one who spent it. If it finds it spent twice in a row, it was.
+        """
+        self.left = SPENDABLE
+        task = asyncio.current_task()
+        if self._spender() is not task:
+            # Not its id: another task may get that, and the run would not repeat.
+            self._spender = _nobody if task is None else weakref.ref(task)
+            return
+        self._spender = _nobody
+        await asyncio.sleep(0)
+
+
+class _BudgetBeside(Budget):
+    """The budget of what is outside of the robot."""
+
+    __slots__ = ()
+
+
+def _nobody() -> object:
+    return Budget  # what no task is
+
+
+_outside = random.Random()  # for code that belongs to no component
+
+
+class Stepper(Protocol):
+    """What steps for somebody."""
+
+    owner: Owner | None
+
+
+class Stepping(OfLoop):
+    """Whose reaction decides now, in one event loop."""
+
+    __slots__ = ("stepper",)
+
+    def __init__(self, _loop: asyncio.AbstractEventLoop | None = None) -> None:
+        self.stepper: Stepper | None = None
+
+    @property
+    def owner(self) -> Owner | None:
+        return None if self.stepper is None else self.stepper.owner
+
+
+class Stream:
+    """The random numbers of one component, made when they are first asked for.
+
+    It knows a seed and no component: what still holds a task's context, such as a
+    timer that was cancelled, must not keep a component alive that was removed.
+    """
+
+    __slots__ = ("_made", "_seed")
+
+    def __init__(self, seed: str) -> None:
+        self._seed = seed
+        self._made: random.Random | None = None
+
+    def __call__(self) -> random.Random:
+        if self._made is None:
+            self._made = random.Random(self._seed)
+        return self._made
+
+
+class ComponentRandom(random.Random):
+    """The random numbers of the component that asks: `esair.random`.
+
+    It has the methods of `random.Random`. Each behavior and reaction draws from its
+    own stream, made from the seed of its robot and its name, so that what one draws
+    changes nothing for another, and the same seed gives the same numbers. Code that
+    belongs to no behavior or reaction, a driver say, draws from a stream without a
+    seed.
+
+    Example:
+        >>> turn = esair.random.uniform(-1.2, 1.2)
+    """
+
+    _is_made = False
+
+    def __init__(self) -> None:
+        super().__init__(0)
+        self._is_made = True
+
+    @property
+    def _own(self) -> random.Random:
+        loop = asyncio._get_running_loop()  # noqa: SLF001 - None in a thread, no error
+        owner = (loop and Stepping.of(loop).owner) or current_owner()
+        if owner is None or owner.stream is None:
+            return _outside
+        return owner.stream()
+
+    def random(self) -> float:
+        """Return a number from 0 to 1, 1 not included."""
+        return self._own.random()
+
+    def getrandbits(self, k: int, /) -> int:
+        """Return a whole number of *k* random bits."""
+        return self._own.getrandbits(k)
+
+    def gauss(self, mu: float = 0.0, sigma: float = 1.0) -> float:
+        """Return a number of a normal distribution."""
+        return self._own.gauss(mu, sigma)
+
+    def seed(self, *args: Any, **options: Any) -> None:
+        """Refuse: the seed is the robot's.
+
+        Raises:
+            TypeError: Always.
+        """
+        if self._is_made:
+            raise TypeError("the seed is the robot's: esair.Robot(seed=...)")
+
+    def getstate(self) -> tuple[Any, ...]:
+        """Return the state of the component's stream."""
+        return self._own.getstate()
+
+    def setstate(self, state: tuple[Any, ...]) -> None:
+        """Put the component's stream back."""
+        self._own.setstate(state)

@@ -26,8 +26,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
 
-from esair.loop._ending import Ending, Kicks, break_out, leave_at_once
-from esair.loop._overseer import overseer
+from esair.loop._overseer import Ending, Kicks, break_out, leave_at_once, overseer
 
 if sys.platform == "win32":
     raise ImportError("esair runs on Linux, not on Windows: use it in WSL")

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, Protocol
 
 from esair.exceptions import DeviceLostError
-from esair.loop._futures import ignore
+from esair.loop._light_task import ignore
 
 Tag = tuple[str, ...]
 """Which call it is the end of, or who tells something: such as ``("sonar", "read")``."""

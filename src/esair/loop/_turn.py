@@ -22,21 +22,21 @@ import logging
 import math
 import os
 import selectors
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
 from esair.loop._deadlines import Deadlines
 from esair.loop._door import Door
-from esair.loop._futures import ignore, raisable, settle
+from esair.loop._light_task import ignore, raisable, settle
 from esair.loop._of_loop import OfLoop, OfTurn
 from esair.loop._ownership import current_owner
-from esair.loop._rate_group import EARLY, FAR, NEVER, NOW, SECOND
-from esair.loop._scheduler import Scheduler
-from esair.loop._suspend import SuspendWatch, computer_slept
+from esair.loop._scheduler import EARLY, FAR, NEVER, NOW, SECOND, Scheduler
 from esair.loop._tape import Player, TapeWriter
 
-_log = logging.getLogger("asyncio")
+_log = logging.getLogger("esair")
+_log_of_asyncio = logging.getLogger("asyncio")
 
 Select = Callable[[float | None], Any]
 
@@ -218,7 +218,7 @@ class NamedHandle(asyncio.Handle):
         if took >= loop.slow_callback_duration:
             who = getattr(self._callback, "__self__", None)  # type: ignore[attr-defined]
             who = who if isinstance(who, asyncio.Task) else self
-            _log.warning("Executing %r took %.3f seconds", who, took)
+            _log_of_asyncio.warning("Executing %r took %.3f seconds", who, took)
 
 
 class TurnSelector(selectors.DefaultSelector):
@@ -410,10 +410,7 @@ class Alarm:
     """
 
     def __init__(self, selector: selectors.BaseSelector) -> None:
-        from esair.loop import _timerfd  # loads ctypes: only when something runs
-
-        self._settime = _timerfd.settime
-        self._fd = _timerfd.create()
+        self._fd, self._settime = timerfd()
         self._key = selector.register(self._fd, selectors.EVENT_READ)
         self._due: float = NEVER
 
@@ -429,7 +426,7 @@ class Alarm:
         """End the wait at a moment, in ns, and at no other."""
         if due != self._due:
             when = 0 if due == NEVER else max(1, int(min(due, FAR * SECOND)))
-            self._settime(self._fd, when)
+            self._settime(when)
             self._due = due
 
     def heard(self, events: list[Any]) -> None:
@@ -437,7 +434,7 @@ class Alarm:
         for at, (key, _) in enumerate(events):
             if key is self._key:
                 del events[at]
-                self._settime(self._fd, 0)  # silent again
+                self._settime(0)  # silent again
                 self._due = NEVER
                 break
 
@@ -468,3 +465,86 @@ def new_event_loop() -> asyncio.AbstractEventLoop:
         ...     runner.run(main())
     """
     return TurnLoop()
+
+
+JUMP = 0.1  # from how many seconds of sleep on everything that is known counts as old
+
+GLANCE = 0.25
+"""How often a robot looks whether the computer slept, if nothing else is due, in s."""
+
+_TAG = ("computer", "slept")
+
+
+class SuspendWatch:
+    """Tells who listens when the computer was suspended, and for how long.
+
+    It compares the clock that goes on while the computer sleeps with the one that
+    does not. It looks at each border where something is due, so listeners hear of a
+    sleep before the next step.
+    """
+
+    def __init__(self, turn: Turn) -> None:
+        self._slept = turn.slept
+        self._door = turn.door
+        if self._door.player is not None:
+            self._door.player.listen(_TAG, self._woke)
+        self._before = max(self._slept() for _ in range(3))
+        self._listeners: tuple[Callable[[float], None], ...] = ()
+
+    def listen(self, listener: Callable[[float], None]) -> None:
+        """Call a function with the seconds of each sleep."""
+        self._listeners = (*self._listeners, listener)
+
+    def forget(self, listener: Callable[[float], None]) -> None:
+        """Call the function no more."""
+        self._listeners = tuple(each for each in self._listeners if each != listener)
+
+    def look(self) -> None:
+        """Find out whether the computer slept since the last look."""
+        slept = self._slept() - self._before
+        if slept <= 0.0:
+            return  # a pause between the readings makes it smaller, never larger
+        self._before += slept
+        if slept > JUMP and self._door.player is None:
+            if isinstance(self._door.tape, TapeWriter):
+                self._door.tape.arrived(_TAG, slept)
+            self._woke(slept)
+
+    def _woke(self, slept: float) -> None:
+        _log.warning("the computer slept for %.1f s: all readings are old", slept)
+        for listener in self._listeners:
+            listener(slept)
+
+
+def computer_slept() -> float:
+    """Return how long the computer has slept in all, in seconds; 0 if it cannot tell."""
+    boot = getattr(time, "CLOCK_BOOTTIME", None)
+    return 0.0 if boot is None else time.clock_gettime(boot) - time.monotonic()
+
+
+def timerfd() -> tuple[int, Callable[[int], object]]:
+    """Return a new timer of Linux, and what sets it to a moment of the clock, in ns.
+
+    Raises:
+        OSError: The kernel gives none.
+    """
+    monotonic, absolute = 1, 1
+    flags = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
+    if sys.version_info >= (3, 13):
+        own = os.timerfd_create(monotonic, flags=flags)
+        return own, lambda when: os.timerfd_settime_ns(
+            own, flags=absolute, initial=when
+        )
+    import ctypes  # only when something runs
+
+    libc = ctypes.CDLL(None, use_errno=True)
+    itimerspec = ctypes.c_long * 4  # interval s, ns; value s, ns
+    fd: int = libc.timerfd_create(monotonic, flags)
+    if fd < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
+    def settime(when: int) -> None:
+        spec = itimerspec(0, 0, *divmod(when, SECOND))
+        libc.timerfd_settime(fd, absolute, spec, None)
+
+    return fd, settime
