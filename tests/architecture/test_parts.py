@@ -19,7 +19,7 @@ ROOMS = (
 FIELDS = 25
 
 NOT_YET = {
-    "esair.connections._computed_channels.DerivedChannel": 28,
+    "esair.connections._sensor_channel.DerivedChannel": 28,
     "esair.standard._robot.Robot": 34,
     "esair.supervisors._derived_life.DerivedLife": 34,
     "esair.supervisors._orders.Order": 26,

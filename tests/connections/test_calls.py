@@ -12,8 +12,7 @@ import pytest
 
 import esair
 from esair import ResourceState
-from esair.connections._calls import ABANDONED_LIMIT, Calls
-from esair.connections._driver import Driver
+from esair.connections._calls import ABANDONED_LIMIT, Calls, Driver
 
 pytestmark = pytest.mark.virtual_clock
 

@@ -22,15 +22,7 @@ grows (`_registrations`). What comes and what leaves is checked by one walk (`_v
 """
 
 from esair.connections._actuator_channel import ActuatorChannel
-from esair.connections._checks import CommandCheck
-from esair.connections._computed_channels import (
-    Applied,
-    AppliedChannel,
-    DerivedChannel,
-    Source,
-)
-from esair.connections._device import OfRobot
-from esair.connections._driver import (
+from esair.connections._calls import (
     Call,
     Driver,
     End,
@@ -39,8 +31,16 @@ from esair.connections._driver import (
     is_loss,
     translate,
 )
-from esair.connections._gate import BeingReplacedError
-from esair.connections._halt import HALT, Halt, Halting, LastCommand, Stopped
+from esair.connections._checks import CommandCheck
+from esair.connections._device import OfRobot
+from esair.connections._gate import (
+    HALT,
+    BeingReplacedError,
+    Halt,
+    Halting,
+    LastCommand,
+    Stopped,
+)
 from esair.connections._ports import (
     ActuatorConnection,
     ActuatorPort,
@@ -55,7 +55,14 @@ from esair.connections._registrations import (
     Terms,
     run_ended,
 )
-from esair.connections._sensor_channel import Follower, SensorChannel
+from esair.connections._sensor_channel import (
+    Applied,
+    AppliedChannel,
+    DerivedChannel,
+    Follower,
+    SensorChannel,
+    Source,
+)
 from esair.connections._turns import Decision, Sight
 from esair.connections._values import changed, limits_by_field, part_of
 

@@ -7,17 +7,19 @@ import contextlib
 from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any
 
+from esair.connections._calls import Call, End, Method
 from esair.connections._device import Device, OfRobot, Operating
-from esair.connections._driver import Call, End, Method
 from esair.connections._gate import (
+    HALT,
+    HALT_PRIORITY,
     BeingReplacedError,
     Gate,
     Hold,
+    LastCommand,
     explain,
     shut,
     verdict,
 )
-from esair.connections._halt import HALT, HALT_PRIORITY, LastCommand
 from esair.connections._protection import Guards, Protection, Stillness
 from esair.connections._registrations import Registration
 from esair.connections._turns import Decision, Sent, WaitingWrites
@@ -37,7 +39,7 @@ from esair.messages import Answer, Refused, ResourceState, Why, Written
 from esair.resources import Actuator
 
 if TYPE_CHECKING:
-    from esair.connections._computed_channels import AppliedChannel
+    from esair.connections._sensor_channel import AppliedChannel
 
 _new = Written.__new__  # hot
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 
-from esair.connections._calls import Calls
-from esair.connections._driver import (
+from esair.connections._calls import (
     OPERATE,
     Call,
+    Calls,
     Driver,
     End,
     given_up,

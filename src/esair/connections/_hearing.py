@@ -14,7 +14,7 @@ from collections.abc import (
 )
 from typing import TYPE_CHECKING, Any
 
-from esair.connections._driver import Call, End, Method
+from esair.connections._calls import Call, Calls, End, Method
 from esair.exceptions import BusyError, DeviceLostError, EsairError
 from esair.loop import (
     REACHED,
@@ -31,7 +31,6 @@ from esair.messages import Reading, ResourceState
 from esair.resources import Sensor
 
 if TYPE_CHECKING:
-    from esair.connections._calls import Calls
     from esair.connections._device import Device
 
 READY = ResourceState.READY  # hot

@@ -13,7 +13,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from esair.connections._driver import Apply, Call
+from esair.connections._calls import Apply, Call
 from esair.connections._gate import EARLY, Gate, Hold, verdict
 from esair.connections._values import is_opaque, is_same, is_weaker, weaker_of
 from esair.connections._wire import IDLE, SafeCommand, Wire

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from esair.connections._halt import Halt
+from esair.connections._gate import Halt
 from esair.exceptions import BusyError, EsairError, NotRegisteredError
 from esair.journal import Journal, Kind
 from esair.messages import Access

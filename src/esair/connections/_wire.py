@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import attrs
 
+from esair.connections._calls import Apply, Call, Guard, translate_call
 from esair.connections._checks import CommandCheck
-from esair.connections._driver import Apply, Call, Guard, translate_call
-from esair.connections._halt import LastCommand
+from esair.connections._gate import LastCommand
 from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
 from esair.journal import Kind
 from esair.loop import REACHED, Deadlines, spawn, wake
@@ -23,8 +23,8 @@ from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
 if TYPE_CHECKING:
-    from esair.connections._computed_channels import AppliedChannel
     from esair.connections._device import Device
+    from esair.connections._sensor_channel import AppliedChannel
 
 SAFE_TRIES = 3
 """How often the safe command is tried before the actuator counts as unsafe."""

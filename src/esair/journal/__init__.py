@@ -5,7 +5,6 @@ that a listener does changes an order, a decision or a command.
 """
 
 from esair.journal._event import Event, Kind
-from esair.journal._journal import BACKLOG, SLICE, Journal, Listener
-from esair.journal._log_lines import LogLines
+from esair.journal._journal import BACKLOG, SLICE, Journal, Listener, LogLines
 
 __all__ = ["BACKLOG", "SLICE", "Event", "Journal", "Kind", "Listener", "LogLines"]

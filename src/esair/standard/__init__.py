@@ -1,10 +1,13 @@
 """ESAIR STD: the robot, its four resident objects, and their order of start and stop."""
 
-from esair.standard._care import STALL_WARNING
-from esair.standard._looking import RunWanted, only_looking
-from esair.standard._public_text import public_text
-from esair.standard._recording import FORMAT, components_of
-from esair.standard._robot import LAST_WAIT, Robot
+from esair.standard._recording import FORMAT, components_of, public_text
+from esair.standard._robot import (
+    LAST_WAIT,
+    STALL_WARNING,
+    Robot,
+    RunWanted,
+    only_looking,
+)
 from esair.standard._run import (
     prepare_replay,
     recorded_as,

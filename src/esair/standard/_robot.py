@@ -1,13 +1,19 @@
-"""ESAIR STD: the robot, its four resident objects, and their order of start and stop."""
+"""ESAIR STD: the robot, its four resident objects, and their order of start and stop.
+
+With it stand its parts: what it needs of its loop and process while it runs (`LoopCare`),
+its operator's seat (`Seating`), and that none starts while a program is only looked at.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import contextvars
 import logging
 import os
 import signal
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import anyio
@@ -23,7 +29,22 @@ from esair.connections import (
 )
 from esair.exceptions import ConfigError, StoppingError, describe
 from esair.journal import Journal, LogLines
-from esair.loop import Budget, News, SignalWatch, leave_behind, spawn, turn_of
+from esair.loop import (
+    GLANCE,
+    Budget,
+    Gaps,
+    Job,
+    News,
+    OwnedTasks,
+    Scheduler,
+    SignalWatch,
+    StallWatch,
+    collector,
+    leave_behind,
+    outside,
+    spawn,
+    turn_of,
+)
 from esair.messages import (
     BehaviorsPolicy,
     Operator,
@@ -34,10 +55,7 @@ from esair.messages import (
 )
 from esair.plan import Plan, errors_in, examine
 from esair.resources import Resource, adapt_resource
-from esair.standard._care import STALL_WARNING, LoopCare
-from esair.standard._looking import not_while_looking
 from esair.standard._recording import Keeping, repeats
-from esair.standard._seating import Seating
 from esair.supervisors import (
     BehaviorDeployment,
     BehaviorSupervisor,
@@ -51,6 +69,166 @@ from esair.watchdog import LIMIT
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from esair.seat import Seat
+
+
+STALL_WARNING = 0.1
+"""How long code may hold the event loop before it is named, in seconds."""
+
+
+class LoopCare:
+    """Owns tasks, looks for stalls and sleep, and collects garbage in gaps."""
+
+    def __init__(
+        self, stall_warning: float | None, resumed: Callable[[float], None]
+    ) -> None:
+        self.stall_warning = stall_warning
+        self._resumed = resumed
+        self._undo: list[Callable[[], None]] = []
+        self._gaps: Gaps | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def start(self, loop: asyncio.AbstractEventLoop, *crowds: int) -> None:
+        """Begin, for so many components of each kind; nothing is deployed yet."""
+        self._loop = loop
+        owned = OwnedTasks.of(loop)
+        owned.install()
+        self._undo.append(owned.uninstall)
+        scheduler = Scheduler.of(loop)
+        suspends = turn_of(loop).suspends
+        suspends.listen(self._resumed)
+        self._undo.append(lambda: suspends.forget(self._resumed))
+        for components in crowds:
+            scheduler.expect(components)
+        if turn_of(loop).virtual:  # there it would hide a deadlock
+            return
+        seconds = self.stall_warning
+        if seconds is not None:
+            stalls = StallWatch.of(loop)
+            stalls.start(seconds)
+            self._undo.append(lambda: stalls.stop(seconds))
+        glances: Job = scheduler.every(GLANCE, lambda _now: None)
+        self._undo.append(glances.stop)
+
+    def refuse_elsewhere(self, title: str, verb: str) -> None:
+        """Refuse what is asked in another event loop while the robot has its own."""
+        if self._loop not in {None, asyncio.get_running_loop()}:
+            told = "it runs in another event loop: what is for threads is halt"
+            raise ConfigError(title, verb, told)
+
+    def is_up(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Everything runs: garbage is collected in the gaps from now on."""
+        self._gaps = Gaps.of(loop)
+        self._gaps.start()
+
+    def counts(self) -> Iterator[tuple[str, Mapping[str, int]]]:
+        """Return what the collector counts; on a virtual clock it has no gaps."""
+        if (
+            self._gaps is not None
+            and self._loop is not None
+            and not turn_of(self._loop).virtual
+        ):
+            yield "collector", collector.counts()
+
+    def is_down(self) -> None:
+        """The stop has begun: it is no time for garbage."""
+        if self._gaps is not None:
+            self._gaps.stop()
+            self._gaps = None
+
+    def stop(self) -> None:
+        """Leave everything as it was found."""
+        self._loop = None
+        while self._undo:
+            self._undo.pop()()
+
+
+_looking: contextvars.ContextVar[bool] = contextvars.ContextVar(
+    "esair.standard.looking", default=False
+)
+
+
+class RunWanted(BaseException):
+    """A program has come to where it runs its robot; it is wanted, not its run.
+
+    Attributes:
+        robot: The robot, an `esair.Robot`.
+    """
+
+    def __init__(self, robot: Any) -> None:
+        super().__init__(robot.name)
+        self.robot = robot
+
+
+@contextlib.contextmanager
+def only_looking() -> Iterator[None]:
+    """Have a robot raise `RunWanted` instead of its start meanwhile."""
+    token = _looking.set(True)
+    try:
+        yield
+    finally:
+        _looking.reset(token)
+
+
+def not_while_looking(robot: Any) -> None:
+    """Raise `RunWanted` if robots are only looked at."""
+    if _looking.get():
+        raise RunWanted(robot)
+
+
+class Seating:
+    """The seat of a robot: there if somebody may sit in it, or once somebody types."""
+
+    def __init__(
+        self, name: str, *, socket: bool, page: Page | None, rights: Operator | None
+    ) -> None:
+        given = (("operator", rights, Operator), ("page", page, Page))
+        for field, value, kind in given:
+            if value is not None and not isinstance(value, kind):
+                told = f"expected an esair.{kind.__name__}, not {value!r:.80}"
+                raise ConfigError(f"robot {name!r}", field, told)
+        if rights is not None:
+            from esair.seat import check_rights
+
+            check_rights(rights)
+        self._name = name
+        self.socket = socket
+        self.page = page
+        self.seat: Seat | None = None
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether it is there from the start of the robot to its end."""
+        return self.socket or self.page is not None
+
+    def take(self, *, closed: bool) -> Seat:
+        """Take its place, which nobody else may have, or none if it is closed."""
+        from esair.seat import Seat
+
+        socket, page = (False, None) if closed else (self.socket, self.page)
+        self.seat = Seat(self._name, socket=socket, page=page)
+        return self.seat
+
+    async def start(self, robot: Robot) -> None:
+        if self.seat is not None:
+            self.seat.begin(robot)
+            await outside(("seat", "start"), self.seat.start)
+
+    async def typed(self, robot: Robot, text: str) -> str:
+        if self.seat is None:
+            self.take(closed=True).begin(robot)
+        assert self.seat is not None
+        return await self.seat.typed(text)
+
+    def leave(self) -> None:
+        if self.seat is not None:
+            self.seat.leave()
+
+    async def close(self) -> None:
+        """Take no more acts, and let its place go."""
+        if self.seat is not None:
+            await self.seat.close()
 
 
 LAST_WAIT = 2.0  # how long `run` may take to end beside the grace period, in seconds

@@ -22,9 +22,7 @@ from esair.loop import (
     run_and_end,
     threads_that_keep_the_process,
 )
-from esair.standard._care import STALL_WARNING
-from esair.standard._looking import not_while_looking
-from esair.standard._robot import LAST_WAIT, Robot
+from esair.standard._robot import LAST_WAIT, STALL_WARNING, Robot, not_while_looking
 from esair.values import check_seconds
 
 _log = logging.getLogger("esair")
