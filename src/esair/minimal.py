@@ -288,7 +288,7 @@ class _Port:
         if said is None:
             if self.output.holder is self:
                 self.output.holder = None
-        elif type(said) is dict:
+        elif said.__class__ is dict:
             self.task.ask(said, now)
         else:
             self.command = self.output.checked(said)
@@ -328,7 +328,7 @@ class _Output:
     name: str
     writer: "Any"  # the port whose command stands; None if it is safe
     last: "Any"  # that command
-    time = 0  # when it was sent
+    now_ms = 0  # when it was sent
     holder: "Any" = None  # the port that keeps lower priorities away
     sure: "Any"  # the writer, if nothing can be in its way
     bad: bool  # it has not taken its safe command
@@ -338,7 +338,7 @@ class _Output:
         self.loop, self.write = loop, part.write
         loop.insert(loop.outputs, self, part)
         loop.parts.append(self)
-        self.safe, self.type = part.safe, type(part.safe)
+        self.safe, self.type = part.safe, part.safe.__class__
         self.hold = _ms(part.command_timeout)
         self.clamp, limits = part.clamp, part.limits or {}
         self.limits = limits if isinstance(limits, dict) else {"": limits}
@@ -348,7 +348,7 @@ class _Output:
     def checked(self, command: "Any") -> "Any":
         """Return a command of somebody as it may be sent; raise if it is a fault."""
         # With one more name, or a `try`, its frame would be taken from the heap.
-        if type(command) is not self.type or self.limits:
+        if command.__class__ is not self.type or self.limits:
             command = self.fit(command)
         _check(command, _ENDS)
         return command
@@ -356,9 +356,11 @@ class _Output:
     def fit(self, command: "Any") -> "Any":
         """Return a command in the type and the limits of the actuator, or raise."""
         kind = self.type
-        if kind is float and type(command) is int:
+        if kind is float and command.__class__ is int:
             command = float(command)
-        elif not isinstance(command, kind) or (type(command) is bool and kind is int):
+        elif not isinstance(command, kind) or (
+            command.__class__ is bool and kind is int
+        ):
             raise ValueError("type", command)
         for field in self.limits:
             low, high = self.limits[field]
@@ -374,7 +376,7 @@ class _Output:
         self.close()
         if self.bad:
             return
-        loop, holder, age = self.loop, self.holder, now - late - self.time
+        loop, holder, age = self.loop, self.holder, now - late - self.now_ms
         self.sure = best = None
         bar = _ENDS[not loop.armed]
         over = not holder or age >= holder.hold
@@ -409,7 +411,7 @@ class _Output:
             loop.refused += best is not None
             best = still = None
         elif not still:
-            self.holder, self.time, age = best, now, 0
+            self.holder, self.now_ms, age = best, now, 0
             if not self.guards:
                 self.sure = best
         if age >= self.hold:
@@ -550,7 +552,7 @@ class Loop:
         """Make a step each time: a generator has at hand what it works with."""
         paced, every = self._slow, self.every
         gap, odd = divmod(1000000, every)
-        inputs, outputs = self.inputs.values(), self.outputs.values()
+        inputs, outputs = list(self.inputs.values()), list(self.outputs.values())
         odd += len(paced)
         dark: "Any" = []  # who is blind, or will be before the next step
         while True:
@@ -569,7 +571,8 @@ class Loop:
                         value = node.read()
                         if value is not node.last:
                             node.last = _check(value)
-                        node.value, node.time = value, now
+                            node.value = value
+                        node.time = now
                     except Exception as error:
                         self.note(node.name, error)
             for node, timed, terms, react, port, values in self.tasks:
@@ -621,9 +624,10 @@ class Loop:
                         else:
                             self.refused += 1
                 if best is node.sure:
-                    node.time, node.last = now, best.command
+                    node.now_ms = now
+                    node.last = value = best.command
                     try:
-                        node.write(best.command)
+                        node.write(value)
                     except Exception as error:
                         self.note(node.name, error)
                         node.open()
@@ -738,7 +742,7 @@ class Loop:
 
 
 def _check(value: "Any", most: "Any" = ()) -> "Any":
-    """Return a finite number, None for a row, which may change; raise for what is NaN.
+    """Return a finite number, no value for a row, which may change; raise for NaN.
 
     In a row of readings, such as a scan, infinity stands for "nothing in reach".
     """
@@ -747,7 +751,7 @@ def _check(value: "Any", most: "Any" = ()) -> "Any":
             if each != each or each in most:
                 break
         else:
-            return None
+            return _ROWS  # what no sensor gives
     elif value == value and value not in _ENDS:
         return value
     raise ValueError("not finite", value)
@@ -757,9 +761,9 @@ def _less(value: "Any", most: "Any", safe: "Any") -> "Any":
     """Return a command with each number moved between that of another and of safe."""
     if isinstance(most, tuple):
         parts = map(_less, value, most, safe)
-        return tuple(parts) if type(most) is tuple else type(most)(*parts)
+        return tuple(parts) if most.__class__ is tuple else most.__class__(*parts)
     if value == safe or (
-        type(most) is not str and min(most, safe) <= value <= max(most, safe)
+        most.__class__ is not str and min(most, safe) <= value <= max(most, safe)
     ):
         return value
     return most
@@ -773,7 +777,7 @@ def declared(reaction: "Any") -> "Any":
     """Return what a reaction declares to use, by attribute."""
     needs: "Any" = getattr(reaction, "needs", {})  # of STD
     for key in dir(reaction):
-        need = getattr(type(reaction), key, None)
+        need = getattr(reaction.__class__, key, None)
         if isinstance(need, Need):
             needs[key] = need
     return needs.items()
@@ -783,7 +787,7 @@ def give_name(part: "Any") -> str:
     """Give a part the name of its class, in snake case, unless it has one; return it."""
     name: str = part.name
     if not name:
-        kind = type(part).__name__
+        kind = part.__class__.__name__
         for before, letter, after in zip("_" + kind, kind, kind[1:] + "_"):
             first = after.islower() or not before.isupper()
             if letter.isupper() and first and before != "_":
