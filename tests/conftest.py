@@ -167,11 +167,15 @@ def _keep_what_is_rewritten(config: pytest.Config) -> None:
 def _let_children_hear_signals() -> None:
     """Undo what nohup and ``&`` do: a signal that is ignored stays so in a child.
 
-    One with a handler, even one that does nothing, is reset when a program begins.
+    One with a handler is reset when a program begins: Python's own for an interrupt.
     """
-    for number in (signal.SIGINT, signal.SIGHUP):
+    handlers = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGHUP: lambda *_: None,
+    }
+    for number, handler in handlers.items():
         if signal.getsignal(number) is signal.SIG_IGN:
-            signal.signal(number, lambda *_: None)
+            signal.signal(number, handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
