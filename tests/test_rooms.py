@@ -64,7 +64,7 @@ PARTS_OF_ONE = {
     "esair.supervisors": {
         *("_behavior_deployment", "_member", "_grants", "_perform"),
         *("_mailbox", "_mediator", "_requests", "_orders", "_circles"),
-        *("_resource_deployment", "_derived_life"),
+        *("_resource_deployment", "_opening", "_watching"),
     },
     "esair.torture": {"_boxes", "_judge", "_kinds", "_life", "_world"},
 }

@@ -21,9 +21,6 @@ FIELDS = 25
 NOT_YET = {
     "esair.connections._sensor_channel.DerivedChannel": 28,
     "esair.standard._robot.Robot": 34,
-    "esair.supervisors._derived_life.DerivedLife": 34,
-    "esair.supervisors._orders.Order": 26,
-    "esair.supervisors._resource_life.ResourceLife": 27,
 }
 
 PROTOCOLS = 20

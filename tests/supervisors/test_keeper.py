@@ -10,8 +10,8 @@ import pytest
 
 import esair
 import esair.watchdog
-from esair.supervisors import _keeper
-from esair.supervisors._keeper import STARTS
+from esair.supervisors import _watching
+from esair.supervisors._watching import STARTS
 from esair.testing import FakeActuator
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("GRD-1", "GRD-3")]
@@ -368,7 +368,7 @@ async def test_one_that_dies_often_is_started_less_often(
     fake: type[FakeWatchdog], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """But for ever: it halts the robot until it is there and has answered."""
-    monkeypatch.setattr(_keeper, "STARTS", 1)
+    monkeypatch.setattr(_watching, "STARTS", 1)
     robot, _, user = robot_with()
     async with robot:
         (dog,) = fake.made

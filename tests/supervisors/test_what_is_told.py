@@ -394,7 +394,7 @@ async def test_on_a_virtual_clock_nothing_is_watched() -> None:
     motor = FakeActuator("motor", safe=0.0)
     async with esair.Robot(resources=[motor], watchdog=True) as robot:
         assert robot._resources.armory is None
-        assert robot._resources.lives["motor"].watch is None
+        assert robot._resources.lives["motor"].device.watch is None
     assert motor.commands == [0.0, 0.0]
 
 

@@ -37,10 +37,9 @@ from esair.loop import (
     wake,
 )
 from esair.messages import Access, BehaviorState, BehaviorStatus
-from esair.supervisors._absence import absent, absent_for
 from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
 from esair.supervisors._grants import Grants, bind, empty, fill
-from esair.supervisors._life import Life
+from esair.supervisors._life import Life, absent, absent_for
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._perform import Steps, runner_for
 from esair.supervisors._sight import Sight

@@ -38,8 +38,7 @@ class Order(Request):
         ledger: Ledger,
     ) -> None:
         super().__init__("ask", data, asker, queue, by, ledger)
-        self.handle = taken(data, self)
-        self.handed = (self.handle,)
+        self.handed = (taken(data, self),)
         self._before = 0
 
     @property
@@ -255,7 +254,8 @@ class Loop(AsyncIterator[Any]):
             before.fail("it went on to the next request without an answer")
             self._queue.done_with(before)
         self.current = await self._queue.next()
-        return self.current.handle
+        asked: Asked[Any] = self.current.handed[0]
+        return asked
 
     def serve(self) -> None:
         """What the caller does from now on, it does for this request."""

@@ -35,13 +35,13 @@ from esair.resources import APPLIED, Actuator, Resource, Sensor
 from esair.supervisors._buses import BUS_TIMEOUT, close_buses, open_buses
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._control_path import ControlPath
-from esair.supervisors._derived_life import DerivedLife
+from esair.supervisors._opening import DerivedOpener, Opener
 from esair.supervisors._resource_life import ResourceLife
 from esair.supervisors._rules import Declared, Rules
 
 if TYPE_CHECKING:
     from esair.buses import Bus
-    from esair.supervisors._watch import Armory, Watch
+    from esair.supervisors._watching import Armory, Watch
 
 STOP_WITHIN = 1.8
 """How long a stop may take beside the grace period until all is closed, in seconds:
@@ -68,7 +68,7 @@ class ResourceDeployment:
         self.registrations = registrations
         self.commands = CommandQueue("resources", asleep=True)
         self.lives: dict[str, ResourceLife] = {}
-        self._derived: dict[str, DerivedLife] = {}
+        self._derived: dict[str, DerivedOpener] = {}
         self._leaving: set[str] = set()
         rules = Rules(policies, registrations, declared)
         self.plan = Plan(
@@ -118,7 +118,11 @@ class ResourceDeployment:
         """Say what becomes of an actuator when this process dies, or this computer."""
         life = self.life(name)
         assert isinstance(life.resource, Actuator)
-        why = "the robot has no watchdog" if life.watch is None else life.watch.why
+        why = (
+            "the robot has no watchdog"
+            if life.device.watch is None
+            else life.device.watch.why
+        )
         process = (
             f"{UNWATCHED}, {why}" if why else "the watchdog sends its safe command"
         )
@@ -154,12 +158,14 @@ class ResourceDeployment:
                 channel = kind(resource, robot)
                 self.sensors.channels[resource.name] = channel
         policy = restart if isinstance(restart, Restart) else Restart()
-        life: ResourceLife
+        opener: Opener
         if isinstance(channel, DerivedChannel) and isinstance(resource, Derived):
-            life = DerivedLife(resource, channel, policy, self)
-            self._derived[resource.name] = life
+            opener = DerivedOpener(resource, channel, self)
+            self._derived[resource.name] = opener
         else:
-            life = ResourceLife(resource, channel, policy, self.armory)
+            opener = Opener(resource, channel, self.armory)
+
+        life = ResourceLife(resource, channel, policy, opener)
         self.lives[resource.name] = life
         self.plan.enter_resource(resource)
         life.start()
@@ -168,9 +174,9 @@ class ResourceDeployment:
     def came(self, name: str, resource: Resource | None = None, text: str = "") -> None:
         """Tell that a resource has come into the running robot, and let others find it."""
         self.journal.publish(Kind.ADDED, name, "resource", resource, text)
-        for life in tuple(self._derived.values()):
-            if life.reads(name):
-                life.bind()
+        for each in tuple(self._derived.values()):
+            if each.reads(name):
+                each.bind()
 
     # How one goes: fenced in one step, then closed while other commands go on.
 
@@ -367,13 +373,16 @@ class ResourceDeployment:
     async def rearm(self) -> None:
         """Have everything watched that is open: there is a new watchdog process."""
         for life in tuple(self.lives.values()):
-            if life.watch is not None and life.channel.state is ResourceState.READY:
-                await life.watch.arm()
+            if (
+                life.device.watch is not None
+                and life.channel.state is ResourceState.READY
+            ):
+                await life.device.watch.arm()
 
     def watches(self) -> list[Watch]:
         """Return the eyes of the watchdog, one on each actuator."""
         lives = self.lives.values()
-        return [life.watch for life in lives if life.watch is not None]
+        return [life.device.watch for life in lives if life.device.watch is not None]
 
     async def make_safe(self) -> list[LastCommand]:
         """Send every actuator its safe command, whatever was sent before."""

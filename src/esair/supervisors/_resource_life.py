@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from esair.connections import (
@@ -13,7 +12,6 @@ from esair.connections import (
     Call,
     End,
     GivenUpError,
-    Method,
     SensorChannel,
     is_loss,
     translate,
@@ -24,16 +22,13 @@ from esair.loop import (
     Deadline,
     Deadlines,
     News,
-    ask_outside,
     fail,
-    outside,
     spawn,
 )
 from esair.messages import ResourceState, ResourceStatus, Restart
-from esair.resources import Resource, settings_of, shown
-from esair.supervisors._absence import AnotherDeviceError, is_absence, is_silence
-from esair.supervisors._life import Life
-from esair.supervisors._watch import Armory, Watch
+from esair.resources import Resource, shown
+from esair.supervisors._life import AnotherDeviceError, Life, is_absence, is_silence
+from esair.supervisors._opening import Opener
 
 if TYPE_CHECKING:
     from esair.buses import Bus
@@ -46,9 +41,6 @@ LAST_TRY = 0.5
 
 SET_UP_AGAIN = 0.01
 """The pause before a busy device is asked again for its set-up, in seconds."""
-
-LAST_CLOSE = 0.05
-"""How long a close may take at least, when nothing is left of its deadline, in s."""
 
 MAX_DELAY = 5.0  # the longest pause between two tries, in seconds
 
@@ -65,15 +57,11 @@ class ResourceLife:
         resource: Resource,
         channel: SensorChannel | ActuatorChannel,
         restart: Restart,
-        armory: Armory | None = None,
+        opener: Opener,
     ) -> None:
         self.resource = resource
         self.name = resource.name
         self.life = Life(resource.name, restart, channel.registrations.journal)
-        self.watch: Watch | None = None
-        """The watchdog's eye on it, if it is an actuator and there is a watchdog."""
-        if isinstance(channel, ActuatorChannel) and armory is not None:
-            self.watch = Watch(channel.actuator, armory)
         self.channel = channel
         self.losses = 0
         self.faults = 0
@@ -90,16 +78,10 @@ class ResourceLife:
         self._arrived = False  # somebody said meanwhile that the device is there
         self._faults_in_row = 0
         self._successes = 0
-        self._is_open = False
         self.is_over = False
         """The resource was removed, or another one has its place."""
-        # Its own: the channel goes on with those of a successor.
-        self._driver = channel.driver
-        self._calls = channel.calls
-        self._calls.on_late_open = self._opened_late
-        self._newest_open = 0  # the number of the driver's newest call of ``open``
-        self._identity: Any = resource.identity
-        """What the device answered when it was asked for the first time who it is."""
+        self.device = opener
+        self.device.calls.on_late_open = self._opened_late
         self._task: asyncio.Task[object]
         self._last_try: asyncio.Task[None] | None = None
         self._looks: Deadline | None = None
@@ -107,6 +89,7 @@ class ResourceLife:
         self._forget_bus: tuple[Callable[[], None], ...] = ()
 
     def start(self) -> None:
+        self.device.start(self.hear)
         self.resource._listener = self._told  # noqa: SLF001 - the resource's own supervisor
         if self.resource.bus is not None:
             bus: Bus = self.resource.bus
@@ -122,14 +105,14 @@ class ResourceLife:
         if self.tried.done():  # else somebody waits for it: one trial is for all
             self.tried = self._loop.create_future()
         if self.channel.state is ResourceState.READY:
-            self._hear(GivenUpError(self.name, "it is restarted"))
+            self.hear(GivenUpError(self.name, "it is restarted"))
             self._arrived = True
         else:
-            self._hear(None)
+            self.hear(None)
 
     def on_error(self, error: Exception) -> None:
         if isinstance(error, DeviceLostError):
-            self._hear(error)
+            self.hear(error)
             return
         self.faults += 1
         successes = self.channel.successes
@@ -140,7 +123,7 @@ class ResourceLife:
         if isinstance(error, DriverStuckError):
             self._look_after(0.0)  # it was silent: it may have restarted
         if self._faults_in_row >= self.resource.fault_limit:
-            self._hear(error)
+            self.hear(error)
 
     # Whether its set-up is still there.
 
@@ -156,7 +139,7 @@ class ResourceLife:
         self._looks = None
         if self.is_over or self.channel.state is not ResourceState.READY:
             return
-        method = self._driver.method("is_set_up")
+        method = self.device.driver.method("is_set_up")
         asked = self.channel.between(method, self._has_told)
         self._look_after(self.resource.set_up_period if asked else SET_UP_AGAIN)
 
@@ -165,7 +148,7 @@ class ResourceLife:
         if end.error is not None:
             self.on_error(translate(name, end.error))
         elif not end.value:
-            self._hear(DeviceLostError(name, "it has restarted: its set-up is gone"))
+            self.hear(DeviceLostError(name, "it has restarted: its set-up is gone"))
             self._arrived = True
 
     async def configure(self, changes: dict[str, Any]) -> None:
@@ -173,23 +156,23 @@ class ResourceLife:
         resource = self.resource
         before = {name: resource.settings[name] for name in changes}
         try:
-            await self._call("apply", **changes)
+            await self.device.call("apply", **changes)
         except Exception as error:
             self._check_ready(error)
             try:
-                await self._call("apply", **before)
+                await self.device.call("apply", **before)
             except Exception as second:
                 # Nobody knows its settings now: close it and begin anew.
                 unknown = f"its settings are unknown: {describe(second)}"
-                self._hear(GivenUpError(resource.name, unknown))
+                self.hear(GivenUpError(resource.name, unknown))
             told = translate(resource.name, error)
             raise told from (error.__cause__ if told is error else error)
         self._check_ready(None)  # what opens it again does not know these changes
         for name, value in changes.items():
             setattr(resource, name, value)
         self.channel.configured()
-        if self.watch is not None:
-            await self.watch.arm()
+        if self.device.watch is not None:
+            await self.device.watch.arm()
 
     def status(self) -> ResourceStatus:
         channel = self.channel
@@ -238,11 +221,12 @@ class ResourceLife:
             channel.not_told(error)
 
     async def _open_once(self) -> BaseException | None:
-        await self._close()
+        await self.device.close()
         return await self._try_to_open()
 
     async def stop(self, until: float) -> None:
         """Close the device, whatever it is doing."""
+        self.device.leave()
         self.is_over = True
         if self._looks is not None:
             self._looks.cancel()
@@ -252,15 +236,7 @@ class ResourceLife:
         self._task.cancel()
         await asyncio.wait({self._task}, timeout=LAST_TRY)
         fail(self.tried, self.channel.error or DeviceLostError(self.name, "closed"))
-        if self._is_open:
-            await self._calls.quiet(until - LAST_CLOSE)
-            stuck = ask_outside((self.name, "stuck"), lambda: self._driver.is_stuck)
-            await self._close(
-                LAST_CLOSE if stuck else max(LAST_CLOSE, self._left(until))
-            )
-        ending = partial(self._driver.end_executors, timeout=LAST_CLOSE)
-        if not await outside((self.name, "threads"), ending):
-            _log.warning("%s: a driver call is stuck; its thread is left", self.name)
+        await self.device.end(until)
 
     def _left(self, until: float) -> float:
         return until - self._loop.time()
@@ -271,12 +247,13 @@ class ResourceLife:
         One that ends after a newer one has begun may have set the device up anew, or
         half of it: whatever came of it, that is a device that has restarted.
         """
-        self._is_open = self._is_open or end.error is None
+        device = self.device
+        device.is_open = device.is_open or end.error is None
         if self.is_over:
-            spawn(self._loop, self._close(), name=f"{self.name} close")
-        elif call.number < self._newest_open and self.channel.state in _THERE:
+            spawn(self._loop, self.device.close(), name=f"{self.name} close")
+        elif call.number < device.newest and self.channel.state in _THERE:
             told = "an earlier open has ended late: its set-up is unknown"
-            self._hear(DeviceLostError(self.name, told))
+            self.hear(DeviceLostError(self.name, told))
             self._arrived = True
 
     def _told(self, error: BaseException | None) -> None:
@@ -284,7 +261,7 @@ class ResourceLife:
 
         It takes effect at the border of a turn; until then no call reaches the driver.
         """
-        calls = self._calls
+        calls = self.device.calls
         opening = calls.opening
         if error is not None and self.channel.state is not ResourceState.LOST:
             calls.lost = self._cause(error)
@@ -292,12 +269,12 @@ class ResourceLife:
 
     def _hear_of(self, opening: int, error: BaseException | None) -> None:
         if error is None:
-            self._hear(None)
-        elif opening == self._calls.opening:
-            self._hear(error)  # the loss of an earlier opening is no news
-            self._calls.lost = None
+            self.hear(None)
+        elif opening == self.device.calls.opening:
+            self.hear(error)  # the loss of an earlier opening is no news
+            self.device.calls.lost = None
 
-    def _hear(self, error: BaseException | None) -> None:
+    def hear(self, error: BaseException | None) -> None:
         if self.is_over:
             return
         if self._news is None or self._news.done():
@@ -316,11 +293,11 @@ class ResourceLife:
         delay = FIRST_DELAY
         while True:
             self.channel.state = ResourceState.OPENING
-            await self._close()  # what was opened late
+            await self.device.close()  # what was opened late
             self._lost, self._arrived = None, False
             error = await self._try_to_open()
-            if error is None and self.watch is not None:
-                await self.watch.open()  # nothing moves before it has answered
+            if error is None and self.device.watch is not None:
+                await self.device.watch.open()  # nothing moves before it has answered
             absent = is_absence(error)
             error = error or self._lost
             if error is None:
@@ -337,7 +314,7 @@ class ResourceLife:
             is_there = isinstance(error, GivenUpError) or not is_loss(error)
             if is_there and isinstance(self.channel, ActuatorChannel):
                 await self.channel.last_safe()
-            await self._close()
+            await self.device.close()
             # A driver that has held the loop would be asked again in the same turn, whose
             # clock stood still, and before the robot could hear that it shall end.
             await asyncio.sleep(0)
@@ -378,61 +355,10 @@ class ResourceLife:
         try:
             # A change of settings that the loss has interrupted has to be over.
             async with self.configuring:
-                await self._open()
+                await self.device.open()
         except Exception as error:
             return error
         return None
-
-    async def _open(self) -> None:
-        resource = self.resource
-        self._calls.next_opening(DeviceLostError(resource.name, "it is opened again"))
-        # What a call from before a loss still sends must not come after the safe command.
-        await self._calls.quiet(self._loop.time() + resource.deadline + 0.1)
-        if resource.bus is not None:
-            await self._run("open the bus", Method(resource.bus.open, None))
-        await self._close()  # what has opened late meanwhile
-        self._is_open = True
-        self._newest_open = self._calls.number + 1
-        await self._call("open")
-        if resource.identifies:
-            self._identify(await self._call("identify"))
-        changes = {
-            name: value
-            for name, value in resource.settings.items()
-            if value != settings_of(type(resource))[name].default
-        }
-        if changes:
-            await self._call("apply", **changes)
-        if isinstance(self.channel, ActuatorChannel):
-            await self.channel.open_safe()
-            self.channel.watch = self.watch
-
-    def _identify(self, answer: Any) -> None:
-        """Remember who the device is, or refuse another one in its place."""
-        if self._identity is None:
-            self._identity = answer
-        elif answer != self._identity:
-            raise AnotherDeviceError(
-                self.name,
-                f"identity: expected {self._identity!r:.80}, {answer!r:.80} is there; "
-                "plug in the right device, or replace the resource",
-            )
-
-    async def _call(self, kind: str, **options: Any) -> Any:
-        return await self._run(kind, self._driver.method(kind), **options)
-
-    async def _run(
-        self, kind: str, method: Method, limit: float | None = None, **options: Any
-    ) -> Any:
-        limit = max(self.resource.deadline, 1.0) if limit is None else limit
-        if options:
-            method = method.bound(**options)
-        try:
-            return await self._calls.run(kind, method, limit=limit)
-        except EsairError:
-            raise
-        except TimeoutError as error:
-            raise DriverStuckError(self.name, kind, limit) from error
 
     def _up(self) -> None:
         self._faults_in_row = 0
@@ -464,14 +390,3 @@ class ResourceLife:
             cause = DeviceLostError(self.name, describe(error))
             cause.__cause__ = error
         return cause
-
-    async def _close(self, limit: float | None = None) -> None:
-        if not self._is_open:
-            return
-        self._is_open = False
-        if self.watch is not None:
-            await self.watch.drop(limit)
-        try:
-            await self._run("close", self._driver.method("close"), limit)
-        except Exception as error:
-            _log.debug("%s: close: %s", self.name, describe(error))
