@@ -47,10 +47,11 @@ class Exchanges:
         self._bus = bus
         self._late_limit = late_limit
         self._limit = limit
-        self._now: Exchange | None = None
+        self.now: Exchange | None = None
+        """The one that was sent and waits for its answer."""
         self._line: list[Exchange] = []
         """Who waits for the turn, in the order in which they asked."""
-        self._owed: dict[Exchange, Deadline | None] = {}
+        self.unanswered: dict[Exchange, Deadline | None] = {}
         """Whose answers may still come, the oldest first, and until when; None if the
         bus was lost, and nobody has asked since."""
         self._deadline: Deadline | None = None
@@ -60,17 +61,12 @@ class Exchanges:
     @property
     def waiting(self) -> int:
         """How many requests wait for their turn, or for their answer."""
-        return len(self._line) + (self._now is not None)
-
-    @property
-    def expects(self) -> bool:
-        """Whether what comes can be an answer, wanted or late."""
-        return self._now is not None or bool(self._owed)
+        return len(self._line) + (self.now is not None)
 
     @property
     def owed(self) -> int:
         """How many answers may still come that nobody waits for."""
-        return len(self._owed)
+        return len(self.unanswered)
 
     async def ask(
         self,
@@ -120,11 +116,11 @@ class Exchanges:
 
     def offer(self, message: bytes) -> bool:
         """Take a message that came; tells whether somebody waited for it."""
-        now = self._now
+        now = self.now
         mine = now is not None and now.takes(message)
-        if self._owed:
+        if self.unanswered:
             # Oldest first, as a device answers; but by its number it is no other's.
-            owed = [each for each in self._owed if each.takes(message)]
+            owed = [each for each in self.unanswered if each.takes(message)]
             numbered = [each for each in owed if each.answers is not None]
             if mine and now is not None and now.answers is not None:
                 owed = numbered
@@ -140,12 +136,12 @@ class Exchanges:
 
     def fail(self, error: BaseException) -> None:
         """Let the request that waits for its answer fail; after a loss all that wait."""
-        if self._now is not None:
-            self._now.fail(error)
+        if self.now is not None:
+            self.now.fail(error)
         if isinstance(error, DeviceLostError):
             for waiting in self._line:
                 waiting.fail(error)
-            for owed in self._owed:
+            for owed in self.unanswered:
                 self._hold(owed)
 
     async def silence(self) -> None:
@@ -156,31 +152,31 @@ class Exchanges:
         Raises:
             DriverStuckError: More is owed than can come in twice the ``late_limit``.
         """
-        if self._owed:
+        if self.unanswered:
             async with self.request(timeout=2 * self._late_limit):
                 pass
 
     def clear(self) -> None:
         """Owe nothing any more: what was at the other end has started anew."""
-        for owed in tuple(self._owed):
+        for owed in tuple(self.unanswered):
             self._forget(owed)
 
     # For the exchanges.
 
     def take(self, exchange: Exchange) -> bool:
         """Let an exchange leave now, if it need not wait for anything."""
-        if self._now is not None or self._owed:
+        if self.now is not None or self.unanswered:
             return False
-        self._now = exchange
+        self.now = exchange
         return True
 
     async def take_turn(self, exchange: Exchange) -> None:
         """Wait until an exchange may leave."""
-        for owed, deadline in self._owed.items():
+        for owed, deadline in self.unanswered.items():
             if deadline is None:
                 self._owe(owed, self._late_limit)
-        if self._now is None and not self._is_owed_to(exchange):
-            self._now = exchange
+        if self.now is None and not self._is_owed_to(exchange):
+            self.now = exchange
             return
         if len(self._line) >= self._limit:
             self._bus.stats.refused += 1
@@ -189,7 +185,7 @@ class Exchanges:
         try:
             await exchange.wait()
         except BaseException:
-            if self._now is exchange:  # it came at the same moment
+            if self.now is exchange:  # it came at the same moment
                 self.end_turn(exchange)
             else:
                 self._line.remove(exchange)
@@ -197,7 +193,7 @@ class Exchanges:
 
     def end_turn(self, exchange: Exchange) -> None:
         """Let the next one leave, and remember what is owed."""
-        self._now = None
+        self.now = None
         if self._deadline is not None:
             self._deadline.cancel()
         if exchange.is_owed:
@@ -205,8 +201,8 @@ class Exchanges:
             self._owe(exchange, max(0.0, left) + self._late_limit)
             if isinstance(exchange.error, DeviceLostError):
                 self._hold(exchange)
-            if len(self._owed) > self._limit:
-                self._forget(next(iter(self._owed)))
+            if len(self.unanswered) > self._limit:
+                self._forget(next(iter(self.unanswered)))
         if self._line:
             self._let_leave()
 
@@ -218,33 +214,33 @@ class Exchanges:
         self._deadline.start(exchange.until)
 
     def _expire(self) -> None:
-        if self._now is not None:
-            self._now.expire()
+        if self.now is not None:
+            self.now.expire()
 
     def _is_owed_to(self, exchange: Exchange) -> bool:
-        return bool(self._owed) and any(map(exchange.is_like, self._owed))
+        return bool(self.unanswered) and any(map(exchange.is_like, self.unanswered))
 
     def _owe(self, exchange: Exchange, seconds: float) -> None:
         deadlines = Deadlines.beside(asyncio.get_running_loop())
-        self._owed[exchange] = deadlines.after(seconds, self._forget, exchange)
+        self.unanswered[exchange] = deadlines.after(seconds, self._forget, exchange)
 
     def _hold(self, owed: Exchange) -> None:
-        deadline, self._owed[owed] = self._owed[owed], None
+        deadline, self.unanswered[owed] = self.unanswered[owed], None
         if deadline is not None:
             deadline.cancel()
 
     def _forget(self, owed: Exchange) -> None:
         self._hold(owed)
-        del self._owed[owed]
+        del self.unanswered[owed]
         self._let_leave()
 
     def _let_leave(self) -> None:
         """Give the turn to the first whose answer can be taken for none that is owed."""
-        if self._now is None:
+        if self.now is None:
             for exchange in self._line:
                 if not self._is_owed_to(exchange):
                     self._line.remove(exchange)
-                    self._now = exchange
+                    self.now = exchange
                     exchange.begin_turn()
                     return
 

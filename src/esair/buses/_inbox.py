@@ -60,8 +60,10 @@ class Inbox(Generic[T]):
         kept = self._items
         self.dropped += max(0, len(kept) + len(items) - (kept.maxlen or 0))
         kept.extend(items)
-        if items:
-            self._wake()
+        waiter = self._waiter
+        if items and waiter is not None:
+            self._waiter = None
+            arrive(waiter, None)
 
     def fail(self, error: BaseException) -> None:
         """Let every further wait raise an error."""
@@ -98,7 +100,10 @@ class Inbox(Generic[T]):
                 )
             self._waiter = asyncio.get_running_loop().create_future()
             try:
-                await within(self._waiter, timeout)
+                if timeout is None:
+                    await self._waiter
+                else:
+                    await within(self._waiter, timeout)
             finally:
                 self._waiter = None
         return self._items.popleft()
@@ -106,8 +111,7 @@ class Inbox(Generic[T]):
     def __aiter__(self) -> AsyncIterator[T]:
         return self
 
-    async def __anext__(self) -> T:
-        return await self.take()
+    __anext__ = take
 
     def _wake(self) -> None:
         waiter, self._waiter = self._waiter, None

@@ -335,10 +335,12 @@ class Listening:
         self,
         device: Device,
         loop: asyncio.AbstractEventLoop,
-        hear: Callable[[Any, BaseException | None], None],
+        *,
+        publish: Callable[[Any, float], None],
+        fail: Callable[[BaseException, float], None],
     ) -> None:
         self._device = device
-        self._hear = hear
+        self._publish, self._fail = publish, fail
         self._door = Door.of(loop)
         self._tag = (device.name, "pushed")
         if self._door.player is not None:
@@ -414,4 +416,7 @@ class Listening:
             return
         if isinstance(self._door.tape, TapeWriter):
             self._door.tape.arrived(self._tag, (value, error, opening))
-        self._hear(value, error)
+        if error is None:
+            self._publish(value, math.inf)
+        else:
+            self._fail(error, math.inf)

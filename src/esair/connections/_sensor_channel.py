@@ -98,7 +98,9 @@ class SensorChannel(Device):
             self, publish=self.publish, fail=self._fail, silent=self._silent
         )
         self._waiting = self._asking.waiting
-        self._listening = Listening(self, self.loop, self._heard)
+        self._listening = Listening(
+            self, self.loop, publish=self.publish, fail=self._fail
+        )
         self.attach(sensor)
 
     def attach(self, sensor: Sensor[Any]) -> None:
@@ -331,13 +333,6 @@ class SensorChannel(Device):
             self._asking.free()
 
     # Values.
-
-    def _heard(self, value: Any, error: BaseException | None) -> None:
-        """Publish what the device has pushed, or the error of its stream."""
-        if error is None:
-            self.publish(value, math.inf)
-        else:
-            self._fail(error, math.inf)
 
     def fail(self, error: BaseException) -> None:
         """Take note of what came instead of a value; those who wait are told."""

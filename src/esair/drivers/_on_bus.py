@@ -108,10 +108,16 @@ def expected_at(device: Resource, address: int) -> Iterator[None]:
         ) from error
 
 
-async def heard(
+def heard(
     device: Resource, inbox: Inbox[T], silent_after: float | None
 ) -> AsyncIterator[T]:
     """Yield what comes; who is silent for so many seconds is a `DeviceLostError`."""
+    return inbox if silent_after is None else _in_time(device, inbox, silent_after)
+
+
+async def _in_time(
+    device: Resource, inbox: Inbox[T], silent_after: float
+) -> AsyncIterator[T]:
     while True:
         try:
             yield await inbox.take(timeout=silent_after)

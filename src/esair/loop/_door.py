@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from esair.loop._light_task import LightTask, settle
 from esair.loop._of_loop import OfLoop, OfTurn
 from esair.loop._ownership import Contained
-from esair.loop._scheduler import NOW, contained
+from esair.loop._scheduler import contained
 from esair.loop._tape import WAITS, Entry, First, Player, Tag, TapeWriter
 
 if TYPE_CHECKING:
@@ -69,9 +69,11 @@ class Arrivals(OfLoop):
         try:
             if self._depth == 1 and so_far is not None:
                 self.so_far = made_of_it = _Arrived()
-                self._go_on(so_far)
+                if so_far:
+                    self._go_on(so_far)
                 self.so_far = None  # else who is answered at once would never give way
-                self._go_on(made_of_it)
+                if made_of_it:
+                    self._go_on(made_of_it)
         finally:
             self._depth -= 1
             if not self._depth:
@@ -89,7 +91,8 @@ def arrive(future: asyncio.Future[T], value: T) -> None:
     """Bring what a future waits for; fine if nobody wants it any more."""
     if future.done():
         return
-    arrivals = Arrivals.of(future.get_loop())
+    loop = future.get_loop()
+    arrivals = vars(loop).get("_esair_Arrivals") or Arrivals.of(loop)  # hot
     callbacks: Any = future._callbacks  # noqa: SLF001 - the protocol of futures
     if (
         callbacks
@@ -330,7 +333,7 @@ class Door(OfTurn):
             self._entries.append(
                 Entry(self.number, self._time(), 0, tag, function, arguments)
             )
-        self._turn.want(NOW)
+        self._turn.expect()
 
     def ripen(self, *, works: bool) -> bool:
         """Let what threads have brought take effect at the next border; tells if any.
@@ -353,6 +356,8 @@ class Door(OfTurn):
 
     def take(self) -> None:
         """Let what has come in take effect; called at the border."""
+        if not (self._entries or self._wakes):
+            return
         if not self._holds:
             self._wakes = (
                 False  # before the look: what comes later wakes the loop again

@@ -309,15 +309,11 @@ class LightTask(asyncio.Future[None]):
             self._running_on.call_soon(self._step, error, context=self._context)
 
     def _wake_up(self, future: asyncio.Future[Any]) -> None:
-        self._step(_error_of(future))
-
-
-def _error_of(future: asyncio.Future[Any]) -> BaseException | None:
-    """Return what a future ended with; its waiter's step is no part of handling it."""
-    try:
-        return future.exception()
-    except asyncio.CancelledError as error:
-        return error
+        try:
+            error = future.exception()
+        except asyncio.CancelledError as cancelled:
+            error = cancelled
+        self._step(error)  # here: it is no part of handling a cancellation
 
 
 class FirstSteps(OfLoop):

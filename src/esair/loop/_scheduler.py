@@ -305,9 +305,10 @@ CROWD = 32  # how many components share a phase before another phase is used
 class Asked:
     """What was asked for, and is called in one turn."""
 
-    __slots__ = ("decided", "derived", "jobs", "last")
+    __slots__ = ("decided", "derived", "jobs", "last", "polls")
 
     def __init__(self) -> None:
+        self.polls: list[Job] = []
         self.jobs: list[Job] = []
         self.derived: list[DerivedJob] = []
         self.decided: list[Callee] = []
@@ -316,7 +317,17 @@ class Asked:
         """What is called when everything else was."""
 
     def __bool__(self) -> bool:
-        return bool(self.jobs or self.derived or self.decided or self.last)
+        return bool(
+            self.jobs or self.polls or self.derived or self.decided or self.last
+        )
+
+    def take(self, left: Asked) -> None:
+        """Take what was left of another turn."""
+        self.polls += left.polls
+        self.jobs += left.jobs
+        self.derived += left.derived
+        self.decided += left.decided
+        self.last += left.last
 
 
 class Scheduler(OfTurn):
@@ -445,15 +456,16 @@ class Scheduler(OfTurn):
 
     def queue(self, job: Job) -> None:
         """Call the step of a job in the next turn."""
-        self._asked().jobs.append(job)
+        asked = self._now_asked if self.in_turn else self._asked()
+        (asked.jobs if job.order else asked.polls).append(job)
 
     def derive(self, job: DerivedJob) -> None:
         """Call a job when the sensors of the turn are asked, before any step decides."""
-        self._asked().derived.append(job)
+        (self._now_asked if self.in_turn else self._asked()).derived.append(job)
 
     def decide(self, decision: Callee) -> None:
         """Call something when all steps of the turn have decided."""
-        self._asked().decided.append(decision)
+        (self._now_asked if self.in_turn else self._asked()).decided.append(decision)
 
     def last(self, callee: Callee) -> None:
         """Call something when all else of the next turn was called."""
@@ -461,8 +473,7 @@ class Scheduler(OfTurn):
         self._want(NOW)
 
     def _asked(self) -> Asked:
-        if self.in_turn:
-            return self._now_asked
+        """Return what is asked for outside of a turn: it is for the next one."""
         self._want(NOW)
         return self._next_asked
 
@@ -525,9 +536,7 @@ class Scheduler(OfTurn):
             while True:
                 now = self._now
                 for call in self._calls:
-                    # By itself: what lies in a slot and is called in place is sought
-                    # as a method first, which takes five times as long.
-                    function = call.function
+                    function = call.function  # hot
                     try:
                         rest = function(now)
                     except Exception:
@@ -545,7 +554,10 @@ class Scheduler(OfTurn):
                         self._forget(None)
                     if not (self._heap or self._now_asked or self._next_asked):
                         return
-                    await self._wait()
+                    try:
+                        await self._fall_asleep()
+                    finally:
+                        self._sleep = None
                     self._turn = self._batches()
                 else:
                     self._calls = iter(calls)
@@ -564,8 +576,9 @@ class Scheduler(OfTurn):
         asked = self._now_asked
         steps: list[tuple[Job, ...]] = []
         one_shots: list[OneShot] = []
-        if asked.jobs:
-            yield from self._queued(Order.POLL)
+        if asked.polls:
+            polls, asked.polls = asked.polls, []
+            yield _taken(polls)
         while self._heap and self._heap[0][0] <= due:
             entry = self._heap[0][-1]
             if isinstance(entry, OneShot):
@@ -584,8 +597,10 @@ class Scheduler(OfTurn):
                 steps.append(jobs)
         while asked.derived:
             yield self._shallowest()
-        if asked.jobs:
-            yield from self._queued(Order.STEP)
+        if asked.jobs or asked.polls:
+            queued = asked.polls + asked.jobs
+            asked.polls, asked.jobs = [], []
+            yield _taken(queued)
         if self.polled_in == self.turns:
             steps = [tuple(j for j in jobs if not j.waits(self._now)) for jobs in steps]
         yield from steps
@@ -598,15 +613,6 @@ class Scheduler(OfTurn):
         if asked.last:
             last, asked.last = asked.last, []
             yield last
-
-    def _queued(self, order: Order) -> Iterator[Iterable[Callee]]:
-        asked = self._now_asked
-        queue = [job for job in asked.jobs if job.order <= order]
-        asked.jobs = [job for job in asked.jobs if job.order > order]
-        queue.sort(key=attrgetter("rank"))
-        for job in queue:
-            job.queued = False
-        yield queue
 
     def _shallowest(self) -> Iterable[Callee]:
         """Take those that wait for none of the others: each is called once a turn."""
@@ -624,25 +630,18 @@ class Scheduler(OfTurn):
         one_shot.function = idle
         return (fired,)
 
-    async def _wait(self) -> None:
+    def _fall_asleep(self) -> asyncio.Future[None]:
         left = self._now_asked
         if left:  # what the end of the turn has asked for is for the next one
-            asked = self._next_asked
-            asked.jobs += left.jobs
-            asked.derived += left.derived
-            asked.decided += left.decided
-            asked.last += left.last
+            self._next_asked.take(left)
             self._now_asked = Asked()
-        self._sleep = self._loop.create_future()
+        self._sleep = sleep = self._loop.create_future()
         self._rests = True
         if self._next_asked:
             self._want(NOW)
         elif self._heap:
             self._want(self._heap[0][0])
-        try:
-            await self._sleep
-        finally:
-            self._sleep = None
+        return sleep
 
 
 def _is_cancelled(entry: RateGroup | OneShot) -> bool:
@@ -651,3 +650,12 @@ def _is_cancelled(entry: RateGroup | OneShot) -> bool:
 
 def _moment(one_shot: OneShot) -> tuple[Order, int]:
     return one_shot.order, one_shot.due
+
+
+def _taken(jobs: list[Job]) -> list[Job]:
+    """Return jobs in their order, no more queued."""
+    if len(jobs) > 1:
+        jobs.sort(key=attrgetter("rank"))
+    for job in jobs:
+        job.queued = False
+    return jobs

@@ -41,6 +41,12 @@ _log_of_asyncio = logging.getLogger("asyncio")
 Select = Callable[[float | None], Any]
 
 
+def computer_slept() -> float:
+    """Return how long the computer has slept in all, in seconds; 0 if it cannot tell."""
+    boot = getattr(time, "CLOCK_BOOTTIME", None)
+    return 0.0 if boot is None else time.clock_gettime(boot) - time.monotonic()
+
+
 class Turn(OfLoop):
     """What the turns of a loop are made of, and the border between them.
 
@@ -86,12 +92,8 @@ class Turn(OfLoop):
         Scheduler.settle(loop, self.robot)
         Deadlines.settle(loop, self.deadlines)
         # In this order they look.
-        self._steppers = (
-            self.deadlines,
-            self.robot,
-            self.deadlines_outside,
-            self.outside,
-        )
+        inside, outside = self.deadlines, self.deadlines_outside
+        self._steppers = (inside, self.robot, outside, self.outside)
         self.suspends = SuspendWatch(self)
         """Told when the computer slept, before anything else that is due."""
 
@@ -104,19 +106,22 @@ class Turn(OfLoop):
             self.due = due
             self._ask()
 
+    def expect(self) -> None:
+        """The door has news: come to the border soon; called in the loop."""
+        self.want(NOW)
+
     def border(self, now: float) -> None:
         """Let what came in take effect, and have those look who are due."""
-        if self.door.has_news:
-            self.door.take()
+        self.door.take()
         reached = round(now * SECOND) + self.early
         if self.due > reached:
             return  # most passes end here
         self.suspends.look()
-        steppers = self._steppers
-        for each in steppers:
+        for each in self._steppers:
             if each.due <= reached:
                 each.look(reached)
-        self.due = min(each.due for each in steppers)
+        first, second, third, fourth = self._steppers
+        self.due = min(first.due, second.due, third.due, fourth.due)  # hot
 
     def is_due(self, now: float) -> bool:
         """Tell whether something is to be done at a border now."""
@@ -179,11 +184,16 @@ class OwnTurn(Turn):
         self.repeats = not loop.virtual
         self.keep, self.play = loop.keep, loop.play
 
+    def want(self, due: float) -> None:
+        """Have the steppers look at a moment, in ns: the selector does."""
+        if due < self.due:
+            self.due = due
+
+    def expect(self) -> None:
+        """The door has news: the selector does not wait."""
+
     def come(self) -> None:
         """Have been woken: the border is in the selector."""
-
-    def _ask(self) -> None:
-        """Ask nobody: the selector looks at what is due."""
 
 
 class When(float):
@@ -221,17 +231,6 @@ class NamedHandle(asyncio.Handle):
             _log_of_asyncio.warning("Executing %r took %.3f seconds", who, took)
 
 
-class TurnSelector(selectors.DefaultSelector):
-    """The selector of a loop that has a border."""
-
-    border: Callable[[float | None, Select], Any] | None = None
-
-    def select(self, timeout: float | None = None) -> Any:
-        if self.border is None:
-            return super().select(timeout)
-        return self.border(timeout, super().select)
-
-
 class TurnLoop(asyncio.SelectorEventLoop):
     """The event loop of `esair.run`: what happens in it can be kept and repeated."""
 
@@ -246,14 +245,17 @@ class TurnLoop(asyncio.SelectorEventLoop):
         self._shift = 0.0
         if player is not None:
             self._shift = player.began - time.monotonic()
+        elif type(self).clock is TurnLoop.clock:
+            self.clock = time.monotonic  # type: ignore[method-assign]  # hot
         self._now = self.clock()
         self._timers = itertools.count()
         self._works = itertools.count(1)
-        selector = TurnSelector()
+        selector: Any = selectors.DefaultSelector()
         super().__init__(selector)
         self._turn = OwnTurn(self)
         self._alarm = None if self.virtual else Alarm.on(selector)
-        selector.border = self._pass
+        self._select: Select = selector.select
+        selector.select = self._pass  # the border is there
 
     @property
     def turn(self) -> int:
@@ -287,9 +289,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         """Return the time amid a turn too, in any thread."""
         return time.monotonic() + self._shift
 
-    def slept(self) -> float:
-        """Return for how long the computer has slept in all, in seconds."""
-        return computer_slept()
+    slept = staticmethod(computer_slept)
 
     def wait_in_thread(self, seconds: float) -> None:
         """Let time pass in a thread that works for a robot, and wait for that."""
@@ -315,9 +315,14 @@ class TurnLoop(asyncio.SelectorEventLoop):
         moment.number = next(self._timers)
         return super().call_at(moment, callback, *args, context=context)
 
-    def _call_soon(self, callback: Any, args: Any, context: Any) -> asyncio.Handle:
-        if not self.get_debug():
-            return super()._call_soon(callback, args, context)  # type: ignore[misc, no-any-return]
+    def set_debug(self, enabled: bool) -> None:
+        """Begin or cease to look closer at what runs; slow callbacks are named."""
+        super().set_debug(enabled)
+        vars(self).pop("_call_soon", None)
+        if enabled:
+            self._call_soon = self._call_named
+
+    def _call_named(self, callback: Any, args: Any, context: Any) -> asyncio.Handle:
         handle = NamedHandle(callback, args, self, context)
         self._ready.append(handle)  # type: ignore[attr-defined]
         return handle
@@ -345,11 +350,11 @@ class TurnLoop(asyncio.SelectorEventLoop):
         future.add_done_callback(lambda done: done.cancelled() and inner.cancel())
         return future
 
-    def _pass(self, timeout: float | None, select: Select) -> Any:
+    def _pass(self, timeout: float | None = None) -> Any:
         """Wait for the next turn, and be at its border."""
         if self._plays:
-            return self._replay(timeout, select)
-        events = self._wait(timeout, select)
+            return self._replay(timeout)
+        events = self._wait(timeout)
         turn = self._turn
         turn.number += 1
         now = self._now = self.clock()
@@ -358,11 +363,13 @@ class TurnLoop(asyncio.SelectorEventLoop):
         turn.border(now)
         return events
 
-    def _wait(self, timeout: float | None, select: Select) -> Any:
+    def _wait(self, timeout: float | None) -> Any:
         turn = self._turn
-        if timeout is None or timeout > 0.0:
+        if turn.door.has_news:
+            timeout = 0.0
+        elif timeout is None or timeout > 0.0:
             now = self.clock()
-            gap = 0.0 if turn.door.has_news else (turn.due - EARLY) / SECOND - now
+            gap = (turn.due - EARLY) / SECOND - now
             if timeout is not None:  # asyncio counts from the beginning of the turn
                 timeout = max(0.0, timeout - (now - self._now))
             if gap <= 0.0:
@@ -371,15 +378,15 @@ class TurnLoop(asyncio.SelectorEventLoop):
                 self._alarm.set(turn.due)
             elif gap < NEVER:
                 timeout = gap if timeout is None else min(timeout, gap)
-        events = select(timeout)
+        events = self._select(timeout)
         if self._alarm is not None and events:
             self._alarm.heard(events)
         return events
 
-    def _replay(self, timeout: float | None, select: Select) -> Any:
+    def _replay(self, timeout: float | None) -> Any:
         turn, player = self._turn, self.player
         assert player is not None
-        events = select(0.0)
+        events = self._select(0.0)
         turn.number += 1
         moment = None if player.is_over else player.next_turn()
         if moment is not None:
@@ -387,17 +394,17 @@ class TurnLoop(asyncio.SelectorEventLoop):
             player.take()
         else:
             player.end()
-            events = [*events, *self._hurry(timeout, select)]
+            events = [*events, *self._hurry(timeout)]
         turn.border(self._now)
         return events
 
-    def _hurry(self, timeout: float | None, select: Select) -> Any:
+    def _hurry(self, timeout: float | None) -> Any:
         """Nothing is repeated any more: time goes to what is next, without a wait."""
         turn = self._turn
         gap = max(0.0, min(turn.gap(), math.inf if timeout is None else timeout))
         if gap == 0.0:
             return ()
-        events = select(0.001)  # what threads still do
+        events = self._select(0.001)  # what threads still do
         if not (events or turn.door.has_news) and gap < math.inf:
             self._now += gap
         return events
@@ -514,12 +521,6 @@ class SuspendWatch:
         _log.warning("the computer slept for %.1f s: all readings are old", slept)
         for listener in self._listeners:
             listener(slept)
-
-
-def computer_slept() -> float:
-    """Return how long the computer has slept in all, in seconds; 0 if it cannot tell."""
-    boot = getattr(time, "CLOCK_BOOTTIME", None)
-    return 0.0 if boot is None else time.clock_gettime(boot) - time.monotonic()
 
 
 def timerfd() -> tuple[int, Callable[[int], object]]:

@@ -19,8 +19,6 @@ STEP_BUDGET = 200_000  # How many passes of the loop may go by without any time 
 TOGETHER = 1e-6
 """What comes so soon after the next moment comes with it, in seconds."""
 
-Select = Callable[[float | None], Any]
-
 
 class DeadlockError(RuntimeError):
     """Every task waits, and nothing can ever wake one."""
@@ -154,19 +152,18 @@ class VirtualLoop(TurnLoop):
         finally:
             self.threads_in_flight -= 1
 
-    def _pass(self, timeout: float | None, select: Select) -> Any:
-        events = self._wait(timeout, select)
+    def _pass(self, timeout: float | None = None) -> Any:
+        events = self._wait(timeout)
         door, turn = self._door, self._turn
         if self._clock_resolution < 0.0 or door.at_work > 0:
             # No turn: threads come first. What they have told takes effect all the same.
-            if door.has_news:
-                door.take()
+            door.take()
             return events
         turn.number += 1
         turn.border(self._now)
         return events
 
-    def _wait(self, _timeout: float | None, select: Select) -> Any:
+    def _wait(self, _timeout: float | None) -> Any:
         """Let go on what is ready, else threads, else what is due, else time."""
         ready, door = self._ready, self._door  # type: ignore[attr-defined]
         if self._held:
@@ -197,16 +194,16 @@ class VirtualLoop(TurnLoop):
                 if not self._threads.outside(door):
                     if self._watches_nothing():
                         raise DeadlockError(f"every task waits:\n{self._tasks()}")
-                    return self._others(select(None))
+                    return self._others(self._select(None))
             # In real time, until something comes in, or a thread has fallen asleep.
-            if not (events := select(LOOK)):
+            if not (events := self._select(LOOK)):
                 self._threads.look(door, self._passes)
             elif events := self._others(events):
                 return events
             self._count()
         if self._stopping:  # type: ignore[attr-defined]
             self._put_back(ready)
-        return self._others(select(0.0))
+        return self._others(self._select(0.0))
 
     def _count(self) -> None:
         self._passes += 1

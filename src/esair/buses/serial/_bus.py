@@ -115,7 +115,7 @@ class SerialBus(Bus):
         self._open_device: Port | None = None
         self._line: Line | None = None
         self._arrivals: Arrivals
-        self._inboxes: list[tuple[bytes, Inbox[bytes]]] = []
+        self._listen([])
         self._bad_in_row = 0
         self._is_cut = False
         """Whether only the beginning of the message before was sent."""
@@ -151,7 +151,7 @@ class SerialBus(Bus):
         """
         self._connected()
         inbox: Inbox[bytes] = Inbox(limit, self._forget)
-        self._inboxes = [*self._inboxes, (prefix, inbox)]
+        self._listen([*self._inboxes, (prefix, inbox)])
         return inbox
 
     async def write(self, data: bytes, *, timeout: float | None = None) -> None:
@@ -276,7 +276,12 @@ class SerialBus(Bus):
         return self._line
 
     def _forget(self, inbox: Inbox[bytes]) -> None:
-        self._inboxes = [entry for entry in self._inboxes if entry[1] is not inbox]
+        self._listen([entry for entry in self._inboxes if entry[1] is not inbox])
+
+    def _listen(self, inboxes: list[tuple[bytes, Inbox[bytes]]]) -> None:
+        self._inboxes = inboxes
+        self._prefixes = tuple(prefix for prefix, _ in inboxes)
+        self._hears_all = b"" in self._prefixes
 
     async def _open(self) -> None:
         self.framing.reset()
@@ -337,17 +342,18 @@ class SerialBus(Bus):
             self._fail_all(self.failed(fault))
 
     def _deliver(self, messages: list[bytes]) -> None:
+        exchanges = self._exchanges
         if not self._inboxes:
-            heard = sum(map(self._exchanges.offer, messages))
+            heard = sum(map(exchanges.offer, messages))
             self.stats.unheard += len(messages) - heard
             return
-        prefixes = tuple(prefix for prefix, _ in self._inboxes)
+        prefixes = self._prefixes
         unheard = len(messages)
-        if self._exchanges.expects:
+        if exchanges.now is not None or exchanges.unanswered:
             for message in messages:
-                if self._exchanges.offer(message) and not message.startswith(prefixes):
+                if exchanges.offer(message) and not message.startswith(prefixes):
                     unheard -= 1
-        if all(prefixes):  # an empty one is nobody's, and costs next to nothing
+        if not self._hears_all:  # an empty one is nobody's, and costs next to nothing
             messages = [
                 each for each in filter(None, messages) if each.startswith(prefixes)
             ]

@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Protocol
 
 from esair.buses._bus import Wire
+from esair.loop import ignore
 
 
 class SerialLink(Protocol):
@@ -64,7 +65,7 @@ class Line(asyncio.Protocol):
         received: Callable[[bytes], None],
         gone: Callable[[Line, Exception | None], None],
     ) -> None:
-        self._received = received
+        self.data_received = received  # type: ignore[method-assign, assignment]
         self._gone = gone
         self._writers: list[asyncio.Future[None]] = []
         self._sizes: list[int] = []
@@ -118,12 +119,9 @@ class Line(asyncio.Protocol):
     def end(self) -> None:
         """Let the link go; nothing more is heard of it."""
         self._over = True
+        self.data_received = ignore  # type: ignore[method-assign, assignment]
         if not self.link.is_closing():
             self.link.abort()
-
-    def data_received(self, data: bytes) -> None:
-        if not self._over:
-            self._received(data)
 
     def resume_writing(self) -> None:
         self._sizes.clear()
