@@ -567,11 +567,13 @@ async def test_a_driver_may_report_from_its_own_thread() -> None:
     sonar = Sonar()
     async with esair.Robot(resources=[sonar]) as robot:
         in_thread(sonar.report_lost)
-        await asyncio.sleep(0.01)
-        assert robot.resources.query("sonar").state is esair.ResourceState.LOST
+        await until(
+            lambda: robot.resources.query("sonar").state is esair.ResourceState.LOST
+        )
         in_thread(sonar.report_arrived)
-        await asyncio.sleep(0.05)
-        assert robot.resources.query("sonar").state is esair.ResourceState.READY
+        await until(
+            lambda: robot.resources.query("sonar").state is esair.ResourceState.READY
+        )
         await robot.resources.remove("sonar")
         in_thread(sonar.report_lost)
         in_thread(sonar.report_arrived)

@@ -89,13 +89,17 @@ async def check_motors(simulation: Simulation) -> None:
     await bus.open()
     inbox = bus.frames(feedback_id(LEFT))
 
-    for sequence in range(10):
+    turning = None
+    for sequence in range(100):  # 5 s; half of one on a computer with time for it
         for side, speed in ((LEFT, 4.0), (RIGHT, 6.0)):
             data = encode_command(side, WheelCommand(speed, True, sequence))
             await bus.send(command_id(side), data)
         await asyncio.sleep(0.05)
-    while len(inbox):
-        turning = decode_feedback(LEFT, (await inbox.take(timeout=1)).data)
+        while len(inbox):
+            turning = decode_feedback(LEFT, (await inbox.take(timeout=1)).data)
+        if sequence >= 9 and turning and turning.speed == pytest.approx(4.0, abs=0.3):
+            break
+    assert turning is not None
     moved = simulation.world.distance
     await asyncio.sleep(0.8)
     while len(inbox):
