@@ -11,7 +11,7 @@ from esair.actions._needs import Reads, attributes_of
 from esair.actions._reaction import Reaction
 from esair.actions._reaction_runner import Hooks, ReactionRunner
 from esair.actions._senses import Input
-from esair.connections import DerivedChannel, Source
+from esair.connections import Computation, DerivedChannel, Source
 from esair.exceptions import DeviceLostError, EsairError
 from esair.loop import NEVER, Owner
 from esair.messages import ResourceState, Stamped
@@ -152,7 +152,7 @@ class _Tap(Input):
 class Derivation(ReactionRunner):
     """Computes one derived sensor until it is stopped."""
 
-    __slots__ = ("_channel", "_derived", "on_change")
+    __slots__ = ("_channel", "_derived", "_is_current", "on_change")
 
     input_type = _Tap
 
@@ -168,12 +168,14 @@ class Derivation(ReactionRunner):
         super().__init__(_Computing(derived), Hooks(), began=began, owner=owner)
         self._derived = derived
         self._channel = channel
+        self._is_current = False
+        """Whether the newest reading is of the newest readings of the sources."""
         self.on_change = on_change
 
     def follow(self, sources: Mapping[str, Source]) -> None:
         """Begin to follow the sources; nothing is computed before `begin`."""
-        self._channel.computed_of(tuple(sources.values()))
-        self._channel.catch_up = self._catch_up
+        computation = Computation(tuple(sources.values()), self._catch_up)
+        self._channel.computed_by(computation)
         self.job = self.scheduler.derived(
             self._turn, name=self._derived.name, depth=self._channel.depth
         )
@@ -181,8 +183,7 @@ class Derivation(ReactionRunner):
 
     def stop(self) -> None:
         super().stop()
-        self._channel.sources = ()
-        self._channel.catch_up = None
+        self._channel.computation = Computation()
 
     def begin(self) -> None:
         for each in self.senses.inputs:
@@ -195,10 +196,11 @@ class Derivation(ReactionRunner):
         if not self.senses.missing:
             self.job.soon()
 
-    def _catch_up(self) -> None:
+    def _catch_up(self) -> bool:
         if self.job.queued:
             self.job.queued = False
             self.job.function(self.time())
+        return self._is_current
 
     def _step(self, now: float) -> None:
         """Compute a value of the readings that there are now."""
@@ -206,7 +208,7 @@ class Derivation(ReactionRunner):
         if not senses.see(now) or channel.state is not ResourceState.READY:
             return
         senses.steps += 1
-        channel.is_current = False
+        self._is_current = False
         self.clock.step(now)
         stepping = self._stepping
         stepping.stepper = self
@@ -223,4 +225,4 @@ class Derivation(ReactionRunner):
         known = [each.channel.newest for each in needed or senses.inputs]
         oldest = min((each.time for each in known if each is not None), default=now)
         stale_at = min((each.stale_at for each in needed), default=NEVER)
-        channel.publish_until(value, oldest, stale_at)
+        self._is_current = channel.publish_until(value, oldest, stale_at)

@@ -58,6 +58,7 @@ from esair.connections._registrations import (
 from esair.connections._sensor_channel import (
     Applied,
     AppliedChannel,
+    Computation,
     DerivedChannel,
     Follower,
     SensorChannel,
@@ -78,6 +79,7 @@ __all__ = [
     "BeingReplacedError",
     "Call",
     "CommandCheck",
+    "Computation",
     "Decision",
     "DerivedChannel",
     "Driver",

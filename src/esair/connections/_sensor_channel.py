@@ -77,7 +77,6 @@ class SensorChannel(Device):
         "_frozen",
         "_history",
         "_listening",
-        "_waiting",
         "bad",
         "dropped",
         "good_for",
@@ -97,7 +96,6 @@ class SensorChannel(Device):
         self._asking = Asking(
             self, publish=self.publish, fail=self._fail, silent=self._silent
         )
-        self._waiting = self._asking.waiting
         self._listening = Listening(
             self, self.loop, publish=self.publish, fail=self._fail
         )
@@ -170,7 +168,7 @@ class SensorChannel(Device):
             "missed": self.missed,
             "bad": self.bad,
             "dropped": self.dropped,
-            "turned_away": self._waiting.turned_away,
+            "turned_away": self._asking.waiting.turned_away,
             "abandoned": self.calls.abandoned,
             "late": self.calls.late,
         }
@@ -246,7 +244,7 @@ class SensorChannel(Device):
             raise StaleReadingError(self.name, self.time() - self.newest.time, max_age)
         need = self._asking.next_answer(fresh=fresh)
         self._asking.ask()
-        reading = await self._waiting.reading(need, timeout)
+        reading = await self._asking.waiting.reading(need, timeout)
         self._check(registration)
         age = self.time() - reading.time
         if age > max_age:
@@ -368,15 +366,16 @@ class SensorChannel(Device):
         self._history.append(reading)
         if self._journal.heard:
             self._journal.publish(Kind.READING, self.name, "", reading)
-        if self._waiting.readers:
-            self._waiting.answer(number, reading)
+        waiting = self._asking.waiting
+        if waiting.readers:
+            waiting.answer(number, reading)
         for follower in self._followers:
             follower.feed(reading)
 
     def _fail(self, error: BaseException, number: float) -> None:
         deadline = self.sensor.deadline
         translated = translate_call(self.name, "read", deadline, error)
-        self._waiting.answer(number, translated)
+        self._asking.waiting.answer(number, translated)
         for follower in self._followers:
             follower.doubt(translated)
         self.robot.on_error(translated)
@@ -429,33 +428,44 @@ class Source(NamedTuple):
     optional: bool = False  # whether the other one is computed without it as well
 
 
+def _nothing_new() -> bool:
+    return False
+
+
+class Computation(NamedTuple):
+    """How a sensor is computed of others.
+
+    Attributes:
+        sources: What it is computed of; empty until all of that is there.
+        catch_up: Computes at once what waits for its place in the turn; tells whether
+            the newest reading is of the newest readings of the sources then.
+    """
+
+    sources: tuple[Source, ...] = ()
+    catch_up: Callable[[], bool] = _nothing_new
+
+
 class DerivedChannel(SensorChannel):
     """Reads what is computed of other readings; it has no device that is asked."""
 
-    sources: tuple[Source, ...] = ()
-    """What it is computed of; empty until all of that is there."""
-
-    is_current = False
-    """Whether its newest reading is of the newest readings of its sources."""
-
-    catch_up: Callable[[], None] | None = None
-    """Computes at once what waits for its place in the turn."""
+    computation = Computation()
 
     def configured(self) -> None:
         """Take over changed settings: how long a reading is good is no setting."""
         self.good_for = math.inf
         self.max_age = getattr(self, "max_age", math.inf)
 
-    def computed_of(self, sources: tuple[Source, ...]) -> None:
-        """Be computed of these from now on; while it is there, who follows hears of it."""
-        self.sources = sources
+    def computed_by(self, computation: Computation) -> None:
+        """Be computed so from now on; while it is there, who follows hears of it."""
+        self.computation = computation
         if self.state is ResourceState.READY:
             for follower in self._followers:
                 follower.changed(None)
 
     @property
     def sampled(self) -> tuple[SensorChannel, ...]:
-        found = (each for source in self.sources for each in source.channel.sampled)
+        sources = self.computation.sources
+        found = (each for source in sources for each in source.channel.sampled)
         return tuple(dict.fromkeys(found))
 
     @property
@@ -463,26 +473,28 @@ class DerivedChannel(SensorChannel):
         """How many computations come before it, one of the other."""
         below = [
             source.channel.depth
-            for source in self.sources
+            for source in self.computation.sources
             if isinstance(source.channel, DerivedChannel)
         ]
         return 1 + max(below) if below else 0
 
-    def publish_until(self, value: Any, oldest: float, stale_at: float) -> None:
-        """Give a value to everybody who waits or follows."""
+    def publish_until(self, value: Any, oldest: float, stale_at: float) -> bool:
+        """Give a value to everybody who waits or follows; tells whether it was good."""
         time: float | str = oldest
         if type(value) is Stamped:
             time = measured_at(value, self.time())
         else:
             value = Stamped(value, oldest)
-        before, self.is_current = (self.max_age, self.sequence), True
+        before = self.max_age, self.sequence
         if isinstance(time, float) and stale_at < math.inf:
             self.max_age = stale_at - time  # that of this very reading
         else:
             self.max_age = math.inf
         self.publish(value, math.inf)
-        if self.sequence == before[1]:  # it was no good
-            self.max_age, self.is_current = before[0], False
+        if self.sequence != before[1]:
+            return True
+        self.max_age = before[0]
+        return False
 
     async def ask(
         self, registration: Registration, *, fresh: bool, max_age: float, timeout: float
@@ -491,7 +503,7 @@ class DerivedChannel(SensorChannel):
         until = self.time() + timeout
         if fresh and self.state is ResourceState.READY:
             self._check(registration)
-            for each in self.sources:
+            for each in self.computation.sources:
                 if each.optional:
                     continue
                 limit = each.max_age
@@ -501,9 +513,7 @@ class DerivedChannel(SensorChannel):
                     max_age=each.channel.max_age if limit is None else limit,
                     timeout=max(0.0, until - self.time()),
                 )
-            if self.catch_up is not None:
-                self.catch_up()
-            if self.is_current:
+            if self.computation.catch_up():
                 return self.known(registration, max_age)
         return await super().ask(
             registration,

@@ -13,7 +13,7 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import anyio
@@ -51,7 +51,6 @@ from esair.messages import (
     Page,
     Policy,
     Recording,
-    ResourceState,
 )
 from esair.plan import Plan, errors_in, examine
 from esair.resources import Resource, adapt_resource
@@ -116,6 +115,11 @@ class LoopCare:
         if self._loop not in {None, asyncio.get_running_loop()}:
             told = "it runs in another event loop: what is for threads is halt"
             raise ConfigError(title, verb, told)
+
+    @property
+    def is_for_all(self) -> bool:
+        """Whether everything runs: it is neither starting nor stopping."""
+        return self._gaps is not None
 
     def is_up(self, loop: asyncio.AbstractEventLoop) -> None:
         """Everything runs: garbage is collected in the gaps from now on."""
@@ -234,6 +238,93 @@ class Seating:
 LAST_WAIT = 2.0  # how long `run` may take to end beside the grace period, in seconds
 
 _log = logging.getLogger("esair")
+
+
+class Stopping:
+    """The stop of a robot: why it takes place, and that it does so once.
+
+    Args:
+        name: The name of the robot.
+        work: Stops it in order.
+        hurry: Called when somebody is impatient.
+        is_safe: Tells, in any thread, whether every actuator was made safe.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        work: Callable[[], Coroutine[Any, Any, None]],
+        hurry: Callable[[], None],
+        is_safe: Callable[[], bool],
+    ) -> None:
+        self._name = name
+        self._work = work
+        self._hurry = hurry
+        self.reason = ""  # why it stops; the first one counts
+        self.signal: int | None = None
+        self.watch = SignalWatch(self._signalled, hurry, is_safe)
+        self.interrupts = False
+        """Whether SIGINT interrupts code that holds the loop."""
+        self.host: asyncio.Task[Any]
+        """The task that has entered the robot."""
+        self.task: asyncio.Task[None] | None = None
+        self._begun = asyncio.Event()
+        self._signals: News
+
+    def enter(self) -> None:
+        """This task enters the robot."""
+        host = asyncio.current_task()
+        assert host is not None
+        self.host = host
+
+    def listen(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Stop at a signal from now on: the robot starts."""
+        self._signals = News(loop, ("robot", "signal"), self._end_by_signal)
+        if not repeats(loop) and not self.watch.start(interrupts=self.interrupts):
+            told = "it was not entered in the main thread, nor is another robot there"
+            _log.warning("robot %s: no signal stops it: %s", self._name, told)
+
+    def _signalled(self, number: int) -> None:
+        self._signals.tell(number)
+
+    def _end_by_signal(self, number: int) -> None:
+        self.signal = number
+        self.because(signal.Signals(number).name)
+        self.host.cancel()
+
+    def because(self, reason: str) -> None:
+        self.reason = self.reason or reason
+
+    def once(self) -> asyncio.Task[None]:
+        """Begin to stop, once; again only if a stranger has cancelled it."""
+        if self.task is None or self.task.cancelled():
+            loop = asyncio.get_running_loop()
+            self.task = spawn(loop, self._work(), name=f"stop {self._name}")
+            self._begun.set()
+        return self.task
+
+    async def done(self) -> None:
+        """Wait until the stop has begun, and has ended."""
+        await self._begun.wait()
+        while not self.once().done():
+            await asyncio.wait({self.once()})
+
+    async def for_sure(self, reason: str) -> bool:
+        """Stop, whoever cancels meanwhile; tells whether somebody did."""
+        self.because(reason)
+        cancelled = False
+        # A cancel scope of anyio would cancel in every turn until the stop is done.
+        with anyio.CancelScope(shield=True):
+            while not (stopping := self.once()).done():
+                try:
+                    await asyncio.shield(stopping)
+                except asyncio.CancelledError:
+                    # The stop itself, if the event loop ends and cancels every task.
+                    cancelled = True
+                    self._hurry()
+                except Exception:
+                    _log.exception("robot %s: the stop met an error", self._name)
+        return cancelled
 
 
 class Robot:
@@ -373,21 +464,13 @@ class Robot:
         self.stopped: Stopped = Stopped()
         """What each actuator was told last, if it answered, and why the robot stopped."""
         self._entered = False
-        self._signal: int | None = None
-        self._host: asyncio.Task[Any] | None = None
-        self._interrupts = False
         if stall_warning is not None:
             check_seconds(self._title, "stall_warning", stall_warning)
         self._care = LoopCare(stall_warning, self._resources.resumed)
         self.journal.count("collector", self._care.counts)
-        self._watch = SignalWatch(
-            lambda number: self._signals.tell(number), self._hurry, self._is_safe
+        self._stopping = Stopping(
+            name, self._stop, self._hurry, self._resources.is_made_safe
         )
-        self._stopping: asyncio.Task[None] | None = None
-        self._reason = ""  # why it stops
-        self._is_up = False
-        self._latched = False
-        self._stops = asyncio.Event()
 
     @classmethod
     def from_config(cls, path: str | Path, *, simulated: bool = False) -> Self:
@@ -436,10 +519,8 @@ class Robot:
     async def __aenter__(self) -> Self:
         if self._entered:
             raise StoppingError(self._title, "used already: make another one")
-        if self._reason:
-            raise StoppingError(
-                self._title, f"stopped before its start: {self._reason}"
-            )
+        if asked := self._stopping.reason:
+            raise StoppingError(self._title, f"stopped before its start: {asked}")
         not_while_looking(self)
         if mistakes := errors_in(examine(self.plan)):
             raise ExceptionGroup(f"{self._title} cannot start", mistakes)
@@ -455,7 +536,7 @@ class Robot:
             virtual = turn_of(loop).virtual
             self.seed = 0 if virtual else int.from_bytes(os.urandom(8))
         self._resources.seed = self.seed
-        self._host = asyncio.current_task()
+        self._stopping.enter()
         try:
             self._keeping.begin(self)
         except BaseException:
@@ -465,10 +546,7 @@ class Robot:
         self._halts.start(loop)
         self._log_lines = LogLines(self.journal)
         self._log_lines.start()
-        if not repeats(loop) and not self._watch.start(interrupts=self._interrupts):
-            told = "it was not entered in the main thread, nor is another robot there"
-            _log.warning("robot %s: no signal stops it: %s", self.name, told)
-        self._signals = News(loop, ("robot", "signal"), self._end_by_signal)
+        self._stopping.listen(loop)
         lists = self._list_of_resources, self._list_of_behaviors
         for components in lists:
             # Nothing depends on the order in which they were given.
@@ -482,27 +560,26 @@ class Robot:
             await self._resources.start(self._list_of_resources)
             await self._behaviors.start()
         except BaseException as error:
-            asked = self._reason
-            await self._stop_for_sure(describe(error))
-            if self._signal is not None:
-                raise SystemExit(128 + self._signal) from None
+            asked = self._stopping.reason
+            await self._stopping.for_sure(describe(error))
+            if self._stopping.signal is not None:
+                raise SystemExit(128 + self._stopping.signal) from None
             if asked and isinstance(error, asyncio.CancelledError):
-                assert self._host is not None
-                self._host.uncancel()
+                self._stopping.host.uncancel()
                 raise StoppingError(self._title, f"stopped: {asked}") from None
             raise
-        if self._stopping is None:  # else it was up for a moment
-            self._is_up = True
+        if self._stopping.task is None:  # else it was up for a moment
             self._care.is_up(loop)
         return self
 
     async def __aexit__(
         self, _: object, error: BaseException | None, *__: object
     ) -> None:
-        cancelled = await self._stop_for_sure(_reason_of(error))
-        if self._signal is not None:
-            await self._watch.others_stopped(self._grace + LAST_WAIT)
-            raise SystemExit(128 + self._signal)
+        stopping = self._stopping
+        cancelled = await stopping.for_sure(_reason_of(error))
+        if stopping.signal is not None:
+            await stopping.watch.others_stopped(self._grace + LAST_WAIT)
+            raise SystemExit(128 + stopping.signal)
         if cancelled and error is None:
             raise asyncio.CancelledError
 
@@ -536,18 +613,16 @@ class Robot:
             What each actuator was told last, and whether it answered.
         """
         self._care.refuse_elsewhere(self._title, "stop")
-        self._reason = self._reason or reason
+        stopping = self._stopping
+        stopping.because(reason)
         if not self._entered:
-            self.stopped = Stopped((), self._reason)
+            self.stopped = Stopped((), stopping.reason)
             return self.stopped
-        if self._is_up or self._behaviors.is_one_that_runs():
-            self._stop_once()
-        elif self._stopping is None:  # it starts: whoever enters it stops it
-            assert self._host is not None
-            self._host.cancel()
-        await self._stops.wait()
-        while not self._stop_once().done():
-            await asyncio.wait({self._stop_once()})
+        if self._care.is_for_all or self._behaviors.is_one_that_runs():
+            stopping.once()
+        elif stopping.task is None:  # it starts: whoever enters it stops it
+            stopping.host.cancel()
+        await stopping.done()
         return self.stopped
 
     def halt(self, reason: str, *, by: str = "the user") -> Halting:
@@ -587,50 +662,21 @@ class Robot:
     # Inside.
 
     async def _typed(self, text: str) -> str:
-        if self._seat.seat is None and (not self._entered or self._stopping):
+        if self._seat.seat is None and (not self._entered or self._stopping.task):
             told = "stopping" if self._entered else "not started yet"
             raise StoppingError(self._title, told)
         return await self._seat.typed(self, text)
 
-    def _stop_once(self) -> asyncio.Task[None]:
-        """Begin to stop, once; again only if a stranger has cancelled it."""
-        if self._stopping is None or self._stopping.cancelled():
-            self._stopping = spawn(
-                asyncio.get_running_loop(), self._stop(), name=f"stop {self.name}"
-            )
-            self._stops.set()
-        return self._stopping
-
-    async def _stop_for_sure(self, reason: str) -> bool:
-        """Stop, whoever cancels meanwhile; tells whether somebody did."""
-        self._reason = self._reason or reason
-        cancelled = False
-        # A cancel scope of anyio would cancel in every turn until the stop is done.
-        with anyio.CancelScope(shield=True):
-            while not (stopping := self._stop_once()).done():
-                try:
-                    await asyncio.shield(stopping)
-                except asyncio.CancelledError:
-                    # The stop itself, if the event loop ends and cancels every task.
-                    cancelled = True
-                    self._hurry()
-                except Exception:
-                    _log.exception("robot %s: the stop met an error", self.name)
-        return cancelled
-
     async def _stop(self) -> None:
-        reason = self._reason
+        reason, ending = self._stopping.reason, self._stopping.watch.last
         if self.halted is not None:
             reason = f"{reason}; halted: {self.halted}"
         _log.info("robot %s: stops: %s", self.name, printable(str(reason)))
-        if self._is_up:
-            self._is_up = False
-            self._care.is_down()
+        self._care.is_down()
         self._behaviors.halt()
         self._resources.latch()
-        self._latched = True
-        if self._watch.last is not None:
-            self._watch.last.because(time.monotonic())
+        if ending is not None:
+            ending.because(time.monotonic())
         self._seat.leave()
         try:
             await self._behaviors.stop()
@@ -644,25 +690,12 @@ class Robot:
             if self._keeper is not None:
                 await self._keeper.close()
             self._care.stop()
-            self._watch.stop()
+            self._stopping.watch.stop()
             self._log_lines.stop()
             self.journal.close()
             leave_behind(self._behaviors.undead)
             await self._seat.close()
             self.stopped.recording = await self._keeping.end()
-
-    def _end_by_signal(self, number: int) -> None:
-        self._signal = number
-        self._reason = self._reason or signal.Signals(number).name
-        if self._host is not None:
-            self._host.cancel()
-
-    def _is_safe(self) -> bool:
-        """Tell, in any thread, whether every actuator was told its safe command."""
-        return self._latched and all(
-            channel.is_safe or channel.state is not ResourceState.READY
-            for channel in tuple(self.actuators.channels.values())
-        )
 
     def _hurry(self) -> None:
         """Somebody is impatient: no more grace for components; safe comes first still."""

@@ -80,8 +80,8 @@ def run(
         loop = asyncio.get_running_loop()
         ending = Ending(loop, patience=robot._grace + LAST_WAIT)  # noqa: SLF001 - as above
         ending.start()
-        robot._watch.last = ending  # noqa: SLF001 - as above
-        robot._interrupts = True  # noqa: SLF001 - as above
+        robot._stopping.watch.last = ending  # noqa: SLF001 - as above
+        robot._stopping.interrupts = True  # noqa: SLF001 - as above
         await run_to_its_end(robot, duration, ending)
 
     signals = LateSignals()
@@ -111,7 +111,7 @@ async def run_to_its_end(
         reason = "its behaviors have ended"
         if scope.cancelled_caught:
             reason = f"it has run for {duration} s"
-        robot._reason = robot._reason or reason  # noqa: SLF001 - as above
+        robot._stopping.because(reason)  # noqa: SLF001 - as above
 
 
 def recorded_as(robot: Robot, script: str, **options: Any) -> None:

@@ -86,6 +86,7 @@ class ResourceDeployment:
         sensors.control = actuators.control = self.control
         self._grace = grace
         self._stops_since = math.inf
+        self._latched = False  # the robot stops: nothing but safe commands leaves
         self._departures: dict[str, asyncio.Future[None]] = {}
         self.left: set[Call] = set()
         """The driver calls that were given up, and whose code still runs."""
@@ -360,6 +361,14 @@ class ResourceDeployment:
             )
         for channel in self.actuators.channels.values():
             channel.latch()
+        self._latched = True
+
+    def is_made_safe(self) -> bool:
+        """Tell, in any thread, whether the stop has told every actuator to be safe."""
+        return self._latched and all(
+            channel.is_safe or channel.state is not ResourceState.READY
+            for channel in tuple(self.actuators.channels.values())
+        )
 
     def resumed(self, slept: float) -> None:
         """The computer slept: no reading is current, and nothing moves as before."""
