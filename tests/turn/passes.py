@@ -114,13 +114,21 @@ async def seen() -> Meaning:
     sonar, wheels = Pushes(), Counts()
     robot = esair.Robot(resources=[sonar, wheels], behaviors=[Drives()])
     async with robot:
+        for _ in range(500):  # however busy the computer is
+            if robot.resources.query("wheels").state is esair.ResourceState.READY:
+                break
+            await asyncio.sleep(0.005)
         await asyncio.sleep(0.02)
         for number, value in enumerate((0.1, 0.2, 0.3)):
-            sonar.values.put_nowait(value)
-            for _ in range(500):  # however busy the computer is
+            for _ in range(10):  # a loop that was held up makes safe what moves
+                sonar.values.put_nowait(value)
+                for _ in range(100):
+                    if len(wheels.turns) > number:
+                        break
+                    await asyncio.sleep(0.005)
                 if len(wheels.turns) > number:
                     break
-                await asyncio.sleep(0.005)
+                sonar.turns.pop()
         told = turn_of(loop).number
         wheels.report_lost()
         state = robot.resources.query("wheels").state
