@@ -28,6 +28,7 @@ from benchmarks.cases import (
     mediator,
     minimal,
     reactions,
+    realtime,
     recording,
     ros2,
     seat,
@@ -49,6 +50,7 @@ CASES = {
     "P18": journal,
     "P19": ros2,
     "P21": wire_garbage,
+    "P22": realtime,
     "OPS": seat,
     "REC": recording,
 }
@@ -112,6 +114,7 @@ SMOKE: dict[ModuleType, dict[str, object]] = {
     lifecycle: {"PAIRS": 18},
     garbage: {"SECONDS": 0.5},
     ros2: {"SECONDS": 0.1},
+    realtime: {"SECONDS": 0.2},
     seat: {"SECONDS": 0.1},
 }
 """How long, and how large, the cases are when nothing is measured."""

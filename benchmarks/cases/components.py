@@ -62,13 +62,16 @@ class Decide(esair.Reaction):
         return 0.5 if self.acts else None
 
 
-def reacting_robot(count: int, *, acting: int, plain: bool = False) -> esair.Robot:
+def reacting_robot(
+    count: int, *, acting: int, plain: bool = False, realtime: bool = False
+) -> esair.Robot:
     """Make a robot of reactions, each with a sensor and an actuator of its own.
 
     Args:
         count: How many reactions.
         acting: One in so many writes at every step; 0 for none.
         plain: Whether the drivers are plain methods that do not block.
+        realtime: Whether its loop goes before what else the computer does.
     """
     meter, motor = (PlainMeter, PlainMotor) if plain else (Meter, Motor)
     resources: list[Any] = []
@@ -82,4 +85,4 @@ def reacting_robot(count: int, *, acting: int, plain: bool = False) -> esair.Rob
         )
         reaction.acts = bool(acting) and number % acting == 0
         reactions.append(reaction)
-    return esair.Robot(resources=resources, behaviors=reactions)
+    return esair.Robot(resources=resources, behaviors=reactions, realtime=realtime)

@@ -18,6 +18,7 @@ from esair.cli._errors import counted
 from esair.cli._options import AsJson
 from esair.config import FoundInFile, Report, tables_of
 from esair.config import check as check_robot
+from esair.loop import check_priority, refusal
 from esair.plan import UNWATCHED
 
 _STYLES = {"error": "bold red", "warning": "yellow"}
@@ -43,7 +44,7 @@ def check(robot: str, /, *, as_json: AsJson = False, strict: bool = False) -> in
         unmade = any(found.rule == "configuration" for found in report.findings)
         if report.actuators and not unmade:  # else a guard may be what is missing
             console.print(_actuators(report))
-        for told in _of_boards(robot, report):
+        for told in (*_of_boards(robot, report), *_of_real_time(robot, report)):
             console.print(Text(told), soft_wrap=True)
         console.print(_summary(report), soft_wrap=True)
     return 1 if report.errors or (strict and report.warnings) else 0
@@ -56,6 +57,18 @@ def _of_boards(robot: str, report: Report) -> Iterable[str]:
     from esair.firmware import uneven_on_boards
 
     return uneven_on_boards(Path(robot))
+
+
+def _of_real_time(robot: str, report: Report) -> Iterable[str]:
+    """Say whether this computer gives the real time that a file asks for."""
+    if report.errors or not robot.endswith(".toml"):
+        return
+    asked = tables_of(robot).get("robot", {}).get("realtime", False)
+    priority = check_priority("[robot]", asked)
+    if priority is not None:
+        refused = refusal(priority)
+        given = f"given here, with priority {priority} and locked memory"
+        yield f"real time: {f'not given here: {refused}' if refused else given}"
 
 
 def to_json(report: Report) -> dict[str, Any]:

@@ -63,7 +63,9 @@ def _run(arguments: list[str]) -> int:
             arguments, exit_on_error=False, print_error=True
         )
     except CycloptsError as error:
-        greedy = [word for word in arguments if word in ("--record", "--page")]
+        greedy = [
+            word for word in arguments if word in ("--record", "--page", "--realtime")
+        ]
         if greedy and isinstance(error, MissingArgumentError):
             tell(f"{greedy[0]} takes the word after it: write it after the FILE")
         return CANNOT_USE
@@ -85,6 +87,7 @@ def make_app() -> App:
     from esair.cli._devices import devices
     from esair.cli._hand import drive
     from esair.cli._log_file import log, recover
+    from esair.cli._measure import measure
     from esair.cli._min import minimal
     from esair.cli._new import new
     from esair.cli._plot import plot
@@ -101,7 +104,7 @@ def make_app() -> App:
         version=importlib.metadata.version("esair"),
         default_parameter=Parameter(negative=()),  # no --no-json, no --empty-page
     )
-    for verb in (new, check, sim, run, torture, demo, devices):
+    for verb in (new, check, sim, run, measure, torture, demo, devices):
         app.command(verb)
     for other in (log, plot, replay, recover, minimal):
         app.command(other)

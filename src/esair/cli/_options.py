@@ -42,6 +42,8 @@ class Running:
             this computer alone if nothing is named. The address is printed, with its
             token.
         insecure: Another address than this computer's may be without TLS.
+        realtime: Go before what else the computer does, with this priority: 1 to 98, 50 if
+            none is named. Where that is not allowed it is said what to do.
         verbose: Show every line of the log.
     """
 
@@ -49,4 +51,5 @@ class Running:
     record: Annotated[list[Path] | None, MaybeNamed] = None
     page: Annotated[list[str] | None, MaybeNamed] = None
     insecure: bool = False
+    realtime: Annotated[list[int] | None, MaybeNamed] = None
     verbose: Verbose = False

@@ -102,6 +102,8 @@ def _with(described: config.Description, how: Running) -> Callable[..., esair.Ro
         extra["record"] = attrs.evolve(known, path=path)
     if how.page is not None:
         extra["page"] = _page(described.robot.get("page"), how.page, how.insecure)
+    if how.realtime is not None:
+        extra["realtime"] = how.realtime[0] if how.realtime else True
     return lambda **given: esair.Robot(**{"socket": True, **given, **extra})
 
 

@@ -82,6 +82,12 @@ class Overseer:
                 os.close(fd)
             self._read_fd = self.wake_fd = -1
 
+    @property
+    def thread_id(self) -> int | None:
+        """The thread as the kernel numbers it; None if nothing is watched."""
+        thread = self._thread
+        return None if thread is None else thread.native_id
+
     def wake(self) -> None:
         """Have the thread look at once."""
         with contextlib.suppress(OSError):  # full, then it is awake; or closed

@@ -406,6 +406,11 @@ class Scheduler(OfTurn):
             self._push(group.due, group)
         return job
 
+    def jobs(self) -> Iterator[Job]:
+        """Return those that have a period."""
+        for group in tuple(self._groups.values()):
+            yield from group.jobs
+
     def on_demand(self, function: Step, *, name: str = "") -> Job:
         """Return a step that is called only when its ``soon`` is."""
         return self._job(function, None, Order.STEP, name)

@@ -36,9 +36,11 @@ from esair.loop import (
     Job,
     News,
     OwnedTasks,
+    RealTime,
     Scheduler,
     SignalWatch,
     StallWatch,
+    check_priority,
     collector,
     leave_behind,
     outside,
@@ -80,9 +82,17 @@ class LoopCare:
     """Owns tasks, looks for stalls and sleep, and collects garbage in gaps."""
 
     def __init__(
-        self, stall_warning: float | None, resumed: Callable[[float], None]
+        self,
+        title: str,
+        stall_warning: float | None,
+        realtime: object,
+        resumed: Callable[[float], None],
     ) -> None:
+        if stall_warning is not None:
+            check_seconds(title, "stall_warning", stall_warning)
         self.stall_warning = stall_warning
+        self.realtime = check_priority(title, realtime)
+        self._title = title
         self._resumed = resumed
         self._undo: list[Callable[[], None]] = []
         self._gaps: Gaps | None = None
@@ -102,6 +112,12 @@ class LoopCare:
             scheduler.expect(components)
         if turn_of(loop).virtual:  # there it would hide a deadlock
             return
+        real_time, priority = RealTime.of(loop), self.realtime
+        if priority is not None:
+            if told := real_time.start(priority):
+                _log.warning("%s: not in real time: %s", self._title, told)
+            else:
+                self._undo.append(lambda: real_time.stop(priority))
         seconds = self.stall_warning
         if seconds is not None:
             stalls = StallWatch.of(loop)
@@ -109,6 +125,7 @@ class LoopCare:
             self._undo.append(lambda: stalls.stop(seconds))
         glances: Job = scheduler.every(GLANCE, lambda _now: None)
         self._undo.append(glances.stop)
+        real_time.lead()
 
     def refuse_elsewhere(self, title: str, verb: str) -> None:
         """Refuse what is asked in another event loop while the robot has its own."""
@@ -354,6 +371,10 @@ class Robot:
             robot until it is resumed, ``"alarm"`` only says so. It is started anew.
         stall_warning: Code that holds the event loop longer than this is named in the
             log while it does, in seconds; None for never. Not on a virtual clock.
+        realtime: Whether the thread of the event loop goes before what else the computer
+            does, with its memory locked: true, or the priority in ``SCHED_FIFO``, from 1
+            to 98. Where it may not a warning says what to do, and the robot runs all the
+            same. Not on a virtual clock.
         seed: What `esair.random` begins with. Unless given it is 0 on a virtual clock,
             and another one at each start elsewhere; the recording has it.
         socket: Whether it has a control socket, for ``esair top``, ``esair stop`` and
@@ -388,6 +409,7 @@ class Robot:
         watchdog_policy: Literal["kill", "freeze"] = "kill",
         watchdog_death: Literal["stop", "alarm"] = "stop",
         stall_warning: float | None = STALL_WARNING,
+        realtime: bool | int = False,
         seed: int | None = None,
         socket: bool = False,
         operator: Operator | None = None,
@@ -464,9 +486,9 @@ class Robot:
         self.stopped: Stopped = Stopped()
         """What each actuator was told last, if it answered, and why the robot stopped."""
         self._entered = False
-        if stall_warning is not None:
-            check_seconds(self._title, "stall_warning", stall_warning)
-        self._care = LoopCare(stall_warning, self._resources.resumed)
+        self._care = LoopCare(
+            self._title, stall_warning, realtime, self._resources.resumed
+        )
         self.journal.count("collector", self._care.counts)
         self._stopping = Stopping(
             name, self._stop, self._hurry, self._resources.is_made_safe

@@ -123,7 +123,7 @@ def prepare_replay(robot: Robot, seed: int, *, has_seat: bool) -> None:
     """Make a robot as it was when it was recorded, for `run_to_its_end`."""
     robot.seed = seed
     robot._seat.socket, robot._seat.page = has_seat, None  # noqa: SLF001 - the robot's own entry
-    robot._care.stall_warning = None  # noqa: SLF001 - as above
+    robot._care.stall_warning = robot._care.realtime = None  # noqa: SLF001 - as above
     robot._keeping.recording = None  # noqa: SLF001 - as above
 
 

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from esair.loop import go_first, priority_of_thread
 from esair.watchdog._stack import stack_file
 
 _PROGRAM = Path(__file__).with_name("_program.py")
@@ -65,6 +66,11 @@ class Process:
             )
             failed.pop_all()
         self.pid = self._process.pid
+        if (
+            priority := priority_of_thread()
+        ):  # the robot is in real time: it goes before
+            with contextlib.suppress(OSError):
+                go_first(self.pid, priority + 1)
         self._channel: socket.socket | None = mine
         self._pidfd = os.pidfd_open(self.pid)
         self._loop = asyncio.get_running_loop()
