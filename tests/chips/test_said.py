@@ -50,6 +50,7 @@ CASES = {
     "modulo of integers": "return {'count': k % 7 * 100 + k // 7 % 10}",
     "division by what is zero": "return {'out': 1 / x, 'count': k}",
     "division of integers": "return {'out': 7 / k}",
+    "a default that nobody takes": "return {'count': {True: 1, False: 2}.get(k > 1, 7 // k)}",
     "minus zero": "return {'out': -x * 0.0, 'count': int(math.copysign(1.0, x))}",
     "halves to even": "return {'count': i32(round(x))}",
     "towards zero": "return {'count': i32(int(x))}",

@@ -572,8 +572,8 @@ class Expressions:
         found = {
             key.known: value for key, value in zip(cases, cases[half:], strict=False)
         }
-        key, value = self.operands(node.args)
-        key = self.kept(key)
+        # Python looks at the default, too, and at its faults.
+        key, value = map(self.kept, self.operands(node.args))
         kind, text = value.type, value.text
         for known, each in reversed(found.items()):
             kind = self.scope.joined(kind, each.type, "the values of the dictionary")
