@@ -67,15 +67,10 @@ WAYS: dict[str, dict[str, Any]] = {
 """How a cable may be."""
 
 
-def each_way(*, not_yet: tuple[str, ...] = ()) -> list[Any]:
-    """Return the ways as parameters of a test: the plain one for each run.
-
-    Those in which something does not work yet are for ``--esair-soak`` alone.
-    """
-    marks = dict.fromkeys(WAYS, pytest.mark.long)
-    marks |= dict.fromkeys(not_yet, pytest.mark.soak)
-    del marks["plain"]
-    return ["plain", *(pytest.param(each, marks=mark) for each, mark in marks.items())]
+def each_way() -> list[Any]:
+    """Return the ways as parameters of a test: the plain one for each run."""
+    plain, *others = WAYS
+    return [plain, *(pytest.param(each, marks=pytest.mark.long) for each in others)]
 
 
 class Cable:
@@ -230,7 +225,8 @@ class Cable:
             if self._process is not None and (whole or rest):
                 self._bite_at = now + self._bite_in
         if self._process is not None and self._process.poll() is not None:
-            self._reset(5)  # it has reset itself, or ended: a board begins anew
+            # It has reset itself, or it was Ctrl-D at its prompt: a soft reset.
+            self._reset(5, soft=self._process.returncode == 0)
         if self._bite_at is not None and now > self._bite_at:
             self.bites += 1
             self._reset(3)
@@ -241,12 +237,13 @@ class Cable:
             self._port_at = None
             self._bring_port()
 
-    def _reset(self, cause: int) -> None:
+    def _reset(self, cause: int, *, soft: bool = False) -> None:
+        bites = self._bite_at if soft else None  # the port stays, and the watchdog
         self._kill()
-        self._cause = cause
+        self._cause, self._bite_at = cause, bites
         now = time.monotonic()
         self._on_at = now + self.boot
-        if self.away:
+        if self.away and not soft:
             self._take_port_away()
             self._port_at = now + self.away
 

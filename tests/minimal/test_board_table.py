@@ -9,7 +9,6 @@ import tty
 from collections.abc import Iterator
 
 import pytest
-from tests.minimal.cable import each_way
 from tests.minimal.linked import built
 from tests.minimal.test_link import last, until
 
@@ -45,12 +44,15 @@ driver = "roaming:Explore"
 """
 
 
-@pytest.mark.parametrize("way", each_way(not_yet=("slow", "damages")), indirect=True)
-async def test_a_table_makes_the_board_a_part_of_the_robot(plugged, tmp_path) -> None:
+async def test_a_table_makes_the_board_a_part_of_the_robot(
+    plugged, tmp_path, way
+) -> None:
     """Its sensors and actuators by their names; unplugged, and back."""
     board = plugged
-    (tmp_path / "roaming.py").write_text(EXPLORE)
-    (tmp_path / "robot.toml").write_text(HOST.format(port=board.port))
+    name = f"roaming_{way.replace(' ', '_')}"  # one of each name a process
+    (tmp_path / f"{name}.py").write_text(EXPLORE)
+    host = HOST.format(port=board.port).replace("roaming", name)
+    (tmp_path / "robot.toml").write_text(host)
     robot = esair.Robot.from_config(tmp_path / "robot.toml")
     async with robot:
         await until(lambda: last(board) == (0.5, 0.25))
@@ -161,7 +163,6 @@ def test_a_folder_is_put_on_a_board_and_again(machine, tmp_path, capsys) -> None
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("way", each_way(not_yet=("goes away",)), indirect=True)
 def test_a_program_that_moves_is_made_safe_before_the_next_one(
     machine, tmp_path
 ) -> None:
