@@ -13,9 +13,9 @@ The two never mix: a `Supervisor` deploys and configures and never touches data;
 from __future__ import annotations
 
 import abc
-from typing import Any
+from typing import Any, Self
 
-from esair.messages import SupervisorPhase
+from esair.messages import Place, SupervisorPhase
 from esair.values import check_name, snake_case
 
 
@@ -25,8 +25,22 @@ class Component:
     The name is the class name in snake case unless ``name=`` says otherwise.
     """
 
+    placement: Place = None
+    """``"process"``, or an `esair.Placement`, to live in a process of its own."""
+
     _name: str | None = None
     _kind = "component"
+    made_of: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
+    """What it was constructed with: a process of its own constructs it again."""
+
+    def __new__(cls, *args: Any, **options: Any) -> Self:
+        """Remember what it is constructed with."""
+        above = super().__new__
+        plain = above is object.__new__
+        made = above(cls) if plain else above(cls, *args, **options)
+        if args or options:
+            made.made_of = args, options
+        return made
 
     def __init__(self, *, name: str | None = None) -> None:
         if name is not None:

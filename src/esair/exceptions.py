@@ -18,6 +18,7 @@ it broadly (``except TimeoutError``) or exactly (``except esair.StaleReadingErro
     ├── BehaviorUnavailableError TimeoutError     busy for the whole interval
     ├── BehaviorRemovedError                      the other behavior is gone
     ├── BehaviorFailedError                       the other behavior crashed
+    ├── ProcessDiedError         ConnectionError  the process of a component died
     ├── RefusedError                              an ask that its peer refused
     ├── CircularRequestError                      a request that waits for itself
     ├── BusyError                                 a bound is reached
@@ -241,6 +242,25 @@ class BehaviorFailedError(EsairError):
             f"behavior {behavior!r} failed" + (f": {detail}" if detail else "")
         )
         self.behavior = behavior
+
+
+class ProcessDiedError(EsairError, ConnectionError):
+    """The process in which a component was placed has died, or hung and was killed.
+
+    Attributes:
+        component: The name of the component.
+        code: Its exit code; below 0 the number of the signal; None if nobody knows.
+        words: The last lines that it has written, such as the stack where it hung.
+    """
+
+    def __init__(
+        self, component: str, how: str, code: int | None = None, words: str = ""
+    ) -> None:
+        told = f"; its last words: {words}" if words else ""
+        super().__init__(f"the process of {component!r} {how}{told}")
+        self.component = component
+        self.code = code
+        self.words = words
 
 
 class RefusedError(EsairError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Self, TypeVar
 
 import attrs
 
@@ -215,6 +215,65 @@ class Why(NamedTuple):
         return "\n  ".join(line for line in lines if line)
 
 
+@attrs.frozen
+class Placement:
+    """A component lives in a process of its own, with these limits.
+
+    Attributes:
+        stall: How long it may work without a word, in seconds; then it hangs, is killed,
+            and started again as after any other failure.
+        memory: How much address space its process may have, in MiB; None for no limit.
+        nice: How much less than the robot it gets of a busy computer, 0 to 19.
+
+    Example:
+        >>> class Detect(esair.Behavior):
+        ...     placement = esair.Placement(stall=2.0, nice=5)
+    """
+
+    stall: float = 5.0
+    memory: int | None = None
+    nice: int = 0
+
+    def __attrs_post_init__(self) -> None:
+        if not is_positive(self.stall):
+            told = f"expected seconds > 0, not {self.stall!r:.80}"
+            raise ConfigError("Placement", "stall", told)
+        if self.memory is not None and (
+            type(self.memory) is not int or self.memory < 1
+        ):
+            told = f"expected MiB > 0 or None, not {self.memory!r:.80}"
+            raise ConfigError("Placement", "memory", told)
+        if type(self.nice) is not int or not 0 <= self.nice <= 19:
+            told = f"expected 0 to 19, not {self.nice!r:.80}"
+            raise ConfigError("Placement", "nice", told)
+
+
+Place = Literal["task", "process"] | Placement | None
+"""Where a component lives: in the robot's process, or in one of its own."""
+
+
+def is_placed(component: Any) -> bool:
+    """Tell whether a component lives in a process of its own."""
+    return component.placement not in {None, "task"}
+
+
+def placement_of(place: object) -> Placement | None:
+    """Return the limits of the process that a component lives in; None for the robot's.
+
+    Raises:
+        ValueError: It is not where a component can live.
+    """
+    if place is None or place == "task":
+        return None
+    if place == "process":
+        return Placement()
+    if isinstance(place, Placement):
+        return place
+    raise ValueError(
+        f"expected 'process', 'task' or an esair.Placement, not {place!r:.80}"
+    )
+
+
 class BehaviorStatus(NamedTuple):
     """The answer to a query.
 
@@ -233,6 +292,8 @@ class BehaviorStatus(NamedTuple):
         requests: How many requests wait that it has not taken yet.
         working: How many requests it works on.
         dropped: How much data its boxes have dropped, by their policy.
+        placement: ``process`` if it lives in a process of its own, else ``task``.
+        pid: The number of that process; None if there is none now.
     """
 
     name: str
@@ -249,6 +310,8 @@ class BehaviorStatus(NamedTuple):
     requests: int = 0
     working: int = 0
     dropped: int = 0
+    placement: str = "task"
+    pid: int | None = None
 
 
 class ResourceStatus(NamedTuple):
@@ -262,6 +325,8 @@ class ResourceStatus(NamedTuple):
         faults: How often the device or its driver was at fault.
         users: The behaviors that are registered for it.
         settings: The current settings by name.
+        placement: ``process`` if its driver lives in a process of its own, else ``task``.
+        pid: The number of that process; None if there is none now.
     """
 
     name: str
@@ -271,6 +336,8 @@ class ResourceStatus(NamedTuple):
     faults: int
     users: tuple[str, ...]
     settings: Mapping[str, object]
+    placement: str = "task"
+    pid: int | None = None
 
 
 def _positive(

@@ -6,6 +6,7 @@ from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
     blocking,
+    in_loop,
 )
 from esair.actions._derived import Derivation, Derived
 from esair.actions._host import Host
@@ -20,8 +21,8 @@ from esair.actions._needs import (
     reads,
     writes,
 )
-from esair.actions._reaction import MinimalReaction, Reaction, adapt_action
-from esair.actions._reaction_runner import GuardRunner, Hooks, ReactionRunner
+from esair.actions._reaction import MinimalReaction, Reaction, StepClock, adapt_action
+from esair.actions._reaction_runner import GuardRunner, Hooks, ReactionRunner, ordered
 from esair.actions._request import Request, taken
 from esair.actions._takes import (
     BlockingRequestPort,
@@ -59,6 +60,7 @@ __all__ = [
     "Request",
     "RequestPort",
     "SensorPort",
+    "StepClock",
     "Takes",
     "ThreadBehavior",
     "Works",
@@ -69,7 +71,9 @@ __all__ = [
     "declared_requests",
     "declared_works",
     "guards",
+    "in_loop",
     "is_request",
+    "ordered",
     "reads",
     "taken",
     "takes",

@@ -12,7 +12,7 @@ from esair.values import snake_case
 
 T = TypeVar("T")
 
-_OF_STD = ("rate", "restart", "budget", "overrun_limit")
+_OF_STD = ("rate", "restart", "budget", "overrun_limit", "placement")
 """What a class of MIN may say about itself; all but the rate is for STD alone."""
 
 

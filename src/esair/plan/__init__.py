@@ -15,6 +15,7 @@ from esair.plan._examine import examine, examine_action, examine_resource, exami
 from esair.plan._finding import Finding, Severity, errors_in, refuse
 from esair.plan._names import in_use
 from esair.plan._needs import unmet
+from esair.plan._placement import SCRIPT, inner_of, recipe_of
 from esair.plan._plan import Plan
 from esair.plan._protection import (
     UNWATCHED,
@@ -27,6 +28,7 @@ from esair.plan._protection import (
 from esair.plan._rights import denial, not_alone
 
 __all__ = [
+    "SCRIPT",
     "UNWATCHED",
     "Finding",
     "Guard",
@@ -42,8 +44,10 @@ __all__ = [
     "examine_resource",
     "examine_step",
     "in_use",
+    "inner_of",
     "not_alone",
     "protection",
+    "recipe_of",
     "refuse",
     "unmet",
     "when_alone",

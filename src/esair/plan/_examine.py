@@ -13,6 +13,7 @@ from esair.plan._derived import underivable
 from esair.plan._finding import Finding, because
 from esair.plan._names import in_use, taken, taken_by_another, used_already, wrong_kind
 from esair.plan._needs import unmet, untimely
+from esair.plan._placement import unplaceable
 from esair.plan._plan import Plan
 from esair.plan._protection import unprotected
 from esair.plan._resources import mistakes_in_resource
@@ -115,6 +116,7 @@ def _about_resources(
         found = list(mistakes_in_resource(resource))
         if isinstance(resource, Derived) and not found:
             found += underivable(plan, resource)
+        found += unplaceable(resource)
         if in_use(resource) and resource is not instead_of:
             found.insert(0, used_already(resource))
         yield from found
@@ -138,7 +140,7 @@ def _about_action(
     if strange is not None:
         yield strange
         return
-    found = list(mistakes_in_action(action))
+    found = [*mistakes_in_action(action), *unplaceable(action)]
     yield from found
     if any(finding.is_error for finding in found):
         return

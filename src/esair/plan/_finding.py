@@ -32,9 +32,10 @@ class Finding:
             declared wrongly), ``name``, ``claim``, ``need`` (nobody provides what an
             action reads or writes), ``denied`` (a policy denies it), ``rights`` (a
             policy that does not fit the robot), ``time`` (times that can never be
-            met), ``protect`` (what moves without protection, and protection that is
-            not what it seems), ``starve`` (actions keep each other from an actuator), ``silent``
-            (a sensor that may never speak), ``unused``, ``port``.
+            met), ``placement`` (what cannot live in a process of its own), ``protect``
+            (what moves without protection, and protection that is not what it seems),
+            ``starve`` (actions keep each other from an actuator), ``silent`` (a sensor
+            that may never speak), ``unused``, ``port``.
         component: The name of the component; ``"policy of 'wheels'"`` for a policy.
         field: The field in question, as a dotted path; empty for the whole.
         wrong: What is wrong.

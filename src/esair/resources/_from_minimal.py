@@ -12,7 +12,7 @@ from esair.values import snake_case
 
 T = TypeVar("T")
 
-_OF_STD = ("deadline", "fault_limit", "required")
+_OF_STD = ("deadline", "fault_limit", "required", "placement")
 """What a class of MIN may say about itself for STD alone, beside its own words."""
 
 

@@ -9,6 +9,7 @@ import collections
 import errno
 import logging
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from esair.actions import Behavior, Reaction
 from esair.exceptions import (
@@ -23,6 +24,9 @@ from esair.exceptions import (
 from esair.journal import Journal, Kind
 from esair.loop import raisable
 from esair.messages import Restart
+
+if TYPE_CHECKING:
+    from esair.placement import Seat
 
 _log = logging.getLogger("esair")
 
@@ -61,6 +65,11 @@ class Life:
                 exc_info=raisable(error),
             )
         return pause
+
+
+def where(seat: Seat | None) -> tuple[str, int | None]:
+    """Say where a component lives, and the number of its own process if it has one."""
+    return ("task", None) if seat is None else ("process", seat.pid)
 
 
 class RestartBudget:

@@ -39,7 +39,7 @@ from esair.loop import (
 from esair.messages import Access, BehaviorState, BehaviorStatus
 from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
 from esair.supervisors._grants import Grants, bind, empty, fill
-from esair.supervisors._life import Life, absent, absent_for
+from esair.supervisors._life import Life, absent, absent_for, where
 from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._perform import Steps, runner_for
 from esair.supervisors._sight import Sight
@@ -72,6 +72,7 @@ class Member:
         "over",
         "ready",
         "runner",
+        "seat",
         "sight",
         "steps",
         "stream",
@@ -108,6 +109,8 @@ class Member:
         self._portal: Portal | None = None
         self.sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
+        self.seat = crew.resources.seat_for(action)
+        """Its place if its code runs in a process of its own."""
         self.used: Collection[str] = ()
         """Which resources its last run has used; what it moved may not be safe yet."""
 
@@ -190,7 +193,9 @@ class Member:
             sees = self.sight.sees
             hooks = Hooks(state=self._runs, crash=self._crashed, sight=sees)
             began, owner = self.crew.resources.began, self.mail.owner
-            self.runner = runner_for(self.action, self.sight, hooks, began, owner)
+            self.runner = runner_for(
+                self.action, self.sight, hooks, began, owner, self.seat
+            )
             self._start_runner(self.runner, self.action)
             return
         if self.task is not None and (misfit := self._misfit()):
@@ -202,6 +207,8 @@ class Member:
         for task in survivors:  # they would not end with the run before
             self.mail.owner.adopt(task)
         self.mail.outlived = bool(survivors)
+        if self.seat is not None:
+            self.seat.sit(self.mail.owner)
         if not inspect.iscoroutinefunction(self.action.run):
             self._portal = Portal(self.name, self.mail.owner)
         try:
@@ -393,6 +400,8 @@ class Member:
         undead = await end(self.mail.owner, grace)
         self.task = None
         self.mail.carriers = ()
+        if self.seat is not None:
+            self.seat.rise()
         empty(self.action, self, self._portal)
         return undead
 
@@ -498,4 +507,5 @@ class Member:
             sum(queue.count for queue in self.mail.queues.values()),
             sum(len(queue.working) for queue in self.mail.queues.values()),
             self.mail.dropped,
+            *where(self.seat),
         )

@@ -16,6 +16,7 @@ from esair.supervisors._sight import Sight
 from esair.values import check_duration
 
 if TYPE_CHECKING:
+    from esair.placement import Seat
     from esair.supervisors._behavior_deployment import BehaviorDeployment
 
 
@@ -149,9 +150,18 @@ class Step:
 
 
 def runner_for(
-    reaction: Reaction, sight: Sight, hooks: Hooks, began: float, owner: Owner
+    reaction: Reaction,
+    sight: Sight,
+    hooks: Hooks,
+    began: float,
+    owner: Owner,
+    seat: Seat | None = None,
 ) -> ReactionRunner:
-    """Make what runs a reaction: one that moves something, or a guard."""
+    """Make what runs a reaction: one that moves something, here or there, or a guard."""
+    if seat is not None:
+        from esair.placement import PlacedRunner
+
+        return PlacedRunner(reaction, seat, hooks, began=began, owner=owner)
     if reaction.guarded is None:
         return ReactionRunner(reaction, hooks, began=began, owner=owner)
     port, guard = reaction.guarded[0], sight.guard

@@ -6,7 +6,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from esair.actions import Derived
 from esair.connections import (
@@ -29,7 +29,7 @@ from esair.exceptions import (
 )
 from esair.journal import Kind
 from esair.loop import now, wake
-from esair.messages import Access, Policy, ResourceState, Restart
+from esair.messages import Access, Policy, ResourceState, Restart, is_placed
 from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
 from esair.supervisors._buses import BUS_TIMEOUT, close_buses, open_buses
@@ -41,6 +41,7 @@ from esair.supervisors._rules import Declared, Rules
 
 if TYPE_CHECKING:
     from esair.buses import Bus
+    from esair.placement import Seat, Seats
     from esair.supervisors._watching import Armory, Watch
 
 STOP_WITHIN = 1.8
@@ -98,6 +99,8 @@ class ResourceDeployment:
         self.buses: list[Bus] = []
         """Every bus that a resource of this robot is or was on."""
         self.journal = registrations.journal
+        self._seats: Seats | None = None
+        """The places of those that live in processes of their own, if there are any."""
         self.journal.count("resources", self._counted)
 
     def life(self, name: str) -> ResourceLife:
@@ -147,6 +150,11 @@ class ResourceDeployment:
 
         if resource.bus is not None and resource.bus not in self.buses:
             self.buses.append(resource.bus)
+        seat = self.seat_for(resource)
+        if seat is not None:
+            seat.sit()  # before anybody asks for its methods
+        if channel is not None:
+            channel.attach(resource)  # type: ignore[arg-type]
         if channel is None:
             robot = OfRobot(self.registrations, on_error, self.left)
             if isinstance(resource, Actuator):
@@ -167,6 +175,7 @@ class ResourceDeployment:
             opener = Opener(resource, channel, self.armory)
 
         life = ResourceLife(resource, channel, policy, opener)
+        life.seat = seat
         self.lives[resource.name] = life
         self.plan.enter_resource(resource)
         life.start()
@@ -237,11 +246,11 @@ class ResourceDeployment:
             else:
                 channel.removed()
             await life.stop(until)
+            _rise(life)
             await self._let_go(life, until, resource)
             if self.commands.is_closed:
                 raise StoppingError("resources", self.commands.phase.value)
             if keep:
-                channel.attach(resource)  # type: ignore[arg-type]
                 new = self.deploy(resource, channel)
             else:
                 self._forget(name, ResourceState.REMOVED)
@@ -318,6 +327,7 @@ class ResourceDeployment:
 
     def _forget(self, name: str, state: ResourceState) -> None:
         life = self.lives.pop(name)
+        _rise(life)
         self.plan.leave_resource(name)
         self._derived.pop(name, None)
         life.channel.state = state
@@ -338,6 +348,10 @@ class ResourceDeployment:
         there = (each.bus for each in resources)
         self.buses = list(dict.fromkeys(bus for bus in there if bus is not None))
         await open_buses(self.buses)
+        if any(is_placed(each) for each in resources):
+            self._all_seats()
+        if self._seats is not None:
+            await self._seats.ready()
         # What is computed of others comes when they are there.
         for resource in sorted(resources, key=depths(resources).__getitem__):
             self.deploy(resource)
@@ -417,6 +431,30 @@ class ResourceDeployment:
             *(self._undeploy(name, closed, until) for name in tuple(self.lives))
         )
         await close_buses(self.buses)
+        if self._seats is not None:
+            self._seats.close()
+            self._seats = None
+
+    # Processes of their own.
+
+    def seat_for(self, component: Any) -> Seat | None:
+        """Return the place of a component that is to live in a process of its own."""
+        return self._all_seats().seat(component) if is_placed(component) else None
+
+    def _all_seats(self) -> Seats:
+        if self._seats is None:
+            from esair.placement import Seats
+
+            self._seats = Seats(self._everybody, self.seed, self._command_timeout)
+        return self._seats
+
+    def _everybody(self) -> Iterator[Any]:
+        yield from self.plan.resource_of.values()
+        yield from self.plan.action_of.values()
+
+    def _command_timeout(self, resource: str) -> float | None:
+        channel = self.actuators.channels.get(resource)
+        return None if channel is None else channel.actuator.command_timeout
 
     # Inside.
 
@@ -429,6 +467,11 @@ class ResourceDeployment:
             yield "resources", {"turned_away": bound.turned_away}
         for bus in self.buses:
             yield f"bus {bus.name}", bus.stats.counts()
+
+
+def _rise(life: ResourceLife) -> None:
+    if life.seat is not None:
+        life.seat.rise()
 
 
 def _own_counts(resource: Resource) -> Mapping[str, int]:

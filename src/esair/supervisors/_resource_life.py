@@ -27,11 +27,18 @@ from esair.loop import (
 )
 from esair.messages import ResourceState, ResourceStatus, Restart
 from esair.resources import Resource, shown
-from esair.supervisors._life import AnotherDeviceError, Life, is_absence, is_silence
+from esair.supervisors._life import (
+    AnotherDeviceError,
+    Life,
+    is_absence,
+    is_silence,
+    where,
+)
 from esair.supervisors._opening import Opener
 
 if TYPE_CHECKING:
     from esair.buses import Bus
+    from esair.placement import Seat
 
 FIRST_DELAY = 0.1
 """The pause before a lost device is tried again, in seconds; it doubles each time."""
@@ -63,6 +70,8 @@ class ResourceLife:
         self.name = resource.name
         self.life = Life(resource.name, restart, channel.registrations.journal)
         self.channel = channel
+        self.seat: Seat | None = None
+        """Its place if its driver runs in a process of its own."""
         self.losses = 0
         self.faults = 0
         self.tried: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -185,6 +194,7 @@ class ResourceLife:
             self.faults,
             tuple(dict.fromkeys(users)),
             shown(self.resource, self.resource.settings),
+            *where(self.seat),
         )
 
     def _check_ready(self, cause: BaseException | None) -> None:

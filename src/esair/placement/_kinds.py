@@ -1,0 +1,78 @@
+"""Which classes cross between a robot and a child."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from esair import messages
+from esair.codec import Kinds, declared
+from esair.connections import Halting, LastCommand, Stopped
+from esair.plan import inner_of
+
+_ALWAYS = [each for each in vars(messages).values() if isinstance(each, type)] + [
+    LastCommand
+]
+
+
+def kinds_of_robot(components: Callable[[], Iterable[Any]]) -> Kinds:
+    """Return the classes that children may send: what the robot's components declare.
+
+    They are looked up when a value needs them: that takes some ms for each module.
+    """
+    seen: set[type] = set()
+
+    def add(kinds: Kinds) -> None:
+        for each in components():
+            inner = inner_of(each)
+            if type(inner) not in seen:
+                seen.add(type(inner))
+                kinds.programs.append(type(inner).__module__)
+                for kind in declared(type(inner)):
+                    kinds.add(kind)
+
+    kinds = Kinds(_ALWAYS, more=add)
+    kinds.programs.append("__main__")
+    return kinds
+
+
+class KindsOfChild(Kinds):
+    """The classes that a child may get: the robot names them, and it imports them."""
+
+    def __init__(self) -> None:
+        self._own: list[type] = []
+        super().__init__(_ALWAYS, more=self._add_own)
+
+    def declare(self, kind: type) -> None:
+        """Let those cross that a class declares."""
+        self.programs.append(kind.__module__)
+        self._own.append(kind)
+
+    def _add_own(self, _: Kinds) -> None:
+        while self._own:
+            for each in declared(self._own.pop()):
+                self.add(each)
+
+    def find(self, name: str) -> Any:
+        found = super().find(name)
+        if found is None:
+            module, _, path = name.partition(":")
+            try:
+                made: Any = sys.modules.get(module) or __import__(
+                    module, fromlist=["_"]
+                )
+                for part in path.split("."):
+                    made = getattr(made, part)
+            except (ImportError, AttributeError):
+                return None
+            self.add(made)
+            found = super().find(name)
+        return found
+
+
+def plain_result(value: Any) -> Any:
+    """Return what crosses of a result that lives in the robot."""
+    if isinstance(value, Stopped):
+        return tuple(value), value.reason
+    return None if isinstance(value, Halting) else value

@@ -1,0 +1,100 @@
+"""The event loop of a child: it has no clock of its own, and takes turns with the robot.
+
+It works until nothing in it is ready and no thread of it computes. Then it says what it
+has done and when it wants to go on, and waits for a message, which brings the time.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import select
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from esair.loop import NEVER, SECOND, TurnLoop
+
+
+class Home(Protocol):
+    """The robot, as the loop of a child knows it."""
+
+    def fileno(self) -> int: ...
+    def idle(self, wake: float | None) -> None: ...
+    def tick(self) -> None: ...
+    def hear(self) -> float: ...
+
+
+Select = Callable[[float | None], Any]
+
+
+class ChildLoop(TurnLoop):
+    """The event loop of a child; `home` is the way to the robot."""
+
+    virtual = True
+
+    def __init__(self, home: Home) -> None:
+        self._now = 0.0
+        super().__init__()
+        self._home = home
+        self._selector.register(home.fileno(), select.POLLIN)  # type: ignore[attr-defined]
+        self._waits = select.poll()
+        self._waits.register(home.fileno(), select.POLLIN)
+
+    def clock(self) -> float:
+        return self._now
+
+    def slept(self) -> float:
+        return 0.0
+
+    def _pass(self, timeout: float | None, select: Select) -> Any:
+        events = self._work_off(select)
+        self._turn.number += 1
+        self._turn.border(self._now)
+        return events
+
+    def _work_off(self, select: Select) -> Any:
+        """Let go on what is ready, else threads, else what is due, else the robot."""
+        ready, door = self._ready, self._turn.door  # type: ignore[attr-defined]
+        while not (ready or self._stopping or door.has_news):  # type: ignore[attr-defined]
+            door.let_go()
+            is_quiet = door.at_work == 0  # once: a thread may end at any moment
+            if door.ripen(works=is_quiet):
+                break
+            if not is_quiet:
+                if events := self._others(select(None)):
+                    return events
+            elif self._turn.is_due(self._now) or self._first() <= self._now:
+                break
+            else:
+                return self._rest(select)
+        return self._others(select(0.0))
+
+    def _rest(self, select: Select) -> Any:
+        """Be idle until the robot says something; it also says what time it is."""
+        wake = min(self._first(), self._turn.due / SECOND)
+        self._home.idle(None if wake == NEVER else max(wake, self._now))
+        events = select(None)
+        if all(each[0].fd != self._home.fileno() for each in events):
+            self._home.tick()  # something of its own: it has to know when that is
+            self._waits.poll()
+        events = self._others(events)
+        self._now = max(self._now, self._home.hear())
+        self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
+        return events
+
+    def _first(self) -> float:
+        """Return when the first timer is due."""
+        scheduled = self._scheduled  # type: ignore[attr-defined]
+        while scheduled and scheduled[0]._cancelled:
+            heapq.heappop(scheduled)._scheduled = False
+            count = self._timer_cancelled_count  # type: ignore[has-type]
+            self._timer_cancelled_count = max(0, count - 1)
+        return float(scheduled[0]._when) if scheduled else NEVER
+
+    def _others(self, events: Any) -> Any:
+        """Return the events that are neither a wake-up nor a message."""
+        own = self._ssock.fileno()  # type: ignore[attr-defined]
+        if any(each[0].fd == own for each in events):
+            self._read_from_self()  # type: ignore[attr-defined]
+        mine = {own, self._home.fileno()}
+        return [each for each in events if each[0].fd not in mine]

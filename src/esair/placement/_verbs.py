@@ -1,0 +1,260 @@
+"""What a child may ask of its robot: by name, and nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any, NamedTuple, Protocol
+
+from esair.actions import Behavior, Reaction
+from esair.exceptions import AccessDeniedError
+from esair.loop import clock_of
+from esair.messages import Access, Refused
+
+_PORT_WAITS = {"read", "reading", "write", "configure", "operate"}
+_PORT_PLAIN = {"history", "why", "release", "newest", "settings", "state", "max_age"}
+_ORDER = {"answer", "refuse", "progress", "cancelled"}
+
+Call = Callable[..., Any]
+
+
+class Asked(NamedTuple):
+    """What is known of a call beside its arguments.
+
+    Attributes:
+        number: Its number, for what is told of it before its end.
+        age: How long ago the child has made it, in seconds.
+    """
+
+    number: int
+    age: float
+
+
+class Chair(Protocol):
+    """The seat, as far as these need it."""
+
+    def reply(self, op: str, number: int, value: Any) -> None: ...
+    def spawn(self, coroutine: Coroutine[Any, Any, None], name: str) -> object: ...
+    def keep_scope(self) -> int: ...
+    def unpack_error(self, data: bytes) -> BaseException: ...
+    def command_timeout(self, resource: str) -> float | None: ...
+
+
+class SensorVerbs:
+    """What a driver may say beside its answers."""
+
+    def __init__(self, sensor: Any) -> None:
+        self.plain: Mapping[str, Call] = {
+            "lost": sensor.report_lost,
+            "arrived": sensor.report_arrived,
+        }
+        self.waits: Mapping[str, Call] = {}
+
+
+class PortVerbs:
+    """What a reaction may ask of its ports."""
+
+    def __init__(self, chair: Chair, action: Behavior | Reaction) -> None:
+        self._chair = chair
+        self._action = action
+        self._registered: dict[str, Any] = {}
+        self.plain: Mapping[str, Call] = {"peek": self._peek}
+        self.waits: Mapping[str, Call] = {}
+
+    def _find(self, key: str, name: str, allowed: set[str]) -> Any:
+        port = self._registered.get(key)
+        if port is None and key in self._action.needs:
+            port = vars(self._action).get(key)
+        if port is None or name not in allowed:
+            raise AccessDeniedError(self._action.name, key, name, "it is not declared")
+        return port
+
+    def _peek(self, key: str, name: str, *args: Any) -> Any:
+        found = getattr(self._find(key, name, _PORT_PLAIN), name)
+        if name == "release":
+            found()
+            return None
+        if name == "settings":
+            return dict(found)
+        return found(*args) if callable(found) else found
+
+
+class BehaviorVerbs(PortVerbs):
+    """What a behavior may ask: of its ports, of its supervisor, and of others."""
+
+    def __init__(self, chair: Chair, behavior: Behavior) -> None:
+        super().__init__(chair, behavior)
+        self._behavior = behavior
+        self._streams: dict[int, Any] = {}
+        self._loops: dict[int, tuple[Any, int]] = {}
+        self._number = 0
+        self._halting: Any = None
+        self.orders: dict[int, Any] = {}
+        """The requests that the child works on, by their number."""
+        self._left: dict[int, asyncio.Future[BaseException | None]] = {}
+        self.plain = {
+            "peek": self._peek,
+            # Not its own: that of a thread's behavior waits for a thread, in the child.
+            "offer": lambda *args, **options: Behavior.offer(
+                behavior, *args, **options
+            ),
+            "query": lambda name: behavior.supervisor.query(name),
+            "halt": self._halt,
+            "order": self._order,
+            "enter": self._enter,
+            "leave": self._leave,
+        }
+        self.waits = {
+            "port": self._port,
+            "put": lambda _, *args: Behavior.put(behavior, *args),
+            "get": lambda _, *args: Behavior.get(behavior, *args),
+            "ask": self._ask,
+            "receive": self._receive,
+            "register": self._register,
+            "manage": self._manage,
+            "stop": lambda _, reason: Behavior.stop_robot(behavior, reason),
+            "halted": self._halted,
+            "values": self._values,
+            "next": lambda _, number: anext(self._streams[number]),
+            "left": self._close_values,
+            "loop": self._loop,
+            "next order": self._next_order,
+        }
+
+    def _next(self) -> int:
+        self._number += 1
+        return self._number
+
+    # Ports.
+
+    async def _port(
+        self, asked: Asked, key: str, name: str, *args: Any, **options: Any
+    ) -> Any:
+        port = self._find(key, name, _PORT_WAITS)
+        if name == "write":
+            limit = self._chair.command_timeout(port.resource)
+            if limit is not None and asked.age > limit:
+                now = clock_of(asyncio.get_running_loop())()
+                rule = f"the command is {asked.age:.3g} s old: command_timeout is {limit:g} s"
+                priority = port.registration.priority
+                return Refused(self._behavior.name, priority, rule, now, None)
+        return await getattr(port, name)(*args, **options)
+
+    async def _register(
+        self,
+        _: Asked,
+        resource: str,
+        access: Access,
+        priority: int,
+        hold: float | None,
+        max_age: float | None,
+    ) -> str:
+        port = await Behavior.register(
+            self._behavior,
+            resource,
+            access,
+            priority=priority,
+            hold=hold,
+            max_age=max_age,
+        )
+        key = f"registered {self._next()}"
+        self._registered[key] = port
+        return key
+
+    async def _values(self, _: Asked, key: str) -> int:
+        number = self._next()
+        self._streams[number] = aiter(self._find(key, "reading", _PORT_WAITS))
+        return number
+
+    async def _close_values(self, _: Asked, number: int) -> None:
+        await self._streams.pop(number).aclose()
+
+    # Others.
+
+    async def _ask(
+        self, asked: Asked, receiver: str, request: Any, timeout: Any, progress: bool
+    ) -> Any:
+        def tell(news: Any) -> None:
+            self._chair.reply("news", asked.number, news)
+
+        return await Behavior.ask(
+            self._behavior,
+            receiver,
+            request,
+            timeout=timeout,
+            progress=tell if progress else None,
+        )
+
+    async def _receive(self, _: Asked, timeout: float | None) -> tuple[str, Any]:
+        return await Behavior.receive_from(self._behavior, timeout=timeout)
+
+    async def _manage(self, _: Asked, verb: str, name: str) -> Any:
+        if verb not in {"remove", "restart"}:
+            raise AccessDeniedError(
+                self._behavior.name,
+                "behaviors",
+                verb,
+                "it lives in a process of its own",
+            )
+        return await getattr(self._behavior.supervisor, verb)(name)
+
+    def _halt(self, reason: str) -> None:
+        self._halting = self._behavior.halt_robot(reason)
+
+    async def _halted(self, _: Asked) -> Any:
+        return await self._halting
+
+    # Requests.
+
+    def hand(self, request: Any) -> int:
+        """Let the child work on a request; return its number."""
+        number = self._next()
+        self.orders[number] = request
+        return number
+
+    def _order(self, number: int, what: str, *args: Any) -> Any:
+        request = self.orders.get(number)
+        if request is None or what not in _ORDER:
+            return what == "cancelled"
+        found = getattr(request, what)
+        return found(*args) if callable(found) else found
+
+    def _enter(self, number: int) -> None:
+        loop = asyncio.get_running_loop()
+        self._left[number] = loop.create_future()
+        self._chair.spawn(self._attend(number, self.orders[number]), "request")
+
+    async def _attend(self, number: int, request: Any) -> None:
+        """Be the one who works on a request, for the child."""
+        async with request:
+            try:
+                error = await self._left[number]
+            except asyncio.CancelledError:
+                left = self._left[number] = asyncio.get_running_loop().create_future()
+                self._chair.reply("withdrawn", number, None)
+                await left
+                raise
+            if error is not None:
+                raise error
+
+    def _leave(self, number: int, error: bytes | None) -> None:
+        left = self._left.pop(number, None)
+        if left is not None and not left.done():
+            left.set_result(None if error is None else self._chair.unpack_error(error))
+
+    async def _loop(self, _: Asked, attribute: str) -> int:
+        if attribute not in self._behavior.takes:
+            raise AccessDeniedError(
+                self._behavior.name, attribute, "take", "not declared"
+            )
+        number = self._chair.keep_scope()
+        self._loops[number] = aiter(vars(self._behavior)[attribute]), 0
+        return number
+
+    async def _next_order(self, _: Asked, number: int) -> tuple[int, Any, str]:
+        loop, before = self._loops[number]
+        self.orders.pop(before, None)
+        request = await anext(loop)
+        order = self.hand(request)
+        self._loops[number] = loop, order
+        return order, request.data, request.sender

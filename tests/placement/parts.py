@@ -1,0 +1,179 @@
+"""Components that are placed in processes of their own by the tests of this folder."""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import os
+import signal
+import time
+from collections.abc import AsyncIterator, Iterator
+
+import attrs
+
+import esair
+
+
+@attrs.frozen
+class Twist:
+    linear: float
+    angular: float
+
+
+class Sonar(esair.Sensor[float]):
+    """Counts up, in its own process; `fault` says what it does at the third read."""
+
+    placement = "process"
+    deadline = 0.5
+
+    def __init__(self, *, fault: str = "", at: int = 3, **settings: object) -> None:
+        super().__init__(**settings)  # type: ignore[arg-type]
+        self.fault = fault
+        self.at = at
+        self.reads = 0
+
+    async def open(self) -> None:
+        if self.fault == "open":
+            raise ConnectionError("nothing is plugged in")
+        if self.fault == "exit at open":
+            os._exit(3)
+
+    def read(self) -> float:
+        self.reads += 1
+        if self.reads == self.at:
+            misbehave(self.fault)
+        return float(self.reads) + 0.001 * (os.getpid() % 1 if self.fault else 0)
+
+
+class Pusher(esair.Sensor[float]):
+    placement = "process"
+
+    async def stream(self) -> AsyncIterator[float]:
+        value = 0.0
+        while True:
+            yield value
+            value += 1.0
+            await asyncio.sleep(0.01)
+
+
+class BlockingPusher(esair.Sensor[float]):
+    placement = "process"
+
+    def stream(self) -> Iterator[float]:
+        value = 0.0
+        while True:
+            yield value
+            value += 1.0
+            time.sleep(0.01)
+
+
+def misbehave(fault: str) -> None:
+    """Do what a component should not."""
+    if fault == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    elif fault == "segfault":
+        ctypes.string_at(0)
+    elif fault == "exit":
+        os._exit(7)
+    elif fault == "abort":
+        os.abort()
+    elif fault == "stop":
+        os.kill(os.getpid(), signal.SIGSTOP)
+    elif fault == "hang":
+        while True:
+            pass
+    elif fault == "raise":
+        raise ValueError("it does not work")
+
+
+class Avoid(esair.Reaction):
+    placement = "process"
+    sonar = esair.reads(float, max_age=1.0)
+    wheels = esair.writes(Twist, priority=10)
+
+    def __init__(
+        self, *, fault: str = "", at: int = 3, name: str | None = None
+    ) -> None:
+        super().__init__(name=name)
+        self.fault = fault
+        self.at = at
+        self.steps = 0
+
+    def react(self, sonar: float) -> Twist | None:
+        self.steps += 1
+        if self.steps == self.at:
+            misbehave(self.fault)
+        return Twist(0.0, 1.2) if sonar < 0.4 else None
+
+
+class Drive(esair.Behavior):
+    """Drives, in its own process."""
+
+    placement = "process"
+    wheels = esair.writes(Twist)
+
+    def __init__(
+        self,
+        speed: float = 0.3,
+        *,
+        fault: str = "",
+        at: int = 20,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(name=name)
+        self.speed = speed
+        self.fault = fault
+        self.at = at
+
+    async def run(self) -> None:
+        steps = 0
+        async for _ in esair.every(0.01):
+            steps += 1
+            if steps == self.at:
+                misbehave(self.fault)
+            await self.wheels.write(Twist(self.speed, 0.0))
+
+
+class ThreadDrive(esair.ThreadBehavior):
+    placement = "process"
+    wheels = esair.writes(Twist)
+
+    def run(self) -> None:
+        for _ in esair.every(0.01):
+            self.wheels.write(Twist(0.3, 0.0))
+
+
+@attrs.frozen
+class Docked:
+    bay: int
+
+
+@attrs.frozen
+class Dock(esair.Request[Docked]):
+    bay: int
+
+
+class Docking(esair.Behavior):
+    placement = "process"
+    orders = esair.takes(Dock)
+
+    async def run(self) -> None:
+        async for request in self.orders:
+            async with request:
+                request.progress(0.5)
+                await asyncio.sleep(0.01)
+                if request.bay < 0:
+                    request.refuse("no such bay")
+                else:
+                    request.answer(Docked(request.bay))
+
+
+class Answering(esair.Behavior):
+    placement = "process"
+
+    @esair.answers
+    async def dock(self, request: Dock) -> Docked:
+        return Docked(request.bay)
+
+    async def provide(self) -> Twist:
+        return Twist(1.0, 2.0)

@@ -1,0 +1,252 @@
+"""Components in processes of their own: they do what they do in the robot's, and die alone."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.placement.parts import (
+    Answering,
+    Avoid,
+    BlockingPusher,
+    Dock,
+    Docked,
+    Docking,
+    Drive,
+    Pusher,
+    Sonar,
+    ThreadDrive,
+    Twist,
+)
+
+import esair
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
+
+STOP = Twist(0.0, 0.0)
+
+
+def fake_wheels(timeout: float | None = 0.2) -> FakeActuator[Twist]:
+    wheels: FakeActuator[Twist] = FakeActuator("wheels", safe=STOP)
+    wheels.command_timeout = timeout  # type: ignore[assignment]
+    return wheels
+
+
+async def until(condition: Callable[[], Any], within: float = 10.0) -> None:
+    """Wait until something is so."""
+    end = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < end, "it did not come to that"
+        await asyncio.sleep(0.005)
+
+
+def place(component: Any, where: Any) -> None:
+    """Say of one component where it lives."""
+    component.placement = where
+
+
+def lives(pid: int | None) -> bool:
+    return Path(f"/proc/{pid}").exists()
+
+
+class Listen(esair.Behavior):
+    """Reads a sensor, in the robot's process."""
+
+    sonar = esair.reads(float)
+
+    def __init__(self, sensor: str = "sonar") -> None:
+        super().__init__(reads={"sonar": esair.reads(float, name=sensor)})
+        self.heard: list[float] = []
+
+    async def run(self) -> None:
+        async for value in self.sonar:
+            self.heard.append(value)
+
+
+@pytest.mark.promise("PLC-1")
+@pytest.mark.parametrize("kind", [Sonar, Pusher, BlockingPusher])
+async def test_a_sensor_is_read_from_its_process(kind: type[Any]) -> None:
+    """What a driver gives in a child is heard, in order, and is of no thread of the robot."""
+    sensor = kind(name="sonar", rate=100.0)
+    listen = Listen()
+    async with esair.Robot(resources=[sensor], behaviors=[listen]) as robot:
+        await until(lambda: len(listen.heard) >= 5)
+        status = robot.resources.query("sonar")
+        assert status.placement == "process"
+        assert status.pid not in {None, os.getpid()}
+        assert listen.heard == sorted(set(listen.heard))
+
+
+@pytest.mark.promise("PLC-1")
+@pytest.mark.parametrize("kind", [Drive, ThreadDrive])
+async def test_a_behavior_drives_from_its_process(kind: type[Any]) -> None:
+    """Its writes are those of a behavior; when it is removed what it moved is safe."""
+    wheels = fake_wheels()
+    behavior = kind(name="drive")
+    async with esair.Robot(resources=[wheels], behaviors=[behavior]) as robot:
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+        status = robot.behaviors.query("drive")
+        assert (status.placement, status.state) == (
+            "process",
+            esair.BehaviorState.RUNNING,
+        )
+        pid = status.pid
+        assert pid is not None
+        assert robot.resources.why("wheels").holder == "drive"
+
+        await robot.behaviors.remove("drive")
+
+        assert wheels.commands[-1] == STOP
+        await until(lambda: not lives(pid))
+
+
+@pytest.mark.promise("PLC-1")
+async def test_a_reaction_decides_in_its_process() -> None:
+    """Its command takes the actuator by its priority; "no opinion" gives it back."""
+    wheels, sonar = fake_wheels(), FakeSensor("sonar", 1.0)
+    wander = Drive(name="wander")
+    place(wander, None)
+    async with esair.Robot(resources=[wheels, sonar], behaviors=[Avoid(), wander]):
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+        sonar.feed(0.2)
+        await wheels.until(Twist(0.0, 1.2), timeout=10.0)
+        sonar.feed(1.0)
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+
+
+@pytest.mark.promise("PLC-1", "PLC-5")
+@pytest.mark.parametrize("kind", [Docking, Answering])
+async def test_asks_are_answered_from_a_process(kind: type[Any]) -> None:
+    """A request and its answer cross equal and of their class."""
+    async with esair.Robot(behaviors=[kind(name="docking")]) as robot:
+        answer = await robot.behaviors.ask(Dock(3), sender="user", receiver="docking")
+    assert answer == Docked(3)
+    assert type(answer) is Docked
+
+
+@pytest.mark.promise("PLC-1", "PLC-5")
+async def test_a_get_is_answered_from_a_process() -> None:
+    """`provide` runs in the child, for whoever asks."""
+    async with esair.Robot(behaviors=[Answering()]) as robot:
+        given = await robot.behaviors.get(sender="answering", receiver="user")
+    assert given == Twist(1.0, 2.0)
+
+
+DEATHS = ["kill", "segfault", "exit", "abort"]
+
+
+@pytest.mark.promise("PLC-3", "PLC-4")
+@pytest.mark.fault("B05")
+@pytest.mark.parametrize("fault", [*DEATHS, "raise"])
+async def test_the_death_of_a_behavior_is_a_crash(fault: str) -> None:
+    """What it moved is safe, it is started again as it was added, and drives on."""
+    wheels = fake_wheels(timeout=5.0)
+    async with esair.Robot(resources=[wheels], behaviors=[Drive(fault=fault)]) as robot:
+        await until(lambda: robot.behaviors.query("drive").restarts == 1)
+        error = robot.behaviors.query("drive").error
+        await until(lambda: STOP in wheels.commands[5:])
+        before = len(wheels.commands)
+        await until(lambda: Twist(0.3, 0.0) in wheels.commands[before:])
+    if fault != "raise":
+        assert isinstance(error, esair.ProcessDiedError)
+        assert {
+            "kill": "SIGKILL",
+            "segfault": "SIGSEGV",
+            "exit": "7",
+            "abort": "SIGABRT",
+        }[fault] in str(error)
+    if fault == "segfault":
+        assert "misbehave" in error.words  # type: ignore[union-attr] # where it was
+
+
+@pytest.mark.promise("PLC-3")
+@pytest.mark.fault("B07")
+@pytest.mark.parametrize("fault", ["hang", "stop"])
+async def test_a_behavior_that_hangs_is_killed(fault: str) -> None:
+    """The dead man stops what it moves; after `stall` it is killed, and started again."""
+    wheels = fake_wheels(timeout=0.2)
+    drive = Drive(fault=fault)
+    place(drive, esair.Placement(stall=0.6))
+    async with esair.Robot(resources=[wheels], behaviors=[drive]) as robot:
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+        await until(lambda: wheels.commands[-1] == STOP)
+        assert robot.behaviors.query("drive").restarts == 0  # not killed yet
+        await until(lambda: robot.behaviors.query("drive").restarts == 1)
+        error = robot.behaviors.query("drive").error
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+    assert "hung for 0.6 s" in str(error)
+    if fault == "hang":
+        assert "misbehave" in str(error)
+
+
+@pytest.mark.promise("PLC-3", "PLC-2")
+@pytest.mark.parametrize("fault", DEATHS)
+async def test_a_reaction_that_dies_is_blind(fault: str) -> None:
+    """Nobody of its priority or a lower one moves until it decides again."""
+    wheels, sonar = fake_wheels(timeout=1.0), FakeSensor("sonar", 1.0)
+    wander = Drive(name="wander")
+    place(wander, None)
+    avoid = Avoid(fault=fault, at=30)
+    avoid.restart = esair.Restart(max=3, within=30, delay=0.3)
+    sonar.rate = 50.0
+    async with esair.Robot(
+        resources=[wheels, sonar], behaviors=[avoid, wander]
+    ) as robot:
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+        await until(lambda: robot.behaviors.query("avoid").restarts == 1)
+        await until(lambda: wheels.commands[-1] == STOP, within=0.25)
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+
+
+@pytest.mark.promise("PLC-2")
+@pytest.mark.parametrize("fault", ["hang", "stop"])
+async def test_a_reaction_that_owes_an_answer_is_blind(fault: str) -> None:
+    """Its last word was "no opinion": after `command_timeout` nobody drives on by it."""
+    wheels, sonar = fake_wheels(timeout=0.3), FakeSensor("sonar", 1.0)
+    wander = Drive(name="wander")
+    place(wander, None)
+    avoid = Avoid(fault=fault, at=10)
+    place(avoid, esair.Placement(stall=1.5))
+    sonar.rate = 50.0
+    async with esair.Robot(
+        resources=[wheels, sonar], behaviors=[avoid, wander]
+    ) as robot:
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+        await until(lambda: "owes an answer" in robot.behaviors.query("avoid").detail)
+        await until(lambda: wheels.commands[-1] == STOP, within=0.25)
+        assert robot.behaviors.query("avoid").restarts == 0
+        await until(lambda: robot.behaviors.query("avoid").restarts == 1)
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+
+
+@pytest.mark.promise("PLC-3")
+@pytest.mark.fault("D01")
+@pytest.mark.parametrize("fault", [*DEATHS, "hang", "stop"])
+async def test_a_driver_that_dies_or_hangs_is_lost_and_back(fault: str) -> None:
+    """The device is LOST, and opened again in a new process."""
+    sonar = Sonar(fault=fault, at=5, rate=50.0)
+    listen = Listen()
+    async with esair.Robot(resources=[sonar], behaviors=[listen]) as robot:
+        await until(lambda: len(listen.heard) >= 3)
+        pid = robot.resources.query("sonar").pid
+        await until(lambda: robot.resources.query("sonar").losses == 1)
+        await until(lambda: robot.resources.query("sonar").pid not in {pid, None})
+        heard = len(listen.heard)
+        await until(lambda: len(listen.heard) > heard)
+        assert not lives(pid)
+
+
+@pytest.mark.promise("PLC-3")
+async def test_a_driver_that_dies_at_open_is_tried_again() -> None:
+    """It is LOST; the robot starts all the same, and says why."""
+    sonar = Sonar(fault="exit at open")
+    async with esair.Robot(resources=[sonar]) as robot:
+        status = robot.resources.query("sonar")
+        assert status.state is not esair.ResourceState.READY
+        assert "exited with 3" in str(status.error)
