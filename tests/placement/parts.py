@@ -177,3 +177,26 @@ class Answering(esair.Behavior):
 
     async def provide(self) -> Twist:
         return Twist(1.0, 2.0)
+
+
+class Wanderer(esair.Behavior):
+    """Draws random numbers, sleeps, and asks for time: all that could differ."""
+
+    placement = "process"
+    sonar = esair.reads(float)
+    wheels = esair.writes(Twist)
+
+    async def run(self) -> None:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self.turn())
+            async for _ in esair.every(0.05):
+                far = await self.sonar.read()
+                await self.wheels.write(
+                    Twist(far * esair.random.uniform(0.1, 0.3), 0.0)
+                )
+
+    async def turn(self) -> None:
+        begin = esair.now()
+        while True:
+            await asyncio.sleep(0.033)
+            await self.wheels.write(Twist(0.0, round(esair.now() - begin, 3)))

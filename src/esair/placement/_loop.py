@@ -9,7 +9,6 @@ from __future__ import annotations
 import heapq
 import math
 import select
-from collections.abc import Callable
 from typing import Any, Protocol
 
 from esair.loop import NEVER, SECOND, TurnLoop
@@ -22,9 +21,6 @@ class Home(Protocol):
     def idle(self, wake: float | None) -> None: ...
     def tick(self) -> None: ...
     def hear(self) -> float: ...
-
-
-Select = Callable[[float | None], Any]
 
 
 class ChildLoop(TurnLoop):
@@ -46,13 +42,13 @@ class ChildLoop(TurnLoop):
     def slept(self) -> float:
         return 0.0
 
-    def _pass(self, timeout: float | None, select: Select) -> Any:
-        events = self._work_off(select)
+    def _pass(self, timeout: float | None = None) -> Any:
+        events = self._work_off()
         self._turn.number += 1
         self._turn.border(self._now)
         return events
 
-    def _work_off(self, select: Select) -> Any:
+    def _work_off(self) -> Any:
         """Let go on what is ready, else threads, else what is due, else the robot."""
         ready, door = self._ready, self._turn.door  # type: ignore[attr-defined]
         while not (ready or self._stopping or door.has_news):  # type: ignore[attr-defined]
@@ -61,19 +57,19 @@ class ChildLoop(TurnLoop):
             if door.ripen(works=is_quiet):
                 break
             if not is_quiet:
-                if events := self._others(select(None)):
+                if events := self._others(self._select(None)):
                     return events
             elif self._turn.is_due(self._now) or self._first() <= self._now:
                 break
             else:
-                return self._rest(select)
-        return self._others(select(0.0))
+                return self._rest()
+        return self._others(self._select(0.0))
 
-    def _rest(self, select: Select) -> Any:
+    def _rest(self) -> Any:
         """Be idle until the robot says something; it also says what time it is."""
         wake = min(self._first(), self._turn.due / SECOND)
         self._home.idle(None if wake == NEVER else max(wake, self._now))
-        events = select(None)
+        events = self._select(None)
         if all(each[0].fd != self._home.fileno() for each in events):
             self._home.tick()  # something of its own: it has to know when that is
             self._waits.poll()

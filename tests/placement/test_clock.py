@@ -1,0 +1,90 @@
+"""A child is a function of its messages: the virtual clock and a replay know no difference."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+from tests.placement.parts import Avoid, Drive, ThreadDrive, Twist, Wanderer
+
+import esair
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = [pytest.mark.virtual_clock, pytest.mark.xdist_group("placement")]
+
+STOP = Twist(0.0, 0.0)
+
+
+async def told(where: Any, seed: int) -> list[Any]:
+    """What the wheels were told in a world with everything in it, and when."""
+    loop = asyncio.get_running_loop()
+    wheels, sonar = FakeActuator("wheels", safe=STOP), FakeSensor("sonar", 1.0)
+    commands: list[Any] = []
+    parts: list[Any] = [Avoid(), Wanderer(name="wander")]
+    for each in parts:
+        each.placement = where
+    robot = esair.Robot(resources=[wheels, sonar], behaviors=parts, seed=seed)
+    await asyncio.sleep(10.0 - loop.time() % 10.0)  # all periods lie on one grid
+    begin = loop.time()
+    robot.journal.listen(
+        lambda event: (
+            commands.append((round(event.time - begin, 3), event.value))
+            if event.kind.value == "sent"
+            else None
+        )
+    )
+    async with robot:
+        for step in range(20):
+            sonar.feed(0.2 if (step * 7 + seed) % 5 == 0 else 1.0)
+            await asyncio.sleep(0.037)
+    return commands
+
+
+@pytest.mark.promise("PLC-7")
+@pytest.mark.parametrize("seed", [1, 2, 3])
+async def test_the_same_commands_as_a_task(seed: int) -> None:
+    """On the virtual clock the wheels hear the same at the same moments, wherever it runs."""
+    here = await told(None, seed)
+    there = await told("process", seed)
+    assert here == there
+    assert len(here) > 20
+
+
+@pytest.mark.promise("PLC-7", "PLC-3")
+@pytest.mark.parametrize("kind", [Drive, ThreadDrive])
+async def test_time_stands_still_while_a_child_works(kind: type[Any]) -> None:
+    """An hour of a behavior that ticks in a child takes seconds."""
+    loop = asyncio.get_running_loop()
+    wheels = FakeActuator("wheels", safe=STOP)
+    drive = kind(name="drive")
+    async with esair.Robot(resources=[wheels], behaviors=[drive]):
+        begin = loop.time()
+        await wheels.until(Twist(0.3, 0.0), timeout=1.0)
+        first = len(wheels.commands)
+        await asyncio.sleep(2.0)
+        assert loop.time() - begin < 2.1
+        assert 195 <= len(wheels.commands) - first <= 205
+
+
+@pytest.mark.promise("PLC-3", "PLC-7")
+async def test_a_crash_comes_at_the_same_moment() -> None:
+    """A child that dies in its third step dies there on the virtual clock, too."""
+    wheels = FakeActuator("wheels", safe=STOP)
+    drive = Drive(fault="exit", at=20)
+    async with esair.Robot(resources=[wheels], behaviors=[drive]) as robot:
+        await asyncio.sleep(0.25)
+        assert robot.behaviors.query("drive").restarts == 1
+        assert isinstance(robot.behaviors.query("drive").error, esair.ProcessDiedError)
+
+
+@pytest.mark.promise("PLC-3")
+async def test_a_hang_is_seen_on_the_virtual_clock() -> None:
+    """No virtual time passes while it hangs: real time counts for that alone."""
+    wheels = FakeActuator("wheels", safe=STOP)
+    drive = Drive(fault="hang", at=5)
+    drive.placement = esair.Placement(stall=0.5)  # type: ignore[assignment]
+    async with esair.Robot(resources=[wheels], behaviors=[drive]) as robot:
+        await asyncio.sleep(0.1)
+        assert robot.behaviors.query("drive").restarts == 1
+        assert "misbehave" in str(robot.behaviors.query("drive").error)
