@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+import logging
 import os
 import signal
+import socket
 import time
-from collections.abc import AsyncIterator, Iterator
+import warnings
+from collections.abc import AsyncIterator, Callable, Iterator
+from typing import Any
 
 import attrs
 
 import esair
+from esair.placement._wire import Item
 
 
 @attrs.frozen
@@ -200,3 +205,57 @@ class Wanderer(esair.Behavior):
         while True:
             await asyncio.sleep(0.033)
             await self.wheels.write(Twist(0.0, round(esair.now() - begin, 3)))
+
+
+class Unsendable(esair.Behavior):
+    placement = "process"
+
+    def __init__(self, function: Callable[[], None]) -> None:
+        super().__init__()
+        self.function = function
+
+
+class Talker(esair.Behavior):
+    placement = "process"
+
+    async def run(self) -> None:
+        print("it prints")  # noqa: T201
+        logging.getLogger("rover.parts").warning("it logs %d", 3)
+        warnings.warn("it warns", stacklevel=1)
+        breakpoint()
+
+
+class Liar(esair.Behavior):
+    """Speaks with the robot as no child should."""
+
+    placement = "process"
+    wheels = esair.writes(Twist)
+
+    def __init__(self, lie: str) -> None:
+        super().__init__()
+        self.lie = lie
+
+    async def run(self) -> None:
+        child: Any = self._host._child
+        wire: Any = child._wire
+        data = child.values.pack("x", (0, 0.0, (), {}))
+        bad = {
+            "verb": Item("call", 9, "__class__", data),
+            "port": Item("call", 9, "port", child.values.pack("x", "nonsense")),
+            "method": Item("nonsense", 9, "port", b"nonsense"),
+            "private": Item("call", 9, "next order", data),
+        }
+        if self.lie in bad:
+            child._out.append(bad[self.lie])
+        elif self.lie == "garbage":
+            wire._end.send(b"\x01garbage")
+        elif self.lie == "flood":
+            for _ in range(100):
+                wire.send(("tick", None), [])
+        elif self.lie == "turn":
+            wire.send(("idle", None), [])
+            wire.send(("idle", None), [])
+        elif self.lie == "files":
+            read, _ = os.pipe()
+            socket.send_fds(wire._end, [b"\0"], [read])
+        await asyncio.sleep(1.0)

@@ -44,6 +44,8 @@ class Running:
         insecure: Another address than this computer's may be without TLS.
         realtime: Go before what else the computer does, with this priority: 1 to 98, 50 if
             none is named. Where that is not allowed it is said what to do.
+        placement: Where components live, whatever the file says, as NAME=process or
+            NAME=task.
         verbose: Show every line of the log.
     """
 
@@ -52,4 +54,5 @@ class Running:
     page: Annotated[list[str] | None, MaybeNamed] = None
     insecure: bool = False
     realtime: Annotated[list[int] | None, MaybeNamed] = None
+    placement: list[str] | None = None
     verbose: Verbose = False

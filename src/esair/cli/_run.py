@@ -104,7 +104,25 @@ def _with(described: config.Description, how: Running) -> Callable[..., esair.Ro
         extra["page"] = _page(described.robot.get("page"), how.page, how.insecure)
     if how.realtime is not None:
         extra["realtime"] = how.realtime[0] if how.realtime else True
-    return lambda **given: esair.Robot(**{"socket": True, **given, **extra})
+
+    def make(**given: Any) -> esair.Robot:
+        _place(how.placement or [], [*given["resources"], *given["behaviors"]])
+        return esair.Robot(**{"socket": True, **given, **extra})
+
+    return make
+
+
+def _place(words: list[str], components: list[Any]) -> None:
+    """Let components live where the words say."""
+    named = {each.name: each for each in components}
+    for word in words:
+        name, _, where = word.partition("=")
+        if where not in {"process", "task"}:
+            told = f"expected NAME=process or NAME=task, not {word!r:.80}"
+            raise esair.ConfigError("--placement", "", told)
+        if name not in named:
+            raise esair.UnknownNameError("component", name, named)
+        named[name].placement = where
 
 
 def _page(known: Any, words: list[str], insecure: Any) -> esair.Page:

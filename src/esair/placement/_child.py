@@ -33,11 +33,12 @@ from esair.actions import (
 )
 from esair.exceptions import BusyError, describe
 from esair.loop import OwnedTasks, Owner, Portal, Stepping, Stream, raisable, spawn
-from esair.placement._home import Host, Orders, port_for
+from esair.placement._home import Host, Order, Orders, port_for, scope
 from esair.placement._kinds import KindsOfChild
 from esair.placement._loop import ChildLoop
 from esair.placement._recipe import make
 from esair.placement._wire import CALLS, Item, Values, Wire
+from esair.placement._words import RECORD
 from esair.plan import inner_of
 from esair.resources import Sensor, adapt_resource
 
@@ -47,9 +48,6 @@ _PLAIN = {
     if isinstance(method, types.FunctionType)
 }
 """What a plain behavior calls in its thread."""
-
-scope: contextvars.ContextVar[int] = contextvars.ContextVar("esair_scope", default=0)
-"""For which call of the robot the code that runs now works."""
 
 _MIB: Final = 1 << 20
 
@@ -437,8 +435,6 @@ class Child:
             return None
 
     async def _answer(self, attribute: str, number: int, data: Any, sender: str) -> Any:
-        from esair.placement._home import Order
-
         return await self._method(attribute)(Order(self, number, data, sender).handle)
 
 
@@ -490,6 +486,6 @@ class Words(logging.Handler):
             if record.exc_info and record.exc_info[1] is not None:
                 text = f"{text}: {describe(record.exc_info[1])}"
             told = {"level": record.levelno, "name": record.name, "text": text[:2000]}
-            os.write(1, b"\x1e" + json.dumps(told).encode() + b"\n")
+            os.write(1, RECORD.encode() + json.dumps(told).encode() + b"\n")
         except Exception:
             self.handleError(record)

@@ -4,28 +4,51 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import contextvars
 import inspect
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from esair.actions import NOTHING, in_loop, taken
 from esair.connections import Halting, Stopped
 from esair.exceptions import BehaviorRemovedError
-from esair.loop import Budget, Portal, spawn
+from esair.loop import Budget, Owner, Portal, spawn
 from esair.messages import Access, BehaviorStatus
+from esair.placement._loop import ChildLoop
+from esair.placement._wire import Values
 
-if TYPE_CHECKING:
-    from esair.placement._child import Child
+scope: contextvars.ContextVar[int] = contextvars.ContextVar("esair_scope", default=0)
+"""For which call of the robot the code that runs now works."""
 
 _AWAITED = {"read", "reading", "write", "configure", "operate"}
 _CALLED = {"history", "why", "release"}
 _ASKED = {"newest", "settings", "state", "max_age"}
 
 
+class Line(Protocol):
+    """The way of a component to its robot: the process that it is in."""
+
+    loop: ChildLoop
+    values: Values
+    portal: Portal | None
+    orders: dict[int, Callable[[], object]]
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def owner(self) -> Owner | None: ...
+    @property
+    def newest(self) -> int: ...
+    def call(self, verb: str, *args: Any, **options: Any) -> asyncio.Future[Any]: ...
+    def ask(self, verb: str, *args: Any, **options: Any) -> Any: ...
+    def note(self, verb: str, *args: Any) -> None: ...
+    def told_of(self, number: int, hear: Callable[[Any], object]) -> None: ...
+
+
 class Host:
     """What a behavior asks of its supervisor, and how it reaches others."""
 
-    def __init__(self, child: Child) -> None:
+    def __init__(self, child: Line) -> None:
         self._child = child
         self.budget = Budget.of(child.loop)
         self.portal = child.portal
@@ -110,7 +133,7 @@ class Host:
         return await self._child.call("manage", verb, *args)
 
 
-def port_for(child: Child, key: str, resource: str, portal: Portal | None) -> Any:
+def port_for(child: Line, key: str, resource: str, portal: Portal | None) -> Any:
     """Return the way to a device: to that of its registration, in the robot."""
     port = RemotePort(child, key, resource)
     return port if portal is None else BlockingPort(port, portal)
@@ -119,7 +142,7 @@ def port_for(child: Child, key: str, resource: str, portal: Portal | None) -> An
 class RemotePort:
     """A `SensorPort` or an `ActuatorPort` of the robot, with the same methods."""
 
-    def __init__(self, child: Child, key: str, resource: str) -> None:
+    def __init__(self, child: Line, key: str, resource: str) -> None:
         self._child = child
         self._key = key
         self.resource = resource
@@ -196,7 +219,7 @@ def _named(port: RemotePort, name: str, *args: Any, **options: Any) -> Any:
 class Orders:
     """Where a port gets the requests that wait for its behavior (`RequestSource`)."""
 
-    def __init__(self, child: Child, attribute: str) -> None:
+    def __init__(self, child: Line, attribute: str) -> None:
         self._child = child
         self._attribute = attribute
 
@@ -207,7 +230,7 @@ class Orders:
 class Loop(AsyncIterator[Any]):
     """One loop of a behavior over the requests that it takes (`RequestLoop`)."""
 
-    def __init__(self, child: Child, attribute: str) -> None:
+    def __init__(self, child: Line, attribute: str) -> None:
         self._child = child
         self._attribute = attribute
         self._number: int | None = None
@@ -227,8 +250,6 @@ class Loop(AsyncIterator[Any]):
 
     def serve(self) -> None:
         """What the caller does from now on, it does for this request."""
-        from esair.placement._child import scope
-
         assert self._number is not None
         scope.set(self._number)
 
@@ -236,7 +257,7 @@ class Loop(AsyncIterator[Any]):
 class Order:
     """One request on its way from its asker, in the robot, to its one outcome."""
 
-    def __init__(self, child: Child, number: int, data: Any, sender: str) -> None:
+    def __init__(self, child: Line, number: int, data: Any, sender: str) -> None:
         self._child = child
         self._number = number
         self.data, self.sender = data, sender

@@ -70,9 +70,14 @@ class ChildLoop(TurnLoop):
         wake = min(self._first(), self._turn.due / SECOND)
         self._home.idle(None if wake == NEVER else max(wake, self._now))
         events = self._select(None)
-        if all(each[0].fd != self._home.fileno() for each in events):
-            self._home.tick()  # something of its own: it has to know when that is
-            self._waits.poll()
+        while all(each[0].fd != self._home.fileno() for each in events):
+            others = self._others(events)
+            if others or self._ready or self._turn.door.ripen(works=True):  # type: ignore[attr-defined]
+                self._home.tick()  # something of its own: it has to know when that is
+                self._waits.poll()
+                events = others
+                break
+            events = self._select(None)  # a thread that has ended its work rang late
         events = self._others(events)
         self._now = max(self._now, self._home.hear())
         self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))

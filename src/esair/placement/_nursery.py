@@ -120,7 +120,7 @@ class Nursery:
 def told_end(code: int | None) -> str:
     """Say how a process has ended."""
     if code is None:
-        return "it is gone"
+        return "is gone"
     if code < 0:
-        return f"killed by {signal.Signals(-code).name}"
-    return f"it has exited with {code}"
+        return f"was killed by {signal.Signals(-code).name}"
+    return f"has exited with {code}"

@@ -10,8 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import contextvars
-import json
-import logging
 import os
 import select
 import signal
@@ -21,22 +19,15 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from esair.codec import CodecError
-from esair.exceptions import BadValueError, BusyError, ProcessDiedError, printable
+from esair.exceptions import BadValueError, BusyError, ProcessDiedError
 from esair.loop import Deadlines, Door, First, OneShot, Player, Scheduler, clock_of
 from esair.messages import Placement
 from esair.placement._nursery import Nursery, told_end
 from esair.placement._wire import CALLS, Item, Values, Wire
+from esair.placement._words import Words
 
 STACK: Final = 0.05
 """How long a child that hangs has to say where, before it is killed, in seconds."""
-
-WORDS: Final = 2000
-"""How many characters of what a child has written last are kept."""
-
-LINES: Final = 200
-"""How many lines of a child are logged in a second."""
-
-_log = logging.getLogger("esair")
 
 End = Callable[[Any, BaseException | None], object]
 
@@ -48,6 +39,7 @@ class Process:
         values: How its values are coded.
         placement: How it is limited.
         nursery: Where it comes from.
+        repeats: Whether it runs in a replay, too; what drivers give comes from the tape.
         serve: Called with each call of the child: its number, verb and arguments.
         withdraw: Called with the number of a call that the child wants no more.
         died: Called with the error, once, if it ends before it is closed.
@@ -59,6 +51,7 @@ class Process:
         placement: Placement,
         nursery: Nursery,
         *,
+        repeats: bool,
         serve: Callable[[int, str, Any], object],
         withdraw: Callable[[int], object],
         died: Callable[[ProcessDiedError], object],
@@ -75,9 +68,11 @@ class Process:
         self._loop = loop = asyncio.get_running_loop()
         self._time = clock_of(loop)
         self._door = Door.of(loop)
-        self._tag = ("thread", self.name)
+        self._repeats = repeats
+        self._tag = ("thread" if repeats else "driver", self.name)
         self._lane = object()
         self._calls: dict[int, End] = {}
+        self._told_to_end: set[int] = set()
         self._number = 0
         self._queue: list[Item] = []
         self._work = 0  # the number that the door has given to what it works on
@@ -86,14 +81,12 @@ class Process:
         self._wake: OneShot | None = None
         self._wanted: float | None = None
         self._pidfd = -1
-        self._tail = ""
-        self._rest = b""
-        self._lines = (0.0, 0)
         self._stall = placement.stall
         self._hang = Deadlines.beside(loop).idle(self._hung)
         ends = nursery.child()
         self._wire = Wire(ends.wire)
-        self._words, self._status = ends.words, ends.status
+        self._words = Words(self.name, ends.words, loop)
+        self._status = ends.status
         self._tape(loop)
         tape = self._door.tape
         self._is_repeated = isinstance(tape, Player)
@@ -102,7 +95,6 @@ class Process:
             loop.add_reader(self._status.fileno(), self._told)
         else:  # it waits for what is on its tape, and not in its selector
             threading.Thread(target=self._read_on, daemon=True).start()
-        loop.add_reader(self._words, self._heard)
 
     # What the robot asks of it.
 
@@ -153,6 +145,7 @@ class Process:
             if number not in self._calls:
                 raise
             waiter = self._loop.create_future()
+            self._told_to_end.add(number)
             self.tell(Item("cancel", number, "", b""))
             try:
                 return await waiter
@@ -188,8 +181,8 @@ class Process:
 
     @property
     def is_well(self) -> bool:
-        """Whether it lives, and does not work on something that nobody waits for."""
-        return self.error is None and not (self._work and not self._calls)
+        """Whether it lives, and has ended what it was told to end."""
+        return self.error is None and not self._told_to_end
 
     def close(self) -> None:
         """Be done with it, without a wait: it is killed if it works, and else ends."""
@@ -309,8 +302,11 @@ class Process:
                 self._serve(number, verb, args)
         elif op == "cancel":
             self._withdraw(number)
+        elif op not in {"done", "fail"}:
+            self.condemn("has sent what is no message")
         else:
             end = self._calls.pop(number, None)
+            self._told_to_end.discard(number)
             self.scopes.pop(number, None)
             value: Any = None
             failed: BaseException | None = None
@@ -323,45 +319,6 @@ class Process:
                 failed = BadValueError(self.name, verb or "answer", str(error))
             if end is not None:
                 end(value, failed)
-
-    # What it says beside.
-
-    def _heard(self) -> None:
-        try:
-            data = os.read(self._words, 1 << 14)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._loop.remove_reader(self._words)
-            return
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        self._rest = self._rest[-WORDS:]
-        for line in lines:
-            self._say(line.decode(errors="replace"))
-
-    def _say(self, line: str) -> None:
-        level, name, text = logging.INFO, "esair", f"{self.name}: {line}"
-        if line.startswith("\x1e"):
-            with contextlib.suppress(ValueError, TypeError, KeyError):
-                record = json.loads(line[1:])
-                level, name = int(record["level"]), str(record["name"])
-                line = text = str(record["text"])
-                if name == "esair":
-                    text = f"{self.name}: {line}"
-        self._tail = f"{self._tail}{line}\n"[-WORDS:]
-        since, count = self._lines
-        now = self._time()
-        if now - since >= 1.0:
-            since, count = now, 0
-        self._lines = since, count + 1
-        if count < LINES:
-            logging.getLogger(name).log(level, "%s", printable(text))
-        elif count == LINES:
-            _log.warning(
-                "%s: writes too much; the rest of this second is left", self.name
-            )
 
     # Its end.
 
@@ -395,10 +352,7 @@ class Process:
             self._gone(f"{how}; it was killed", -signal.SIGKILL)
 
     def _gone(self, how: str, code: int | None) -> None:
-        for _ in range(8):
-            self._heard()
-        words = self._tail + self._rest.decode(errors="replace")
-        error = ProcessDiedError(self.name, how, code, words.strip()[-WORDS:])
+        error = ProcessDiedError(self.name, how, code, self._words.last())
         self._door.post(0, ("process", self.name), self._over, error)
 
     def _over(self, error: ProcessDiedError) -> None:
@@ -417,6 +371,8 @@ class Process:
         """Keep its end where a run is kept; in a replay it comes from the tape."""
         tag, tape = ("call", self.name, "process"), self._door.tape
         self._keeps: Callable[[ProcessDiedError], object] | None = None
+        if not self._repeats:
+            return
         if isinstance(tape, Player):
             number, _ = tape.first(tag)
             tape.expect(tag, number, self._repeated_end)
@@ -449,11 +405,11 @@ class Process:
         self._end_work()
         loop = self._loop
         if not loop.is_closed():
-            for fd in (self._wire.fileno(), self._words, self._status.fileno()):
-                loop.remove_reader(fd)
+            loop.remove_reader(self._wire.fileno())
+            loop.remove_reader(self._status.fileno())
         self._wire.close()
         self._status.close()
-        os.close(self._words)
+        self._words.close()
         if self._pidfd >= 0:
             os.close(self._pidfd)
             self._pidfd = -1

@@ -170,6 +170,7 @@ class Seat:
             self._values,
             self.placement,
             self._seats.nursery,
+            repeats=isinstance(component, Behavior | Reaction),
             serve=self._serve,
             withdraw=self._withdraw,
             died=self._died,
@@ -303,6 +304,7 @@ class Seat:
             case _:
                 process.condemn("has asked for what it cannot have")
                 return
+        context: contextvars.Context | None
         context = process.scopes.get(scope, _NOBODY).copy()
         if plain := self._verbs.plain.get(verb):
             value: Any = None
@@ -314,7 +316,9 @@ class Seat:
             process.answer(number, plain_result(value), failed)
             return
         waits = self._verbs.waits.get(verb)
-        if waits is None or len(self._tasks) >= CALLS:
+        if verb == "next order":  # what it asks for next it does for that
+            context = process.scopes.get(args[0]) if args else None
+        if waits is None or context is None or len(self._tasks) >= CALLS:
             process.condemn("has asked for what it cannot have")
             return
         asked = Asked(number, process.lateness(busy))
@@ -323,8 +327,7 @@ class Seat:
             self._wait(process, asked, waits, args, options),
             name=f"{self.name} {verb}",
             owner=self._owner,
-            # What it is asked for next it does for that: the same context.
-            context=process.scopes[args[0]] if verb == "next order" else context,
+            context=context,
         )
 
     async def _wait(

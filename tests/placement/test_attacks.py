@@ -1,0 +1,204 @@
+"""Children that flood, lie and leak; robots that are killed: nobody else is disturbed."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+from tests.placement.parts import Avoid, Drive, Liar, Talker, Twist, Unsendable
+from tests.placement.test_life import STOP, fake_wheels, lives, place, until
+
+import esair
+from esair.testing import FakeSensor
+
+pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
+
+
+def children_of(pid: int) -> list[int]:
+    """The processes below one, their children too."""
+    found: list[int] = []
+    for each in Path("/proc").iterdir():
+        if each.name.isdigit():
+            try:
+                parent = int((each / "stat").read_text().rpartition(")")[2].split()[1])
+            except OSError:
+                continue
+            if parent == pid:
+                found += [int(each.name), *children_of(int(each.name))]
+    return found
+
+
+@pytest.mark.promise("PLC-4")
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM])
+@pytest.mark.parametrize("busy", [False, True])
+def test_nothing_outlives_the_robot(
+    tmp_path: Path, how: signal.Signals, busy: bool
+) -> None:
+    """Whatever ends the robot's process ends its children, also one that computes."""
+    script = tmp_path / "robot_of_children.py"
+    script.write_text(
+        textwrap.dedent(
+            f"""
+            import time
+            import esair
+
+            class Busy(esair.ThreadBehavior):
+                placement = esair.Placement(stall=60.0)
+
+                def run(self) -> None:
+                    print("begun", flush=True)
+                    while {busy}:
+                        pass
+                    super().run()
+
+            if __name__ == "__main__":
+                import logging
+                logging.basicConfig(level=logging.INFO)
+                esair.run(esair.Robot(behaviors=[Busy(name="one"), Busy(name="two")]))
+            """
+        ),
+        encoding="utf-8",
+    )
+    with subprocess.Popen(
+        [sys.executable, str(script)], stderr=subprocess.PIPE, text=True
+    ) as robot:
+        assert robot.stderr is not None
+        begun = 0
+        for line in robot.stderr:
+            begun += "begun" in line
+            if begun == 2:
+                break
+        children = children_of(robot.pid)
+        assert len(children) == 3  # the one that makes them, and two
+        os.kill(robot.pid, how)
+        end = time.monotonic() + 10.0
+        while any(lives(pid) for pid in children):
+            assert time.monotonic() < end, "a child has outlived its robot"
+            time.sleep(0.005)
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.mark.promise("PLC-4")
+async def test_nothing_is_left_behind() -> None:
+    """Twenty that come, die and go leave no process, descriptor or task behind."""
+    wheels = fake_wheels()
+    async with esair.Robot(
+        resources=[wheels], behaviors=[Drive(name="first")]
+    ) as robot:
+        before = descriptors()
+        for number in range(20):
+            drive = Drive(name="drive", fault="kill", at=2 + number % 3)
+            await robot.behaviors.add(drive)
+            if number % 2:
+                await until(lambda: robot.behaviors.query("drive").restarts == 1)
+            await robot.behaviors.remove("drive")
+        await asyncio.sleep(0.1)
+        assert descriptors() == before
+        assert len(children_of(os.getpid())) == 2
+    await until(lambda: children_of(os.getpid()) == [])
+
+
+@pytest.mark.promise("PLC-4")
+async def test_the_process_that_makes_children_is_replaced() -> None:
+    """Killed, it takes its children along: they are failures, and come back."""
+    wheels = fake_wheels()
+    async with esair.Robot(resources=[wheels], behaviors=[Drive()]) as robot:
+        await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+        drive = robot.behaviors.query("drive").pid
+        (server,) = (pid for pid in children_of(os.getpid()) if pid != drive)
+        os.kill(server, signal.SIGKILL)
+        await until(lambda: robot.behaviors.query("drive").restarts >= 1)
+        await until(lambda: STOP in wheels.commands)
+        before = len(wheels.commands)
+        await until(lambda: Twist(0.3, 0.0) in wheels.commands[before:])
+
+
+@pytest.mark.promise("PLC-2", "PLC-5")
+@pytest.mark.parametrize(
+    "lie", ["garbage", "verb", "port", "method", "flood", "files", "turn", "private"]
+)
+async def test_a_child_that_lies_is_a_component_that_failed(lie: str) -> None:
+    """What is no message, or asks for what it cannot have, moves nothing."""
+    wheels = fake_wheels()
+    liar = Liar(lie)
+    async with esair.Robot(resources=[wheels], behaviors=[liar]) as robot:
+        await until(lambda: robot.behaviors.query("liar").restarts >= 1)
+        assert set(wheels.commands) <= {STOP}
+    assert "raised" not in str(robot.behaviors.query("liar").error)
+
+
+@pytest.mark.promise("PLC-6")
+async def test_what_it_writes_appears_under_its_name(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Prints, records of its log and its warnings are lines of the robot's log."""
+    caplog.set_level("INFO")
+    async with esair.Robot(behaviors=[Talker()]) as robot:
+        await until(lambda: robot.behaviors.query("talker").error is not None)
+    text = caplog.text
+    for words in ("talker: it prints", "it logs 3", "it warns"):
+        assert words in text
+    assert "rover.parts" in caplog.text  # the logger that it has used
+    assert "--placement NAME=task" in str(robot.behaviors.query("talker").error)
+
+
+@pytest.mark.promise("PLC-6")
+async def test_a_restart_begins_as_it_was_added() -> None:
+    """What waits for it survives its death; what it had changed in itself does not."""
+    wheels = fake_wheels()
+    drive = Drive(0.1, fault="kill", at=30)
+    async with esair.Robot(resources=[wheels], behaviors=[drive]) as robot:
+        await wheels.until(Twist(0.1, 0.0), timeout=10.0)
+        drive.speed = 9.0  # nobody asks this one
+        await robot.behaviors.put("hello", sender="user", receiver="drive")
+        await until(lambda: robot.behaviors.query("drive").restarts == 1)
+        await until(lambda: robot.behaviors.query("drive").state.value == "running")
+        before = len(wheels.commands)
+        await until(lambda: Twist(0.1, 0.0) in wheels.commands[before:])
+        left = await robot.behaviors.remove("drive")
+    assert left == ["hello"]
+    assert Twist(9.0, 0.0) not in wheels.commands
+
+
+@pytest.mark.promise("PLC-1")
+async def test_what_cannot_be_placed_is_a_finding() -> None:
+    """Each is a finding with its reason."""
+
+    class Local(esair.Behavior):
+        placement = "process"
+
+    class Guard(esair.Reaction):
+        placement = "process"
+        sonar = esair.reads(float)
+        wheels = esair.guards(Twist)
+
+        def react(self, sonar: float, wheels: Twist) -> Twist | None:
+            return wheels
+
+    wheels, sonar = fake_wheels(), FakeSensor("sonar", 1.0)
+    place(wheels, "process")
+    moon = Drive()
+    place(moon, "moon")
+    with pytest.raises(ExceptionGroup) as raised:
+        async with esair.Robot(
+            resources=[wheels, sonar],
+            behaviors=[Local(), Guard(), Unsendable(print), moon, Avoid(name="a")],
+        ):
+            pass
+    text = "\n".join(str(each) for each in raised.value.exceptions)
+    assert "an actuator stays" in text
+    assert "a guard stays" in text
+    assert "cannot be imported as" in text
+    assert "cannot be sent to a process" in text
+    assert "expected 'process', 'task'" in text
+    assert len(raised.value.exceptions) == 5
