@@ -31,6 +31,7 @@ FAMILY: dict[str, tuple[type[Exception], tuple[Any, ...]]] = {
     "StoppingError": (esair.EsairError, ("behaviors", "stopped")),
     "HaltedError": (PermissionError, ("arm", "somebody is in the cell")),
     "WrongLoopError": (RuntimeError, ("wander", "wheels")),
+    "ProcessDiedError": (ConnectionError, ("detect", "was killed by SIGKILL", -9)),
     "RefusedError": (esair.EsairError, ("the battery is full", "docking")),
     "RecordingError": (OSError, ("day.mcap", "the disk is full")),
     "RecordingBrokenError": (ValueError, ("day.mcap", "it is no recording")),
