@@ -30,8 +30,7 @@ class Component:
 
     _name: str | None = None
     _kind = "component"
-    made_of: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
-    """What it was constructed with: a process of its own constructs it again."""
+    _made_of: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
 
     def __new__(cls, *args: Any, **options: Any) -> Self:
         """Remember what it is constructed with."""
@@ -39,7 +38,7 @@ class Component:
         plain = above is object.__new__
         made = above(cls) if plain else above(cls, *args, **options)
         if args or options:
-            made.made_of = args, options
+            made._made_of = args, options  # noqa: SLF001 - its own class
         return made
 
     def __init__(self, *, name: str | None = None) -> None:
@@ -57,6 +56,11 @@ class Component:
         return (
             f"<{type(self).__name__} {self._name or snake_case(type(self).__name__)!r}>"
         )
+
+
+def made_of(component: Component) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    """Return what a component was constructed with; a process of its own does it again."""
+    return component._made_of  # noqa: SLF001 - its own module
 
 
 class Action(Component):

@@ -21,6 +21,7 @@ ERRORS = [
     esair.BehaviorUnavailableError("mapper", "receive", 1.0, "parked"),
     esair.BehaviorRemovedError("mapper"),
     esair.BehaviorFailedError("eyes", "OSError: the camera library has crashed"),
+    esair.ProcessDiedError("detect", "was killed by SIGKILL", -9),
     esair.RefusedError("no way in", "docking"),
     esair.CircularRequestError(["a", "b", "a"]),
     esair.BusyError("docking", "queue", 16),

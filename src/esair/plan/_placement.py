@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any, Final
 
+from esair.abc import Component, made_of
 from esair.actions import Behavior, Reaction
 from esair.codec import CodecError, Kinds, declared, encode
 from esair.messages import placement_of
@@ -37,7 +38,10 @@ def recipe_of(component: Any) -> dict[str, Any]:
     """Return what a child makes this component of; ``args`` and ``options`` are values."""
     inner = inner_of(component)
     kind = type(inner)
-    args, options = getattr(inner, "made_of", ((), None))
+    args: tuple[Any, ...] = ()
+    options: dict[str, Any] | None = None
+    if isinstance(inner, Component):
+        args, options = made_of(inner)
     found = {
         "module": kind.__module__,
         "class": kind.__qualname__,
