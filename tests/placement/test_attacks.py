@@ -84,6 +84,29 @@ def test_nothing_outlives_the_robot(
             time.sleep(0.005)
 
 
+@pytest.mark.promise("PLC-1")
+def test_a_script_that_runs_when_it_is_imported_is_told(tmp_path: Path) -> None:
+    """A child imports the script; one that begins a robot then is refused, and says why."""
+    script = tmp_path / "unguarded.py"
+    script.write_text(
+        "import esair\n"
+        "class One(esair.Behavior):\n"
+        "    placement = 'process'\n"
+        "    restart = esair.Restart(max=0)\n"
+        "    async def run(self) -> None: pass\n"
+        "esair.run(esair.Robot(behaviors=[One()]), duration=5.0)\n",
+        encoding="utf-8",
+    )
+    ended = subprocess.run(
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert "if __name__ == '__main__':" in ended.stderr
+
+
 def descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import builtins
 import contextlib
 import contextvars
 import faulthandler
@@ -359,7 +358,6 @@ class Child:
         root.setLevel(given["level"])
         with contextlib.suppress(OSError), open("/proc/self/comm", "w") as comm:
             comm.write(f"esair {self.name}"[:15])
-        builtins.__dict__.setdefault("_esair_child", self.name)
 
     def _make(self, recipe: dict[str, Any]) -> None:
         made = adapt_action(adapt_resource(make(recipe)))

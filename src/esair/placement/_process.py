@@ -73,6 +73,7 @@ class Process:
         self._lane = object()
         self._calls: dict[int, End] = {}
         self._told_to_end: set[int] = set()
+        self._is_empty = False  # nothing could be made in it
         self._number = 0
         self._queue: list[Item] = []
         self._work = 0  # the number that the door has given to what it works on
@@ -171,6 +172,7 @@ class Process:
 
     def refuse(self, error: BaseException) -> None:
         """Let an error be the end of every call: there is no component."""
+        self._is_empty = True
         calls, self._calls = self._calls, {}
         for end in calls.values():
             end(None, error)
@@ -182,7 +184,7 @@ class Process:
     @property
     def is_well(self) -> bool:
         """Whether it lives, and has ended what it was told to end."""
-        return self.error is None and not self._told_to_end
+        return self.error is None and not (self._told_to_end or self._is_empty)
 
     def close(self) -> None:
         """Be done with it, without a wait: it is killed if it works, and else ends."""
@@ -223,12 +225,14 @@ class Process:
                 message = self._wire.receive()
             except BlockingIOError:
                 return
+            except ConnectionError:  # it died with something unread
+                message = None
             except Exception as error:
                 self.condemn(f"has sent what is no message: {error}")
                 return
             if message is None:
                 self._loop.remove_reader(self._wire.fileno())
-                return
+                return  # its status tells more
             self._arrived(message)
 
     def _read_on(self) -> None:

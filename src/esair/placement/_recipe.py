@@ -6,6 +6,7 @@ import sys
 from types import ModuleType
 from typing import Any
 
+from esair.exceptions import ConfigError
 from esair.plan import SCRIPT
 
 
@@ -30,7 +31,11 @@ def _script(path: str) -> ModuleType:
     if known is None:
         known = ModuleType("__mp_main__")  # as `multiprocessing` does
         sys.modules[SCRIPT] = sys.modules["__mp_main__"] = known
-        vars(known).update(runpy.run_path(path, run_name="__mp_main__"))
+        try:
+            vars(known).update(runpy.run_path(path, run_name="__mp_main__"))
+        except (RuntimeError, ConfigError) as error:  # of the loop that runs here
+            told = "a child imports it: put what runs under if __name__ == '__main__':"
+            raise ConfigError(path, "", told) from error
     return known
 
 

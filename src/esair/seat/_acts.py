@@ -204,7 +204,9 @@ def _list(console: Console, _: Session) -> Any:
 def _query(console: Console, _: Session, name: str) -> Any:
     status = console.robot.behaviors.query(name)
     detail = f" ({status.detail})" if status.detail else ""
-    return f"{status.name}: {status.state.value}{detail}, {status.restarts} restarts"
+    where = "" if status.pid is None else f", in process {status.pid}"
+    told = f"{status.name}: {status.state.value}{detail}, {status.restarts} restarts"
+    return f"{told}{where}"
 
 
 @_act("tell what the whole robot is doing", looks=True)

@@ -184,7 +184,9 @@ def _resources(status: Mapping[str, Any]) -> list[Row]:
 def _behaviors(status: Mapping[str, Any]) -> list[Row]:
     rows = []
     for each in status["behaviors"]:
-        told = printable(each["detail"] or each["error"] or each["kind"])
+        pid = each.get("pid")
+        kind = each["kind"] if pid is None else f"{each['kind']} in process {pid}"
+        told = printable(each["detail"] or each["error"] or kind)
         style = "" if each["detail"] else "dim"
         text = Text(told, style, no_wrap=True, overflow="ellipsis")
         calm = each["state"] in {"running", "finished"}
