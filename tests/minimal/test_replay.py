@@ -305,20 +305,26 @@ def reflex(priority: int, *decisions: Any) -> dict[str, Any]:
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-2", "MIN-3", "PRO-2")
 @pytest.mark.parametrize(
-    ("above", "below", "steps"),
+    ("decisions", "steps"),
     [
-        ([1], [False], [-1, 0, 1, 2, 3]),  # 1 is no command: who says it is blind
-        ([None, 1, 1, 1], [False, None, None, None], [-1, 0, 3]),  # it times out
-        ([None, 1, 1, 1], [True, None, None, None], [-1, 0, 1]),
+        ([[1], [False]], [-1, 0, 1, 2, 3]),  # 1 is no command: who says it is blind
+        ([[None, 1, 1, 1], [False, None, None, None]], [-1, 0, 3]),  # it times out
+        ([[None, 1, 1, 1], [True, None, None, None]], [-1, 0, 1]),
+        ([[True, None, None, None], [1], [None, False, None, None]], [-1, 0, 1]),
     ],
-    ids=["it passes a blind hold", "none takes it back", "a motion is taken back"],
+    ids=[
+        "it passes a blind hold",
+        "none takes it back",
+        "a motion is taken back",
+        "a motion that it has ended does not time out",
+    ],
 )
-def test_what_equals_safe_is_safe_in_std_and_min(above, below, steps) -> None:
+def test_what_equals_safe_is_safe_in_std_and_min(decisions, steps) -> None:
     """A blind hold lets it pass, and does not send safe again for what stands."""
     world = {
         "sensors": [1],
         "actuators": [{"kind": "switch", "timeout": 2, "limits": None, "clamp": False}],
-        "reactions": [reflex(7, *above), reflex(6, *below)],
+        "reactions": [reflex(7 - n, *each) for n, each in enumerate(decisions)],
         "journal": [[0], [1], [2], [3]],
     }
 

@@ -473,6 +473,8 @@ class ActuatorChannel(Device):
             return self._when_idle(registration, command, None)
         if wire.watch is not None:
             self._check_watch()
+        if self.stillness.moves:
+            self.stillness.disarm()  # that motion is over, and its time-out with it
         guard = self.gate.ticket(registration) if wire.blocks else None
         try:
             sent = wire.send(command, registration.behavior, self._ended, guard)
