@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -13,8 +12,25 @@ from esair.config import ConfigFileError, load, searched_first
 from esair.exceptions import ConfigError
 from esair.firmware._fit import fitting_parts, loop_mistakes, rate_of
 from esair.firmware.c._types import BOOL, INT, REAL, RefusedError, Type
-from esair.firmware.c._wiring import Program, Wiring
+from esair.firmware.c._wiring import Program, Wiring, filled
 from esair.values import check_choice
+
+_REAL: Final = """\
+#ifdef ROBOT_FLOAT
+typedef float real;
+#else
+typedef double real;
+#endif"""
+_READ: Final = """{
+    (void)value; // put the reading there, and return true
+    return false;
+}
+"""
+_WRITE: Final = """{
+    (void)command; // put it out, and return true
+    return false;
+}
+"""
 
 TARGETS: Final = ("c", "avr")
 """What C is written for: a computer or a larger chip, with double floats, or an AVR."""
@@ -127,19 +143,9 @@ def build(
 
 def header(program: Program, target: str) -> str:
     """Return ``robot.h``."""
-    floats = (
-        inspect.cleandoc("""
-        #ifdef ROBOT_FLOAT
-        typedef float real;
-        #else
-        typedef double real;
-        #endif
-    """)
-        if program.has_floats
-        else ""
-    )
+    floats = _REAL if program.has_floats else ""
     if floats and target == "avr":
-        floats = f"#ifndef ROBOT_FLOAT\n#define ROBOT_FLOAT\n#endif\n{floats}"
+        floats = "#ifndef ROBOT_FLOAT\n#define ROBOT_FLOAT\n#endif\n" + floats
     reads = [
         f"bool read_{name}({kind.c} *value);" for name, kind in program.sensors.items()
     ]
@@ -147,12 +153,16 @@ def header(program: Program, target: str) -> str:
         f"bool write_{name}({kind.c} command);"
         for name, kind in program.actuators.items()
     ]
+    kinds = {
+        "SENSOR": program.sensors,
+        "ACTUATOR": program.actuators,
+        "REACTION": program.reactions,
+    }
     parts = [
-        *(f"ROBOT_SENSOR_{name.upper()}" for name in program.sensors),
-        *(f"ROBOT_ACTUATOR_{name.upper()}" for name in program.actuators),
-        *(f"ROBOT_REACTION_{name.upper()}" for name in program.reactions),
+        f"ROBOT_{kind}_{n.upper()}" for kind, names in kinds.items() for n in names
     ]
-    return _HEADER.format(
+    return filled(
+        "robot.h",
         floats=floats,
         types="\n".join(program.types.lines),
         reads="\n".join(reads),
@@ -163,25 +173,9 @@ def header(program: Program, target: str) -> str:
 
 def sketch(program: Program, watchdog: float | None, arm: str) -> str:
     """Return ``robot.ino``."""
-    lines = []
-    for name, kind in program.sensors.items():
-        lines += [
-            f"bool read_{name}({kind.c} *value)",
-            "{",
-            "    (void)value; // put the reading there, and return true",
-            "    return false;",
-            "}",
-            "",
-        ]
-    for name, kind in program.actuators.items():
-        lines += [
-            f"bool write_{name}({kind.c} command)",
-            "{",
-            "    (void)command; // put it out, and return true",
-            "    return false;",
-            "}",
-            "",
-        ]
+    parts = {f"read_{n}({t.c} *value)": _READ for n, t in program.sensors.items()}
+    parts |= {f"write_{n}({t.c} command)": _WRITE for n, t in program.actuators.items()}
+    lines = [f"bool {head}\n{body}" for head, body in parts.items()]
     setup, each = "", ""
     if arm.startswith("pin:"):
         setup = f"    pinMode({arm[4:]}, INPUT_PULLUP);\n"
@@ -199,8 +193,8 @@ def sketch(program: Program, watchdog: float | None, arm: str) -> str:
         include = "#include <avr/wdt.h>\n"
         setup += f"    wdt_enable(WDTO_{name});\n"
         each += "    wdt_reset();\n"
-    return _SKETCH.format(
-        include=include, parts="\n".join(lines), setup=setup, each=each
+    return filled(
+        "sketch.ino", include=include, parts="\n".join(lines), setup=setup, each=each
     )
 
 
@@ -221,7 +215,7 @@ def main(program: Program) -> str:
             "{",
             f"    if (takes_{name} == 0) return false;",
             f'    printf("{name}");',
-            *(f"    {each}" for each in _printed(kind, "command")),
+            *(f"    printf({_PRINTED[t]}{x});" for t, x in _leaves(kind, "command")),
             '    printf("\\n");',
             "    return true;",
             "}",
@@ -230,147 +224,28 @@ def main(program: Program) -> str:
     read = []
     for name, kind in program.sensors.items():
         read += [f"next_{name}.some = whole();", f"if (next_{name}.some) {{"]
-        read += [*(f"    {each}" for each in _scanned(kind, f"next_{name}.value")), "}"]
+        leaves = _leaves(kind, f"next_{name}.value")
+        read += [*(f"    {place} = {_SCANNED[t]};" for t, place in leaves), "}"]
     read += [f"takes_{name} = whole();" for name in program.actuators]
     number = (
         "static inline real number(void) "
         '{ double x = 0; got += scanf("%lf", &x); return (real)x; }'
     )
-    return _MAIN.format(
+    return filled(
+        "main.c",
         number=number if program.has_floats else "",
         parts="\n".join(lines),
         read="\n".join(f"    {each}" for each in read),
     )
 
 
-def _scanned(kind: Type, place: str) -> list[str]:
-    if kind.fields:
-        return [
-            line
-            for n, each in enumerate(kind.fields)
-            for line in _scanned(each, place + kind.field(n))
-        ]
-    return [
-        f"{place} = {'number()' if kind is REAL else 'whole()'}{' != 0' * (kind is BOOL)};"
-    ]
+def _leaves(kind: Type, place: str) -> list[tuple[Type, str]]:
+    """Return each number of a value, and how C names it."""
+    if not kind.fields:
+        return [(kind, place)]
+    fields = enumerate(kind.fields)
+    return [leaf for n, t in fields for leaf in _leaves(t, place + kind.field(n))]
 
 
-def _printed(kind: Type, value: str) -> list[str]:
-    if kind.fields:
-        return [
-            line
-            for n, each in enumerate(kind.fields)
-            for line in _printed(each, value + kind.field(n))
-        ]
-    if kind is INT:
-        return [f'printf(" %ld", (long){value});']
-    return [
-        f'printf(" %a", (double){value});'
-        if kind is REAL
-        else f'printf(" %d", {value});'
-    ]
-
-
-_HEADER: Final = """\
-#ifndef ROBOT_H
-#define ROBOT_H
-
-#include <stdbool.h>
-#include <stdint.h>
-
-#ifdef __cplusplus
-extern "C" {{
-#endif
-
-{floats}
-{types}
-
-/* To be written by you. Return false if there is no reading, or it was not taken. */
-{reads}
-{writes}
-
-enum {{ /* the parts */
-    {parts}
-}};
-
-typedef struct {{
-    uint32_t steps;   /* how many were made */
-    uint32_t late;    /* how many were left out */
-    uint32_t refused; /* commands that met a higher priority, a blind reaction or a guard */
-    uint32_t faults;  /* of parts: no reading, not taken, an error of a reaction */
-    uint8_t fault;    /* the part of the last one */
-    bool armed;       /* whether actuators may move */
-}} robot_state;
-
-extern robot_state robot;
-
-void robot_open(void);            /* first: each actuator gets its safe command */
-void robot_step(void);            /* read, decide, write */
-uint32_t robot_wait(uint32_t ms); /* since robot_open; how many until the next step */
-void robot_skip(uint32_t steps);  /* leave out steps that come too late */
-void robot_arm(bool armed);       /* let actuators move from the next step on, or not */
-bool robot_reset(uint8_t part);   /* let a guard that has latched decide again */
-void robot_close(void);           /* last: the safe commands */
-
-#ifdef __cplusplus
-}}
-#endif
-#endif
-"""
-
-_SKETCH: Final = """\
-#include "robot.h"
-{include}
-{parts}
-static uint32_t begun;
-
-void setup()
-{{
-{setup}    robot_open();
-    begun = millis();
-}}
-
-void loop()
-{{
-{each}    robot_step();
-    delay(robot_wait(millis() - begun));
-}}
-"""
-
-_MAIN: Final = """\
-/* For tests: each line of the input is `s`, a step, then for each sensor 1 and its numbers or
-   0 if it fails, and for each actuator whether it takes commands; `k N`, skip; `a 0`, `a 1`,
-   arm; `r PART`, reset a guard; `c`, close; `o`, open. */
-#include <stdio.h>
-#include "robot/robot.h"
-
-static int got;
-static inline int32_t whole(void) {{ long x = 0; got += scanf("%ld", &x); return (int32_t)x; }}
-{number}
-
-{parts}
-static void read_line(void)
-{{
-{read}
-}}
-
-int main(void)
-{{
-    char what;
-    robot_open();
-    while (scanf(" %c", &what) == 1) {{
-        if (what == 's') {{
-            read_line();
-            robot_step();
-            printf("= %lu %lu %lu\\n", (unsigned long)robot.steps, (unsigned long)robot.faults,
-                   (unsigned long)robot.refused);
-        }} else if (what == 'k') robot_skip((uint32_t)whole());
-        else if (what == 'a') robot_arm(whole() != 0);
-        else if (what == 'r') printf("reset %d\\n", robot_reset((uint8_t)whole()));
-        else if (what == 'c') robot_close();
-        else if (what == 'o') robot_open();
-    }}
-    robot_close();
-    return got < 0;
-}}
-"""
+_SCANNED: Final = {INT: "whole()", BOOL: "whole() != 0", REAL: "number()"}
+_PRINTED: Final = {INT: '" %ld", (long)', BOOL: '" %d", ', REAL: '" %a", (double)'}

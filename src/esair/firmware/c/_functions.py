@@ -50,7 +50,7 @@ class Functions:
         """Translate methods, with all that they call; what they return are commands.
 
         Raises:
-            ExceptionGroup: Something cannot be translated: a `RefusedError` for each.
+            RefusedError: Something cannot be translated.
         """
         while True:
             self.memory.changed = False
@@ -63,23 +63,19 @@ class Functions:
             if not self.memory.changed:
                 break
         if self._errors:
-            # The others may come from the first one.
-            raise ExceptionGroup("it cannot be translated", self._errors[:1])
+            raise self._errors[0]  # the others may come from it
         return found
 
     def values(self, arguments: Mapping[str, Any]) -> dict[str, Value]:
         """Return arguments as values; defaults are constants.
 
         Raises:
-            ExceptionGroup: One cannot be a value of C.
+            RefusedError: One cannot be a value of C.
         """
-        try:
-            return {
-                name: each if isinstance(each, Value) else self.memory.constant(each)
-                for name, each in arguments.items()
-            }
-        except RefusedError as error:
-            raise ExceptionGroup("a default", [error]) from error
+        return {
+            name: each if isinstance(each, Value) else self.memory.constant(each)
+            for name, each in arguments.items()
+        }
 
     def _call(
         self, target: Any, args: Mapping[str, Value], *, root: bool = False

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.resources
 import inspect
 import math
 import re
+import string
 import typing
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -83,6 +83,7 @@ class Wiring:
         self._inputs = self._all(sensors, self._given)
         self._lines: list[str] = []
         self._terms: list[str] = []
+        self._blind_of: dict[str, str] = {}
         self._tasks = [wired[0] for wired in self._loop.tasks]
 
     def program(self) -> Program:
@@ -92,8 +93,8 @@ class Wiring:
         guards = [port for output in outputs for port in output.guards]
         for name, kind in self._inputs.items():
             self._lines += self._input(name, kind)
-        for name in self._outputs.keys() - self._unknown:
-            self._lines += self._output(name)
+        for name in self._outputs:
+            self._lines += [] if name in self._unknown else self._output(name)
         rows = [self._task(wired, ports, guards) for wired in self._loop.tasks]
         every = self._loop.every
         gap, odd = divmod(1_000_000, every)
@@ -150,9 +151,9 @@ class Wiring:
             f'#include "{name}"' if name == "robot.h" else f"#include <{name}>"
             for name in include
         ]
-        text += ["", *head, "", _template("core.c")]
+        text += ["", *head, "", filled("core.c")]
         if floats:
-            text += [_FLOATS, _template("core_float.c")]
+            text.append(filled("core_float.c"))
         text.append("/* The robot. */\n")
         names = [task.name for task in self._tasks]
         return Program(
@@ -214,91 +215,39 @@ class Wiring:
         )
 
     def _input(self, name: str, kind: Type) -> list[str]:
-        if not kind.fields:
-            bad = ["!isfinite(value)"] if kind is REAL else []
-        else:  # infinity in a row is nothing in reach
-            bad = [
-                f"isnan(value{kind.field(n)})"
-                for n, t in enumerate(kind.fields)
-                if t is REAL
-            ]
+        bad = ["!isfinite(value)"] if kind is REAL else []
+        for n, each in enumerate(kind.fields):  # infinity in a row is nothing in reach
+            bad += [f"isnan(value{kind.field(n)})"] * (each is REAL)
+        test = f"if ({' || '.join(bad)}) return false;" if bad else ""
         if kind.row is REAL:
-            test = [
-                f"    for (int i = 0; i < {len(bad)}; i++) if (isnan(value.v[i])) return false;"
-            ]
-        else:
-            test = [f"    if ({' || '.join(bad)}) return false;"] * bool(bad)
+            test = f"for (int i = 0; i < {len(bad)}; i++) if (isnan(value.v[i])) return false;"
         empty = "{0}" if kind.fields else "0"
-        return [
-            f"static {kind.c} in_{name};",
-            "",
-            f"static bool take_{name}(void)",
-            "{",
-            f"    {kind.c} value = {empty};",
-            f"    if (!read_{name}(&value)) return false;",
-            *test,
-            f"    in_{name} = value;",
-            "    return true;",
-            "}",
-            "",
-        ]
+        return _code("sensor.c", type=kind.c, name=name, test=test, empty=empty)
 
     def _output(self, name: str) -> list[str]:
         kind, output = self._outputs[name], self._loop.outputs[name]
-        safe = self._types.braces(output.safe, kind)
-        lines = [
-            f"static const {kind.c} safe_{name} = {safe};",
-            f"static bool send_{name}(const void *command) "
-            f"{{ return write_{name}(*(const {kind.c} *)command); }}",
-            f"static bool still_{name}(const void *command) "
-            f"{{ return {equal(kind, f'*(const {kind.c} *)command', f'safe_{name}')}; }}",
-            "",
-            f"static inline {kind.c} fit_{name}({kind.c} command)",
-            "{",
-            *(f"    {each}" for each in self._checks(output, kind)),
-            "    return command;",
-            "}",
-            "",
-        ]
+        values = {
+            "type": kind.c,
+            "name": name,
+            "safe": self._types.braces(output.safe, kind),
+            "still": equal(kind, f"*(const {kind.c} *)command", f"safe_{name}"),
+            "checks": "\n    ".join(self._checks(output, kind)),
+        }
+        lines = _code("actuator.c", **values)
         if not output.guards:
             return lines
-        parts = (
-            [("", kind)]
-            if not kind.fields
-            else [(kind.field(n), each) for n, each in enumerate(kind.fields)]
+        parts = {kind.field(n): each for n, each in enumerate(kind.fields)}
+        less = [
+            f"value{f} = es_less{'_real' * (t is REAL)}(value{f}, most{f}, safe_{name}{f});"
+            for f, t in (parts or {"": kind}).items()
+        ]
+        return lines + _code(
+            "guarded.c",
+            **values,
+            less="\n    ".join(less),
+            is_last=equal(kind, f"pass_{name}", f"last_{name}"),
+            is_less=equal(kind, "passed", "less"),
         )
-        lines += [
-            f"static {kind.c} pass_{name}, last_{name};",
-            "",
-            f"static {kind.c} less_{name}({kind.c} value, {kind.c} most)",
-            "{",
-        ]
-        for field, each in parts:
-            less = "es_less_real" if each is REAL else "es_less"
-            lines.append(
-                f"    value{field} = {less}(value{field}, most{field}, safe_{name}{field});"
-            )
-        return [
-            *lines,
-            "    return value;",
-            "}",
-            "",
-            f"static bool lessen_{name}(void)",
-            "{",
-            f"    pass_{name} = less_{name}(pass_{name}, last_{name});",
-            f"    return {equal(kind, f'pass_{name}', f'last_{name}')};",
-            "}",
-            "",
-            f"static void let_{name}({kind.c} wish)",
-            "{",
-            f"    const {kind.c} passed = fit_{name}(wish);",
-            f"    const {kind.c} less = less_{name}(passed, pass_{name});",
-            f"    if (!({equal(kind, 'passed', 'less')})) es_fail(); /* more than was asked */",
-            f"    pass_{name} = passed;",
-            "    es_passed = true;",
-            "}",
-            "",
-        ]
 
     def _checks(self, output: Any, kind: Type) -> list[str]:
         """Write what a command must be to be sent."""
@@ -348,9 +297,8 @@ class Wiring:
                 self._guard(task, terms, first)
             else:
                 self._reaction(task, terms, first, ports)
-        except* RefusedError as errors:
-            for error in errors.exceptions:
-                self._refuse(task.reaction, typing.cast(RefusedError, error))
+        except RefusedError as error:
+            self._refuse(task.reaction, error)
         pace = 0 if task.reaction.rate is None else task.pace
         react = "NULL" if guarding else f"react_{name}"
         return (
@@ -406,9 +354,7 @@ class Wiring:
 
     def _guard(self, task: Any, terms: Any, first: int) -> None:
         if len(task.ports) > 1:
-            raise ExceptionGroup(
-                "", [RefusedError("it guards and has another port: make two of it")]
-            )
+            raise RefusedError("it guards and has another port: make two of it")
         ((key, port),) = task.ports.items()
         name, reaction = port.output.name, task.reaction
         kind = self._outputs[name]
@@ -423,14 +369,7 @@ class Wiring:
             roots.append((blind, _bound(functions, blind, {}, command)))
         made = functions.translate(roots)
         if made[1:] and made[1].timed:
-            raise ExceptionGroup(
-                "",
-                [
-                    RefusedError(
-                        "blind() asks for the time: it has none, only react has"
-                    )
-                ],
-            )
+            raise RefusedError("blind() asks for the time: it has none, only react has")
         self._lines += functions.lines()
         for what, function, given in zip(
             ("react", "blind"), made, (r[1] for r in roots), strict=False
@@ -445,28 +384,17 @@ class Wiring:
             self._lines += _function(f"{what}_{task.name}", lines)
         self._blind_of[task.name] = f"blind_{task.name}" if made[1:] else "NULL"
 
-    @functools.cached_property
-    def _blind_of(self) -> dict[str, str]:
-        return {}
-
     def _input_row(self, name: str) -> str:
         node = self._loop.inputs[name]
         return f"{{take_{name}, {node.pace}, ES_EVERY, ES_OLD, ROBOT_SENSOR_{name.upper()}, false}}"
 
     def _port_row(self, port: Any) -> str:
         bar = "ES_NEVER" if math.isinf(port.bar) else str(port.bar)
-        number = next(
-            n
-            for n, each in enumerate(
-                p for o in self._loop.outputs.values() for p in o.ports
-            )
-            if each is port
-        )
+        outputs = self._loop.outputs.values()
+        number = [each for output in outputs for each in output.ports].index(port)
         if not -30000 <= port.priority <= 30000:
-            self._refuse(
-                port.task.reaction,
-                RefusedError("a priority beyond 30000: take a smaller one"),
-            )
+            error = RefusedError("a priority beyond 30000: take a smaller one")
+            self._refuse(port.task.reaction, error)
         return (
             f"{{{self._task_of(port)}, {self._output_of(port)}, &said_{number}, {port.hold}, "
             f"{port.priority}, {bar}, false}}"
@@ -506,23 +434,18 @@ class Wiring:
         return f"&es_outputs[{[*self._outputs].index(port.output.name)}]"
 
 
-_FLOATS = """#define R(x) ((real)(x))
-#ifdef ROBOT_FLOAT
-#define M(name) name##f
-#else
-#define M(name) name
-#endif
-"""
-
 _SAYS_NOTHING = {minimal.Reaction.blind, actions.Reaction.blind}
 
 
-def _template(name: str) -> str:
-    return (
-        importlib.resources.files(__package__)
-        .joinpath(name)
-        .read_text(encoding="utf-8")
-    )
+def filled(file: str, **values: object) -> str:
+    """Return a file of C that lies beside this one, with these values in it."""
+    text = importlib.resources.files(__package__).joinpath(file).read_text("utf-8")
+    return string.Template(text).substitute(values)
+
+
+def _code(file: str, **values: object) -> list[str]:
+    lines = filled(file, **values).splitlines()
+    return [each for each in lines if each.strip() or not each]
 
 
 def _table(kind: str, name: str, rows: Iterable[str], count: str) -> list[str]:
@@ -552,14 +475,11 @@ def _bound(
     try:
         bound = inspect.signature(method, follow_wrapped=False).bind(*args, **readings)
     except TypeError as error:
-        raise ExceptionGroup(
-            "",
-            [RefusedError(f"{method.__name__} is called with its readings: {error}")],
+        raise RefusedError(
+            f"{method.__name__} is called with its readings: {error}"
         ) from error
     if any(each.kind in MANY for each in bound.signature.parameters.values()):
-        raise ExceptionGroup(
-            "", [RefusedError("* or ** in its parameters: name each reading")]
-        )
+        raise RefusedError("* or ** in its parameters: name each reading")
     bound.apply_defaults()
     return functions.values(bound.arguments)
 

@@ -1,3 +1,10 @@
+#define R(x) ((real)(x))
+#ifdef ROBOT_FLOAT
+#define M(name) name##f
+#else
+#define M(name) name
+#endif
+
 /* Numbers with a fraction, as Python has them: division by zero and what is not defined
    are faults. */
 
