@@ -21,15 +21,10 @@ typedef float real;
 #else
 typedef double real;
 #endif"""
-_READ: Final = """{
-    (void)value; // put the reading there, and return true
+_STUB: Final = """{{
+    (void){0}; // {1}, and return true
     return false;
-}
-"""
-_WRITE: Final = """{
-    (void)command; // put it out, and return true
-    return false;
-}
+}}
 """
 
 TARGETS: Final = ("c", "avr")
@@ -146,13 +141,6 @@ def header(program: Program, target: str) -> str:
     floats = _REAL if program.has_floats else ""
     if floats and target == "avr":
         floats = "#ifndef ROBOT_FLOAT\n#define ROBOT_FLOAT\n#endif\n" + floats
-    reads = [
-        f"bool read_{name}({kind.c} *value);" for name, kind in program.sensors.items()
-    ]
-    writes = [
-        f"bool write_{name}({kind.c} command);"
-        for name, kind in program.actuators.items()
-    ]
     kinds = {
         "SENSOR": program.sensors,
         "ACTUATOR": program.actuators,
@@ -165,17 +153,26 @@ def header(program: Program, target: str) -> str:
         "robot.h",
         floats=floats,
         types="\n".join(program.types.lines),
-        reads="\n".join(reads),
-        writes="\n".join(writes),
+        heads="\n".join(f"{each};" for each in _heads(program)),
         parts=",\n    ".join(parts),
     )
 
 
+def _heads(program: Program) -> list[str]:
+    """Return how what the user writes begins."""
+    reads = [f"bool read_{n}({t.c} *value)" for n, t in program.sensors.items()]
+    return reads + [
+        f"bool write_{n}({t.c} command)" for n, t in program.actuators.items()
+    ]
+
+
 def sketch(program: Program, watchdog: float | None, arm: str) -> str:
     """Return ``robot.ino``."""
-    parts = {f"read_{n}({t.c} *value)": _READ for n, t in program.sensors.items()}
-    parts |= {f"write_{n}({t.c} command)": _WRITE for n, t in program.actuators.items()}
-    lines = [f"bool {head}\n{body}" for head, body in parts.items()]
+    lines = []
+    for head in _heads(program):
+        what = ("value", "put the reading there")
+        what = what if "*value" in head else ("command", "put it out")
+        lines.append(f"{head}\n{_STUB.format(*what)}")
     setup, each = "", ""
     if arm.startswith("pin:"):
         setup = f"    pinMode({arm[4:]}, INPUT_PULLUP);\n"

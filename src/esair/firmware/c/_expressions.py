@@ -61,7 +61,6 @@ _TO_INT: Final[dict[Any, str]] = {
     math.ceil: "es_int(M(ceil)({}))",
 }
 _TO_BOOL: Final = {math.isnan: "isnan", math.isinf: "isinf", math.isfinite: "isfinite"}
-MANY: Final = {inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD}
 _INSTEAD: Final = {
     sum: "its floats are rounded in another way in each Python: add in a for loop",
     math.hypot: "C rounds it in another way: write math.sqrt(x * x + y * y)",
@@ -468,39 +467,23 @@ class Expressions:
             and hasattr(target, "_fields")
         ):
             return self.display(
-                [*self._bound(_new(target), args, named).values()], target
+                [*self.scope.memory.bound(_new(target), args, named).values()], target
             )
         if isinstance(target, types.FunctionType | types.MethodType):
             first = [owner] if owner is not None else []
-            return self._called(target, self._bound(target, [*first, *args], named))
+            return self._called(
+                target, self.scope.memory.bound(target, [*first, *args], named)
+            )
         if named:
             raise RefusedError(f"{ast.unparse(function):.60}: give it no keywords")
         return self._builtin(target, ast.unparse(function), args)
-
-    def _bound(
-        self, function: Any, args: Sequence[Value | None], named: dict[str, Value]
-    ) -> dict[str, Value]:
-        """Return the values of all parameters, with their defaults."""
-        try:
-            signature = inspect.signature(function, follow_wrapped=False)
-            bound = signature.bind(*args, **named)
-        except (TypeError, ValueError) as error:
-            raise RefusedError(f"it cannot be called so: {error}") from error
-        bound.apply_defaults()
-        if any(each.kind in MANY for each in signature.parameters.values()):
-            raise RefusedError("* or ** in its parameters: write each of them")
-        return {
-            name: each if isinstance(each, Value) else self.scope.constant(each)
-            for name, each in bound.arguments.items()
-        }
 
     def _called(self, target: Any, args: dict[str, Value]) -> Value:
         """Call a function of the user; a statement of its own if it changes self."""
         function = self.scope.memory.call(target, args)
         self.scope.function.impure |= function.impure
         self.scope.function.timed |= function.timed
-        given = ", ".join(each.text for each in args.values() if each.type is not NONE)
-        text = f"{function.c}({given})"
+        text = function.called(args)
         if function.result in {None, NONE}:
             self.scope.say(f"{text};")
             return self.scope.constant(None)

@@ -66,17 +66,6 @@ class Functions:
             raise self._errors[0]  # the others may come from it
         return found
 
-    def values(self, arguments: Mapping[str, Any]) -> dict[str, Value]:
-        """Return arguments as values; defaults are constants.
-
-        Raises:
-            RefusedError: One cannot be a value of C.
-        """
-        return {
-            name: each if isinstance(each, Value) else self.memory.constant(each)
-            for name, each in arguments.items()
-        }
-
     def _call(
         self, target: Any, args: Mapping[str, Value], *, root: bool = False
     ) -> Function:

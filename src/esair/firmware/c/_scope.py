@@ -16,6 +16,7 @@ from esair.firmware.c._types import INT, NONE, RefusedError, Type, Types, in_c
 from esair.minimal import declared
 
 UNKNOWN: Final = object()
+_MANY: Final = {inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD}
 
 
 @attrs.frozen
@@ -64,6 +65,11 @@ class Function:
     timed: bool = False
     lines: list[str] = attrs.Factory(list)
 
+    def called(self, args: Mapping[str, Value]) -> str:
+        """Write a call of it."""
+        given = (each.text for each in args.values() if each.type is not NONE)
+        return f"{self.c}({', '.join(given)})"
+
 
 @attrs.define
 class Memory:
@@ -108,6 +114,23 @@ class Memory:
                 f"es_k{len(self.constants)}",
             )
         return Value(kind, text, True, value)
+
+    def bound(
+        self, function: Any, args: Sequence[Any], named: Mapping[str, Any]
+    ) -> dict[str, Value]:
+        """Return the values of all parameters of a function, with their defaults."""
+        try:
+            signature = inspect.signature(function, follow_wrapped=False)
+            bound = signature.bind(*args, **named)
+        except (TypeError, ValueError) as error:
+            raise RefusedError(f"it cannot be called so: {error}") from error
+        if any(each.kind in _MANY for each in signature.parameters.values()):
+            raise RefusedError("* or ** in its parameters: write each of them")
+        bound.apply_defaults()
+        return {
+            name: each if isinstance(each, Value) else self.constant(each)
+            for name, each in bound.arguments.items()
+        }
 
     def first(self, name: str) -> Any:
         """Return what an attribute of the reaction is at the start."""

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import importlib.resources
-import inspect
 import math
 import re
 import string
 import typing
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import attrs
 
 from esair import actions, minimal
-from esair.firmware.c._expressions import MANY
 from esair.firmware.c._functions import Functions
-from esair.firmware.c._scope import Function, Value
+from esair.firmware.c._scope import Value
 from esair.firmware.c._types import (
     BOOL,
     INT,
@@ -95,75 +93,43 @@ class Wiring:
             self._lines += self._input(name, kind)
         for name in self._outputs:
             self._lines += [] if name in self._unknown else self._output(name)
-        rows = [self._task(wired, ports, guards) for wired in self._loop.tasks]
-        every = self._loop.every
-        gap, odd = divmod(1_000_000, every)
-        counts = {
-            "INPUTS": len(self._inputs),
-            "TASKS": len(self._tasks),
-            "PORTS": len(ports),
-            "GUARDS": len(guards),
-            "OUTPUTS": len(self._outputs),
-            "TERMS": len(self._terms),
+        tables = {
+            "task": [self._task(wired, ports) for wired in self._loop.tasks],
+            "term": self._terms,
+            "input": [*map(self._input_row, self._inputs)],
+            "port": [*map(self._port_row, ports)],
+            "guard": [*map(self._guard_row, guards)],
+            "output": [*map(self._output_row, self._outputs)],
         }
-        if max(counts.values()) > 200 or gap == 0:
-            self._refuse(
-                self._loop, RefusedError("at most 200 parts, and 1000 steps a second")
-            )
-        head = [
-            f"enum {{ {', '.join(f'ES_{name} = {n}' for name, n in counts.items())} }};"
+        gap, odd = divmod(1_000_000, self._loop.every)
+        if max(map(len, tables.values())) > 200 or gap == 0:
+            error = RefusedError("at most 200 parts, and 1000 steps a second")
+            self._refuse(self._loop, error)
+        said = "\n".join(self._lines)
+        robot = self._types.functions + [
+            text.replace("@", name)
+            for text, name in self._constants.items()
+            if re.search(rf"\b{name}\b", said)
         ]
-        numbers = {"EVERY": every, "GAP": gap, "ODD": odd}
-        head += [f"#define ES_{name} UINT32_C({n})" for name, n in numbers.items()]
-        tables = [
-            *_table("es_term", "es_terms", self._terms, "TERMS"),
-            *_table(
-                "es_input", "es_inputs", map(self._input_row, self._inputs), "INPUTS"
+        robot += ["", *self._lines]
+        for part in ("term", "input", "task", "port", "guard", "output"):
+            robot += _table(part, tables[part])
+        floats = any("real" in line for line in self._types.lines + robot)
+        source = filled(
+            "robot.c",
+            math="#include <math.h>\n" if floats else "",
+            counts=", ".join(
+                f"ES_{k.upper()}S = {len(rows)}" for k, rows in tables.items()
             ),
-            *_table("es_task", "es_tasks", rows, "TASKS"),
-            *_table("es_port", "es_ports", map(self._port_row, ports), "PORTS"),
-            *_table("es_guard", "es_guards", map(self._guard_row, guards), "GUARDS"),
-            *_table(
-                "es_output",
-                "es_outputs",
-                [self._output_row(name, ports, guards) for name in self._outputs],
-                "OUTPUTS",
-            ),
-            f"robot_state robot = {{.armed = {'true' if self._armed else 'false'}}};",
-        ]
-        body = [
-            *self._types.functions,
-            *(
-                text.replace("@", name)
-                for text, name in self._constants.items()
-                if any(re.search(rf"\b{name}\b", line) for line in self._lines)
-            ),
-            "",
-            *self._lines,
-            *tables,
-        ]
-        written = "\n".join([*self._types.lines, *body])
-        floats = "real" in written
-        include = ["robot.h", "math.h", "setjmp.h", "stddef.h", "string.h"]
-        if not floats:
-            include.remove("math.h")
-        text = [
-            f'#include "{name}"' if name == "robot.h" else f"#include <{name}>"
-            for name in include
-        ]
-        text += ["", *head, "", filled("core.c")]
-        if floats:
-            text.append(filled("core_float.c"))
-        text.append("/* The robot. */\n")
-        names = [task.name for task in self._tasks]
-        return Program(
-            self._types,
-            self._inputs,
-            self._outputs,
-            names,
-            "\n".join([*text, *body, ""]),
-            floats,
+            every=self._loop.every,
+            gap=gap,
+            odd=odd,
+            core=filled("core.c") + (filled("core_float.c") if floats else ""),
+            robot="\n".join(robot),
+            armed=_c(self._armed),
         )
+        names = [task.name for task in self._tasks]
+        return Program(self._types, self._inputs, self._outputs, names, source, floats)
 
     def _all(
         self, parts: Sequence[Any], kind: Callable[[Any], Type]
@@ -278,7 +244,7 @@ class Wiring:
                 )
         return lines or ["(void)command;"]
 
-    def _task(self, wired: Any, ports: list[Any], guards: list[Any]) -> str:
+    def _task(self, wired: Any, ports: list[Any]) -> str:
         task, _, terms, *_ = wired
         first, name = len(self._terms), task.name
         for _, source, age, optional in terms:
@@ -323,13 +289,13 @@ class Wiring:
         }
         functions = Functions(task.reaction, self._types, self._constants, takes)
         readings = self._readings(terms, first)
-        args = _bound(functions, task.reaction.react, readings)
+        args = functions.memory.bound(task.reaction.react, (), readings)
         react = functions.translate([(task.reaction.react, args)])[0]
         result = react.result or NONE
         inner = result.of or result
         several = inner.fields and any(each.of for each in inner.fields)
         lines = [
-            f"{'' if result is NONE else f'{result.c} wish = '}{_called(react, args)};"
+            f"{'' if result is NONE else f'{result.c} wish = '}{react.called(args)};"
         ]
         commands: list[str] = []
         for key, port in task.ports.items():
@@ -360,13 +326,12 @@ class Wiring:
         kind = self._outputs[name]
         functions = Functions(reaction, self._types, self._constants, {key: kind})
         command = Value(kind, f"pass_{name}", True)
-        args = _bound(
-            functions, reaction.react, {**self._readings(terms, first), key: command}
-        )
+        readings = {**self._readings(terms, first), key: command}
+        args = functions.memory.bound(reaction.react, (), readings)
         roots = [(reaction.react, args)]
         blind = reaction.blind
         if getattr(blind, "__func__", None) not in _SAYS_NOTHING:
-            roots.append((blind, _bound(functions, blind, {}, command)))
+            roots.append((blind, functions.memory.bound(blind, (command,), {})))
         made = functions.translate(roots)
         if made[1:] and made[1].timed:
             raise RefusedError("blind() asks for the time: it has none, only react has")
@@ -376,7 +341,7 @@ class Wiring:
         ):
             result = function.result or NONE
             lines = [
-                f"{'' if result is NONE else f'{result.c} wish = '}{_called(function, given)};"
+                f"{'' if result is NONE else f'{result.c} wish = '}{function.called(given)};"
             ]
             if result is not NONE:
                 test = "if (wish.some) " if result.of else ""
@@ -407,25 +372,21 @@ class Wiring:
             f"{self._blind_of.get(name, 'NULL')}, {_c(port.latch)}, false}}"
         )
 
-    def _output_row(self, name: str, ports: list[Any], guards: list[Any]) -> str:
+    def _output_row(self, name: str) -> str:
         output = self._loop.outputs[name]
         lessen = (
             f"still_{name}, lessen_{name}, &safe_{name}, &pass_{name}, &last_{name}"
         )
         if not output.guards:
             lessen = f"still_{name}, NULL, &safe_{name}, NULL, NULL"
-        first = [
-            len([p for p in each if self._before(p, name)]) for each in (ports, guards)
-        ]
+        outputs = [*self._loop.outputs.values()]
+        before = outputs[: outputs.index(output)]
+        first = [sum(len(o.ports) for o in before), sum(len(o.guards) for o in before)]
         return (
             f"{{send_{name}, {lessen}, es_ports + {first[0]}, es_guards + {first[1]}, "
             f"{output.hold}, 0, NULL, NULL, NULL, sizeof safe_{name}, {len(output.ports)}, "
             f"{len(output.guards)}, ROBOT_ACTUATOR_{name.upper()}, false, false, false, false}}"
         )
-
-    def _before(self, port: Any, name: str) -> bool:
-        names = [*self._outputs]
-        return names.index(port.output.name) < names.index(name)
 
     def _task_of(self, port: Any) -> str:
         return f"&es_tasks[{self._tasks.index(port.task)}]"
@@ -448,9 +409,9 @@ def _code(file: str, **values: object) -> list[str]:
     return [each for each in lines if each.strip() or not each]
 
 
-def _table(kind: str, name: str, rows: Iterable[str], count: str) -> list[str]:
-    found = [f"    {row}," for row in rows]
-    return [f"static {kind} {name}[ES_{count}] = {{", *found, "};", ""] if found else []
+def _table(kind: str, rows: Sequence[str]) -> list[str]:
+    head = f"static es_{kind} es_{kind}s[ES_{kind.upper()}S] = {{"
+    return [head, *(f"    {row}," for row in rows), "};", ""] if rows else []
 
 
 def _function(name: str, lines: Sequence[str]) -> list[str]:
@@ -461,27 +422,6 @@ def _function(name: str, lines: Sequence[str]) -> list[str]:
         "}",
         "",
     ]
-
-
-def _called(function: Function, args: dict[str, Value]) -> str:
-    given = ", ".join(each.text for each in args.values() if each.type is not NONE)
-    return f"{function.c}({given})"
-
-
-def _bound(
-    functions: Functions, method: Any, readings: dict[str, Value], *args: Value
-) -> dict[str, Value]:
-    """Return the values of all parameters of ``react`` or ``blind``."""
-    try:
-        bound = inspect.signature(method, follow_wrapped=False).bind(*args, **readings)
-    except TypeError as error:
-        raise RefusedError(
-            f"{method.__name__} is called with its readings: {error}"
-        ) from error
-    if any(each.kind in MANY for each in bound.signature.parameters.values()):
-        raise RefusedError("* or ** in its parameters: name each reading")
-    bound.apply_defaults()
-    return functions.values(bound.arguments)
 
 
 def _hints(method: Any) -> dict[str, Any]:

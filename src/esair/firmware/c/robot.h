@@ -12,8 +12,7 @@ ${floats}
 ${types}
 
 /* To be written by you. Return false if there is no reading, or it was not taken. */
-${reads}
-${writes}
+${heads}
 
 enum { /* the parts */
     ${parts}
