@@ -285,7 +285,7 @@ class CircularRequestError(EsairError):
     """
 
     def __init__(self, path: Iterable[str]) -> None:
-        self.path = tuple(path)
+        self.path: tuple[str, ...] = tuple(path)
         super().__init__(f"a circle of requests: {' -> '.join(self.path)}")
 
 

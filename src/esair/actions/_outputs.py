@@ -50,17 +50,17 @@ class Output:
         registration: Registration,
     ) -> None:
         self._outputs = outputs
-        self.name = name
-        self.channel = channel
-        self.decision = channel.decision
-        self.registration = registration
+        self.name: str = name
+        self.channel: ActuatorChannel = channel
+        self.decision: Decision = channel.decision
+        self.registration: Registration = registration
         self._sight: Sight | None = None
         self.command: Any = None
         """What it decided in this turn; None to give the actuator back."""
         self.checked: Any = None  # the same as it may be sent
-        self.decided = False  # it takes part in the decision of this turn
-        self.active = False  # it may hold the actuator
-        self.pending = False  # a write is on its way
+        self.decided: bool = False  # it takes part in the decision of this turn
+        self.active: bool = False  # it may hold the actuator
+        self.pending: bool = False  # a write is on its way
         self.later: Any = None  # the newest command, while an older one is on its way
 
     def join(self, sensors: tuple[SensorChannel, ...]) -> None:
@@ -192,14 +192,14 @@ class Outputs:
     )
 
     def __init__(self, runner: ReactionRunner) -> None:
-        self.runner = runner
+        self.runner: ReactionRunner = runner
         self.all: dict[str, Output] = {}
         self.single: Output | None = None
         """The only one, if there is but one."""
-        self.refused = 0
-        self.rejected = 0
+        self.refused: int = 0
+        self.rejected: int = 0
         """How many commands were no good, or met a device that is not there."""
-        self.conflated = 0
+        self.conflated: int = 0
         """How many commands were replaced by a newer one before they could leave."""
         self.settling: set[asyncio.Task[Any]] = set()
         """The tasks of writes whose drivers wait."""

@@ -26,7 +26,7 @@ class StepClock:
         self.now: float | None = None
         """When the step began, in seconds of the loop's clock; None before the first,"""
         self.before: float | None = None  # and the one before it
-        self.reaction = reaction
+        self.reaction: Any = reaction
 
     def step(self, now: float) -> None:
         self.before = self.now

@@ -53,21 +53,21 @@ class Input:
         registration: Registration,
         max_age: float | None,
     ) -> None:
-        self.runner = runner
-        self.senses = runner.senses
-        self.name = name
-        self.place = self.senses.names.index(name)
+        self.runner: ReactionRunner = runner
+        self.senses: Senses = runner.senses
+        self.name: str = name
+        self.place: int = self.senses.names.index(name)
         """Where its value is among those of the reaction."""
-        self.channel = channel
-        self.registration = registration
-        self.max_age = max_age
+        self.channel: SensorChannel = channel
+        self.registration: Registration = registration
+        self.max_age: float | None = max_age
         """The greatest age of a reading; the sensor's own limit if it is None."""
         need = runner.reaction.inputs[name]
-        self.optional = need.optional
-        self.every = need.every  # whether each single reading has a step
-        self.seen = -1  # how many steps there were when it was fed last
-        self.ready = False
-        self.stale_at = NEVER
+        self.optional: bool = need.optional
+        self.every: bool = need.every  # whether each single reading has a step
+        self.seen: int = -1  # how many steps there were when it was fed last
+        self.ready: bool = False
+        self.stale_at: float = NEVER
 
     def feed(self, reading: Reading[Any]) -> None:
         """Take a new reading; the reaction's next step decides on it."""
@@ -175,24 +175,26 @@ class Senses:
     ) -> None:
         reaction = runner.reaction
         self._runner = runner
-        self.names = names
-        self.grace = grace
+        self.names: tuple[str, ...] = names
+        self.grace: float = grace
         self.values: list[Any] = [None] * len(names)
         """The newest readings, in the order of the names."""
         self.inputs: list[Input] = []
         self.polled: tuple[SensorChannel, ...] | None = None
         """The sensors that are asked for what is decided on, each once."""
-        self.is_alone = len(names) == 1
-        self.on_reading = reaction.rate is None  # each new reading has a step
-        self.missing = 0  # how many sensors have no reading that may be used
-        self.steps = 0  # how often was decided on them
-        self.skipped = 0  # how many readings were replaced by a newer one before a step
-        self.stale_at = NEVER
+        self.is_alone: bool = len(names) == 1
+        self.on_reading: bool = reaction.rate is None  # each new reading has a step
+        self.missing: int = 0  # how many sensors have no reading that may be used
+        self.steps: int = 0  # how often was decided on them
+        self.skipped: int = (
+            0  # how many readings were replaced by a newer one before a step
+        )
+        self.stale_at: float = NEVER
         self.waiting: collections.deque[tuple[int, Any]] | None = None
         """The readings that wait for a step each, of ports with ``every=True``."""
         if any(need.every for need in reaction.inputs.values()):
             self.waiting = collections.deque()
-        self.overflow = 0  # how many of those were dropped because too many waited
+        self.overflow: int = 0  # how many of those were dropped because too many waited
         self._watches = reaction.rate is None or reaction.rate < _QUICK
         self._watch: OneShot | None = None
         self._watch_at = NEVER

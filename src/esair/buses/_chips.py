@@ -19,8 +19,8 @@ class MemoryWire(Wire):
     def __init__(self, chips: dict[int, Any]) -> None:
         super().__init__()
         self.chips = chips
-        self.plugged = True
-        self.closed = False
+        self.plugged: bool = True
+        self.closed: bool = False
 
     def open(self) -> Self:
         """Return the link, which is this.

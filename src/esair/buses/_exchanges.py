@@ -263,7 +263,7 @@ class Exchange:
     """
 
     name: str | bytes = "answer"
-    due = 0.0
+    due: float = 0.0
     _is_sent = False
     _is_answered = False
     _message: bytes | None = None
@@ -281,8 +281,8 @@ class Exchange:
         self._exchanges = exchanges
         self._kinds = kinds
         self._seconds = seconds
-        self.loop = asyncio.get_running_loop()
-        self.until = self.loop.time() + seconds
+        self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
+        self.until: float = self.loop.time() + seconds
 
     @property
     def left(self) -> float:

@@ -31,7 +31,7 @@ class Inbox(Generic[T]):
             raise BadValueError(
                 "inbox", "limit", f"expected 1 or more, not {limit!r:.80}"
             )
-        self.dropped = 0
+        self.dropped: int = 0
         self._items: collections.deque[T] = collections.deque(maxlen=limit)
         self._forget = forget
         self._waiter: asyncio.Future[None] | None = None

@@ -40,10 +40,10 @@ class PlayedWire(MemoryWire):
         self.virtual = False
         self.powered = True
         self.log: collections.deque[Any] = collections.deque(maxlen=LOG_LIMIT)
-        self.stretch = 0.0
-        self.go = threading.Event()
+        self.stretch: float = 0.0
+        self.go: threading.Event = threading.Event()
         self.go.set()
-        self.failures = Failures()
+        self.failures: Failures = Failures()
 
     def hold(self) -> None:
         """Let a transfer take its time; on the thread of the bus."""

@@ -69,14 +69,14 @@ class Sending:
         asked: Any,
         by: str | None,
     ) -> None:
-        self.channel = channel
-        self.call = call
-        self.registration = registration
-        self.command = command
-        self.asked = asked
-        self.by = by
+        self.channel: ActuatorChannel = channel
+        self.call: Call = call
+        self.registration: Registration = registration
+        self.command: Any = command
+        self.asked: Any = asked
+        self.by: str | None = by
         self.halts: int = channel.gate.halts
-        self.fence = channel.gate.fence
+        self.fence: int = channel.gate.fence
 
     def __await__(self) -> Generator[Any, Any, Written[Any] | Refused]:
         return self.channel.finish(self).__await__()
@@ -89,6 +89,8 @@ class ActuatorChannel(Device):
     (`begin`), so nothing can change between the two. Each part knows those below it:
     the channel those that keep the actuator still, they its safe command, that the wire.
     """
+
+    error: EsairError | BeingReplacedError | None
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
@@ -109,21 +111,26 @@ class ActuatorChannel(Device):
 
     def __init__(self, actuator: Actuator[Any], robot: OfRobot) -> None:
         super().__init__(actuator.name, robot)
-        self.writes = 0
-        self.refusals = 0
+        self.writes: int = 0
+        self.refusals: int = 0
         self._is_plain = False
         """Whether only a void right, or a holder, can be in a command's way."""
-        self.gate = Gate(self)
-        self.hold = Hold()
-        self.wire = wire = Wire(self)
-        self.guards = Guards(wire)
-        self.safe = SafeCommand(wire, self, on_due=self._made_safe, on_idle=self._idle)
-        self.stillness = Stillness(
+        self.gate: Gate = Gate(self)
+        self.hold: Hold = Hold()
+        wire = Wire(self)
+        self.wire: Wire = wire
+        self.guards: Guards = Guards(wire)
+        self.safe: SafeCommand = SafeCommand(
+            wire, self, on_due=self._made_safe, on_idle=self._idle
+        )
+        self.stillness: Stillness = Stillness(
             self, self.gate, self.hold, self.guards, wire, self.safe
         )
         self._dead_man = self.stillness.dead_man
         self._waiting = WaitingWrites(actuator.name, self.loop)
-        self.decision = Decision(self, self.loop)  # what reactions want in this turn
+        self.decision: Decision = Decision(
+            self, self.loop
+        )  # what reactions want in this turn
         self.attach(actuator)
 
     def attach(self, actuator: Actuator[Any]) -> None:
@@ -132,7 +139,7 @@ class ActuatorChannel(Device):
         self.guards.asked = None
         self.wire.attach(actuator)
         self.safe.attach()
-        self.checked = self.wire.check.checked
+        self.checked: Callable[[Any], Any] = self.wire.check.checked
 
     def configured(self) -> None:
         """Take over changed limits and time-outs."""
@@ -246,7 +253,7 @@ class ActuatorChannel(Device):
         self._is_plain = False
         self.stillness.disarm()
         wire, told = self.wire, self.wire.told
-        self.state = state
+        self.state: ResourceState = state
         self.error = error
         taken_away = told.is_safe and state is ResourceState.REMOVED
         if told.error == "" and not taken_away:

@@ -323,14 +323,16 @@ class Calls:
         on_stuck: Callable[[Call], None],
         left: set[Call],
     ) -> None:
-        self.driver = driver
-        self.resource = driver.resource.name
-        self.opening = 0
-        self.number = 0
+        self.driver: Driver = driver
+        self.resource: str = driver.resource.name
+        self.opening: int = 0
+        self.number: int = 0
         self.alive: dict[int, Call] = {}
         """The calls whose driver's code has not ended, by number."""
-        self.abandoned = 0  # how many calls have had their outcome before they ended
-        self.late = 0  # how many of them have ended since, without an effect
+        self.abandoned: int = (
+            0  # how many calls have had their outcome before they ended
+        )
+        self.late: int = 0  # how many of them have ended since, without an effect
         self.lost: EsairError | None = None
         """What each call of this opening meets, from when the device was told to be lost
         until that takes effect at the border of a turn. It is an outcome of the calls,
@@ -347,7 +349,7 @@ class Calls:
         self._on_stuck = on_stuck
         self._left = left
         self._steps = FirstSteps.of(loop)
-        self.context = contextvars.Context()
+        self.context: contextvars.Context = contextvars.Context()
         """What the driver's first steps run in, so that it belongs to nobody."""
 
     @property

@@ -45,8 +45,8 @@ class CommandCheck:
     """Checks, and where declared clamps, the commands of one actuator."""
 
     def __init__(self, actuator: Actuator[Any]) -> None:
-        self.name = actuator.name
-        self.wanted = checked_class(actuator.value_type)
+        self.name: str = actuator.name
+        self.wanted: type | None = checked_class(actuator.value_type)
         self._clamp = actuator.clamp
         overridden = type(actuator).check is not Actuator.check
         self._own_check = actuator.check if overridden else None
@@ -62,9 +62,11 @@ class CommandCheck:
         """What is where in a command: a number, or what has numbers in it."""
         self._of_numbers = _is_of_numbers(actuator.value_type)
         self._length = _length_of(actuator.value_type)
-        self.copies = not (_is_frozen(self.wanted) and _is_fixed(actuator.safe))
+        self.copies: bool = not (_is_frozen(self.wanted) and _is_fixed(actuator.safe))
         """Whether somebody could change a command after its check."""
-        self.slews = bool(self._slew)  # whether how fast a command changes is limited
+        self.slews: bool = bool(
+            self._slew
+        )  # whether how fast a command changes is limited
         self.checked: Callable[[Any], Any] = self._quickest(actuator)
         """Return the command that may be sent.
 

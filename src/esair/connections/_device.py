@@ -64,15 +64,15 @@ class Device:
     )
 
     def __init__(self, name: str, robot: OfRobot) -> None:
-        self.name = name
-        self.state = ResourceState.CLOSED
+        self.name: str = name
+        self.state: ResourceState = ResourceState.CLOSED
         self.error: EsairError | None = None
-        self.registrations = robot.registrations
-        self.robot = robot
+        self.registrations: Registrations = robot.registrations
+        self.robot: OfRobot = robot
         self._journal = self.registrations.journal
-        self.loop = loop = asyncio.get_running_loop()
-        self.home = threading.get_ident()  # the thread of that loop
-        self.time = clock_of(loop)
+        self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
+        self.home: int = threading.get_ident()  # the thread of that loop
+        self.time: Callable[[], float] = clock_of(self.loop)
 
     def take(
         self,
@@ -81,8 +81,8 @@ class Device:
         on_late: Callable[[Call], None],
     ) -> None:
         """Ask or write this one from now on; it is not ready yet."""
-        self.driver = Driver(resource)
-        self.calls = Calls(
+        self.driver: Driver = Driver(resource)
+        self.calls: Calls = Calls(
             self.driver,
             self.loop,
             on_late=on_late,
@@ -90,7 +90,7 @@ class Device:
             left=self.robot.left,
         )
         if not hasattr(self, "operations"):
-            self.operations = Operations(channel)
+            self.operations: Operations = Operations(channel)
 
     def absence(self) -> EsairError:
         """Return what whoever needs the device gets while it is not ready."""

@@ -148,12 +148,12 @@ class Gate:
     __slots__ = ("device", "fence", "halts", "holds", "latched", "since")
 
     def __init__(self, device: Device) -> None:
-        self.device = device
+        self.device: Device = device
         self.holds: tuple[Protection, ...] = ()
-        self.latched = False
-        self.halts = 0
-        self.fence = 0
-        self.since = 0.0
+        self.latched: bool = False
+        self.halts: int = 0
+        self.fence: int = 0
+        self.since: float = 0.0
 
     def ticket(self, right: Registration | None) -> Callable[[], bool]:
         """Return what a thread asks just before it calls the driver."""
@@ -188,6 +188,12 @@ class Hold:
         writer: Whose command stands; None if that was taken back, or is nobody's.
         written: When somebody has written last.
     """
+
+    written: float
+    since: float
+    seconds: float
+
+    begun: float
 
     __slots__ = ("begun", "holder", "seconds", "since", "writer", "written")
 

@@ -498,7 +498,7 @@ class ActuatorConnection(Ways[ActuatorChannel]):
 
     def __init__(self) -> None:
         super().__init__()
-        self.protections = Protections(self.channels)
+        self.protections: Protections = Protections(self.channels)
         """Who keeps an actuator still, by component and name of the actuator."""
 
     def port(self, registration: Registration) -> ActuatorPort[Any]:

@@ -70,21 +70,21 @@ class Protection:
     ) -> None:
         self.component = component
         self.actuator = actuator
-        self.priority = priority if guards else min(priority, HOLD_LIMIT)
-        self.label = label or component
+        self.priority: int = priority if guards else min(priority, HOLD_LIMIT)
+        self.label: str = label or component
         self.guards = guards
         self.latch = latch
-        self.reason = UNDECIDED
-        self.since = 0.0
-        self.latched = ""
-        self.muted_until = 0.0
+        self.reason: str = UNDECIDED
+        self.since: float = 0.0
+        self.latched: str = ""
+        self.muted_until: float = 0.0
         self.muted_for = ""  # the user's reason, while it is muted
         self.judge: Judge | None = None
         """Of a guard: what decides; None while the guard does not run."""
         self.fallback = fallback  # of a guard: what decides while it is blind
         self.on_crash: Callable[[BaseException], None] = ignore
         """Told, outside of the commit point, what the guard has raised."""
-        self.stopping = ""
+        self.stopping: str = ""
         """Why the guard has refused the last command; empty if that has passed."""
         self.refused: Any = None  # the command that has latched the guard
 
@@ -413,8 +413,8 @@ class Stillness:
         self._safe = safe
         self._scheduler = Scheduler.of(device.loop)
         self._look: OneShot | None = None
-        self.dead_man = DeadMan(device.loop, self)
-        self.timeouts = 0  # how often it was made safe because nobody wrote
+        self.dead_man: DeadMan = DeadMan(device.loop, self)
+        self.timeouts: int = 0  # how often it was made safe because nobody wrote
 
     def disarm(self) -> None:
         """It is safe, or gone: nobody holds it, and what was begun before is fenced."""

@@ -84,7 +84,7 @@ class Registrations:
     """The one table of all registrations of a robot."""
 
     def __init__(self, journal: Journal | None = None) -> None:
-        self.journal = Journal() if journal is None else journal
+        self.journal: Journal = Journal() if journal is None else journal
         """Where the connections tell what flows."""
         self._numbers = itertools.count(1)
         self.live: dict[int, Registration] = {}  # what is valid now, by number

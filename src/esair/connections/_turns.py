@@ -80,7 +80,9 @@ class Decision:
         self._wish: Wish | None = None
         self._others: tuple[Wish, ...] = ()
         self._looks = False  # the guards see something new in this turn
-        self.changes_hands = False  # who gives it back is not the last of the turn
+        self.changes_hands: bool = (
+            False  # who gives it back is not the last of the turn
+        )
 
     def join(self, sight: Sight) -> None:
         """Let those who decide with them wait for what they see."""

@@ -65,9 +65,9 @@ class Told:
 
     def __init__(self) -> None:
         self.command: Any = None
-        self.is_safe = False
-        self.error = "it was never told anything"
-        self.at = 0.0
+        self.is_safe: bool = False
+        self.error: str = "it was never told anything"
+        self.at: float = 0.0
         self.base: Any = None
 
 
@@ -88,6 +88,10 @@ class Wire:
         applied: Given each command that was applied, if somebody reads that.
         watch: Told when it moves and when it is safe, if there is a watchdog.
     """
+
+    slews: bool
+
+    copies: bool
 
     __slots__ = (
         "_begin",
@@ -117,21 +121,22 @@ class Wire:
 
     def attach(self, actuator: Actuator[Any]) -> None:
         """Write to this actuator from now on; it was told nothing."""
-        self.actuator = actuator
-        self.told = Told()
+        self.actuator: Actuator[Any] = actuator
+        self.told: Told = Told()
         self._begin = self._device.calls.begin  # hot
         self.configured()
 
     def configured(self) -> None:
         """Take over changed limits and time-outs."""
         actuator = self.actuator
-        self.command_timeout = float(actuator.command_timeout)
+        self.command_timeout: float = float(actuator.command_timeout)
         self._deadline = actuator.deadline
-        self.still = HOLD if actuator.safe_moves else actuator.safe
-        self.check = check = CommandCheck(actuator)
+        self.still: Any = HOLD if actuator.safe_moves else actuator.safe
+        check = CommandCheck(actuator)
+        self.check: CommandCheck = check
         self.copies, self.slews = check.copies, check.slews
         method = self._device.driver.method("write")
-        self.blocks = method.executor is not None
+        self.blocks: bool = method.executor is not None
         write = method.function
         if self.copies:
             # The driver's and the guards' code may change what is in theirs.
@@ -297,7 +302,7 @@ class SafeCommand:
         """Until when the stop of the robot waits for it."""
         self._pulses: list[asyncio.Future[None]] = []
         self._task: asyncio.Task[bool] | None = None
-        self.state = IDLE
+        self.state: State = IDLE
         for call in wire.motions_left():  # of one of this name, which was removed
             over: asyncio.Future[None] = device.loop.create_future()
             over.add_done_callback(lambda _: self.repeat())

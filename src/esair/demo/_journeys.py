@@ -36,7 +36,9 @@ class Journey(Behavior):
     def __init__(self, *, mapper: str = "mapper", name: str | None = None) -> None:
         super().__init__(name=name)
         self.mapper = mapper
-        self.blind = 0  # How many commands it did not make because it could not see
+        self.blind: int = (
+            0  # How many commands it did not make because it could not see
+        )
         self.way: Way | None = None
         self.tried: tuple[Point, ...] = ()  # Where it did not get to
         self._left = math.inf  # How long the way was at least, when it was looked at
@@ -104,6 +106,8 @@ class Journey(Behavior):
 class Explore(Journey):
     """Goes to where the known floor ends, where most can be learned at least cost."""
 
+    tried: tuple[()]
+
     def plan(self, belief: Belief) -> Way | None:
         """Return the way to the best frontier."""
         way = way_to_frontier(belief.floor, belief.position, self.tried)
@@ -138,7 +142,7 @@ class Home(Journey):
     ) -> None:
         super().__init__(mapper=mapper, name=name)
         self.place = place
-        self.arrived = False
+        self.arrived: bool = False
 
     def plan(self, belief: Belief) -> Way | None:
         """Return the way home."""

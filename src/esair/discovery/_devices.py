@@ -59,7 +59,7 @@ class Plugs:
 
     def __init__(self, root: Path = ROOT) -> None:
         self._root = root
-        self.there = devices(root)
+        self.there: list[Device] = devices(root)
 
     def look(self) -> tuple[list[Device], list[Device]]:
         """Look again; returns what has come and what has gone. Blocks for a moment.

@@ -31,7 +31,7 @@ class Path:
         self, owner: Resource, field: str, text: str, *, to_assign: bool = False
     ) -> None:
         self.text = text
-        self.is_call = False
+        self.is_call: bool = False
         """Whether the last step is a call."""
         self._steps: list[tuple[str, Any]] = []
         try:

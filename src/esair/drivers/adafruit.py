@@ -69,7 +69,7 @@ class AdafruitBus:
 
     def __init__(self, bus: I2CBus) -> None:
         self._bus = bus
-        self.transfers = 0
+        self.transfers: int = 0
         """How many have been made."""
         self._until = self._most = math.inf
 
@@ -168,7 +168,7 @@ class _OnPart(Resource):
     """What the sensor and the actuator have in common: a driver's object on a bus."""
 
     bus: I2CBus
-    deadline = 2.0
+    deadline: float = 2.0
 
     def __init__(
         self,
@@ -308,11 +308,11 @@ class AdafruitActuator(_OnPart, Actuator[Any]):
     ) -> None:
         super().__init__(**settings)
         self.safe = safe
-        self.limits = limits
+        self.limits: tuple[float, float] | None = limits
         self._tell = self._object.telling(attribute)
         address = settings.get("address")
         where = "" if address is None else f" at {address:#04x}"
-        self.claim = f"{attribute} of {settings['library']}{where}"
+        self.claim: str = f"{attribute} of {settings['library']}{where}"
 
     def write(self, command: Any) -> None:
         """Assign the command, or call with it; on the thread of the bus."""

@@ -126,7 +126,7 @@ class GpiozeroSensor(Sensor[Any]):
         limits: Least and greatest value; what is outside is a fault of the device.
     """
 
-    deadline = 2.0
+    deadline: float = 2.0
 
     def __init__(
         self,
@@ -138,10 +138,10 @@ class GpiozeroSensor(Sensor[Any]):
     ) -> None:
         super().__init__(**settings)
         value = _known(self, device, READS)
-        self.object = Made(self, getattr(gpiozero, device), arguments)
+        self.object: Made = Made(self, getattr(gpiozero, device), arguments)
         self._read = self.object.reading(value)
         if limits is not None:
-            self.limits = limits
+            self.limits: tuple[float, float] = limits
 
     def open(self) -> None:
         """Take the pins."""
@@ -166,7 +166,7 @@ class GpiozeroActuator(Actuator[Any]):
             those of its angles.
     """
 
-    deadline = 2.0
+    deadline: float = 2.0
 
     def __init__(
         self,
@@ -178,7 +178,7 @@ class GpiozeroActuator(Actuator[Any]):
     ) -> None:
         super().__init__(**settings)
         told = _known(self, device, TELLS)
-        self.safe = told.safe
+        self.safe: Any = told.safe
         self.limits = told.limits if limits is None else limits
         if not isinstance(arguments, Sequence):
             arguments = {**told.arguments, **(arguments or {})}
@@ -188,9 +188,9 @@ class GpiozeroActuator(Actuator[Any]):
                     -90.0 if least is None else float(least),
                     90.0 if most is None else float(most),
                 )
-        self.object = Made(self, getattr(gpiozero, device), arguments)
+        self.object: Made = Made(self, getattr(gpiozero, device), arguments)
         self._tell = self.object.telling(told.attribute)
-        self.claim = f"{device} {arguments or ''}"
+        self.claim: str = f"{device} {arguments or ''}"
 
     @property
     def value_type(self) -> Any:

@@ -70,6 +70,10 @@ _SCALES: Final = {
 class _OnSysfs(Resource):
     """A folder of sysfs, found by its name at each opening."""
 
+    place: str
+
+    kind: str
+
     root: ClassVar[Path] = Path("/sys")
     kinds: ClassVar[tuple[str, ...]]
 
@@ -131,6 +135,8 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
         limits: Least and greatest value; what is outside is a fault of the device.
     """
 
+    folder: Path
+
     kinds = "hwmon", "iio", "w1"
 
     def __init__(
@@ -152,7 +158,7 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
         self.value = value
         self.factor = factor
         if limits is not None:
-            self.limits = limits
+            self.limits: tuple[float, float] = limits
         stem = value.removesuffix("_input").removesuffix("_raw").rstrip("0123456789")
         self._scale = _SCALES[self.kind].get(stem, 1.0)
 
@@ -198,6 +204,8 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         limits: Narrower limits than 0 to 1.
     """
 
+    folder: Path
+
     kinds = "led", "pwm"
 
     def __init__(
@@ -210,8 +218,8 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         **settings: Unpack[ActuatorSettings],
     ) -> None:
         super().__init__(device=device, **settings)
-        self.safe = float(safe)
-        self.limits = limits
+        self.safe: float = float(safe)
+        self.limits: tuple[float, float] = limits
         self._chip, _, channel = self.place.partition("/")
         if (self.kind == "pwm") != channel.isdecimal():
             raise ConfigError(
@@ -220,10 +228,10 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
                 f"expected pwm:CHIP/CHANNEL or led:NAME, not {device!r}",
             )
         self._channel = channel
-        self.period_ns = round(period * 1e9)
+        self.period_ns: int = round(period * 1e9)
         if not 0 < self.period_ns < 2**31:
             raise ConfigError(self.name, "period", f"expected seconds, not {period!r}")
-        self.claim = device
+        self.claim: str = device
         self._file = Path()
         self._most = 0
 

@@ -42,7 +42,7 @@ class Cobs(Delimited):
         self._max_frame = cobs.max_encoded_length(max_length)
         self._codec = cobs
         self._leave = 0
-        self.looks = Looks()
+        self.looks: Looks = Looks()
         """Pays for the frames that cannot be decoded."""
 
     def feed(self, data: bytes) -> list[bytes]:

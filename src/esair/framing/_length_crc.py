@@ -84,7 +84,7 @@ class LengthCrc(Framing):
         self._crc_size, self._crc = _CRCS[crc]
         self._inside = 0  # how many of the next bytes are in a frame counted as bad
         self._left_out = 0
-        self.looks = Looks()
+        self.looks: Looks = Looks()
         """Pays for the places that began no good frame."""
 
     def feed(self, data: bytes) -> list[bytes]:

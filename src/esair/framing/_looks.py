@@ -18,9 +18,9 @@ class Looks:
     """
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count: int = 0
         """How many looks were paid."""
-        self.credit = 0.0
+        self.credit: float = 0.0
         """How many looks are left of the reserve."""
         self._stride = 1
         self.fill()

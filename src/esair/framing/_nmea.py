@@ -101,7 +101,7 @@ class Sentences(Framing):
         self._sentence = re.compile(
             rb"\$([^$\n\x80-\xff]{1,%d})\*([0-9A-Fa-f]{2})\r*\n" % max_length
         )
-        self.looks = Looks()
+        self.looks: Looks = Looks()
         """Pays for the sentences that are wrong."""
         self._paid = self._next = 0  # places, from the beginning of what is kept
 

@@ -76,11 +76,11 @@ class Listener:
     ) -> None:
         self._journal = journal
         self._kinds = kinds
-        self.function = function
+        self.function: Callable[[Event], object] = function
         self.waiting: collections.deque[Event] = collections.deque(maxlen=backlog)
-        self.heard = 0
-        self.dropped = 0
-        self.is_waited_for = False
+        self.heard: int = 0
+        self.dropped: int = 0
+        self.is_waited_for: bool = False
 
     def take(self, event: Event) -> None:
         """Put an event into the queue; the oldest makes room."""
@@ -105,9 +105,9 @@ class Journal:
     """
 
     def __init__(self) -> None:
-        self.heard = False
+        self.heard: bool = False
         """Whether anybody listens: who has much to tell looks here first."""
-        self.number = 0
+        self.number: int = 0
         """The number of the last event."""
         self._listeners: tuple[Listener, ...] = ()
         self._residents: dict[Kind, tuple[Callable[[Event], object], ...]] = {}
@@ -115,8 +115,8 @@ class Journal:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._time: Callable[[], float] = time.monotonic
         self._flushing = False
-        self.ended_listeners = 0
-        self.dropped = 0  # what those who listen no more were not told
+        self.ended_listeners: int = 0
+        self.dropped: int = 0  # what those who listen no more were not told
         """How many listeners were ended because they raised."""
 
     # Who listens.

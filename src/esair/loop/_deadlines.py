@@ -78,10 +78,10 @@ class Deadline:
         self.when: float = NEVER
         """The moment, in seconds of the loop's clock."""
         self.put_off: bool = False
-        self.order = order
-        self.is_patient = is_patient
+        self.order: Order = order
+        self.is_patient: bool = is_patient
         """Whether it is put off if the loop was held up."""
-        self.number = 0  # that of its place in the heap; 0 if it has none
+        self.number: int = 0  # that of its place in the heap; 0 if it has none
         self.place: float = 0  # when it is looked at, in ns
         self._deadlines = deadlines
         self._function = function
@@ -142,8 +142,8 @@ class DeadMan(Deadline):
         super().__init__(
             Deadlines.of(loop), mortal.dead, order=Order.DEAD, is_patient=False
         )
-        self.mortal = mortal
-        self.armed = False
+        self.mortal: Mortal = mortal
+        self.armed: bool = False
 
     def arm(self) -> None:
         """Tell it that it is dead when its moment comes; that moves as it is heard of."""
@@ -172,7 +172,7 @@ class Deadlines(OfTurn):
     def __init__(self, turn: Turn, scheduler: Scheduler) -> None:
         self.due: float = NEVER
         """When it has to look next, in ns."""
-        self.time = turn.time
+        self.time: Callable[[], float] = turn.time
         self._turn = turn
         self._scheduler = scheduler
         self._numbers = itertools.count(1)

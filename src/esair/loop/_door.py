@@ -207,7 +207,7 @@ class Door(OfTurn):
         self._outside: set[object] = set()
         """The threads whose work is to wait for the outside."""
         self._wakes = False
-        self.bell = Bell(turn)
+        self.bell: Bell = Bell(turn)
         self._works = itertools.count(1)
         self.number: int = 0  # how many entries have come in
         self.at_work: int = 0  # how many works threads have in hand

@@ -64,15 +64,15 @@ class Collector:
         self._ended_young = 0  # what the interpreter has collected until the last time
         self._is_ours = False
         self._came, self._began = 0, 0.0  # what there was when a forced one began
-        self.collections = 0
+        self.collections: int = 0
         """How many full collections there were since the first robot has started."""
-        self.forced = 0
+        self.forced: int = 0
         """How many of them were not in a gap: no gap was long enough, or none came."""
-        self.collected = 0
+        self.collected: int = 0
         """How many objects they have freed."""
-        self.longest = 0.0
+        self.longest: float = 0.0
         """The longest of them in a gap, in seconds of CPU time."""
-        self.longest_forced = 0.0
+        self.longest_forced: float = 0.0
         """The longest of the others, in seconds of CPU time."""
 
     def start(self) -> None:
@@ -232,7 +232,7 @@ def _collected_young() -> int:
     return int(young["collected"] + middle["collected"])
 
 
-collector = Collector()  # the one of this process
+collector: Collector = Collector()  # the one of this process
 
 
 class Gaps(OfLoop):

@@ -114,7 +114,7 @@ current_tasks: dict[asyncio.AbstractEventLoop, Any] = (
 )
 
 
-current_task_of = current_tasks.get
+current_task_of: Callable[[asyncio.AbstractEventLoop], Any] = current_tasks.get
 """Returns the current task of a loop; found anew at each call it would take twice as long."""
 
 
@@ -323,7 +323,7 @@ class FirstSteps(OfLoop):
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self.spare = LightTask(loop)
+        self.spare: LightTask = LightTask(loop)
         """Runs the next first step, if it has no caller now."""
 
     def begin(self, coroutine: Coroutine[Any, Any, Any], caller: Caller) -> Any:

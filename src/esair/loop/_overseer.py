@@ -137,7 +137,7 @@ class StallWatch(OfLoop):
         self._limits: list[float] = []
         self._asked: float | None = None
         self._said = False
-        self.stalls = 0  # how often the loop was held too long
+        self.stalls: int = 0  # how often the loop was held too long
 
     def start(self, limit: float) -> None:
         """Watch for turns that take longer than a limit, in seconds."""
@@ -250,7 +250,7 @@ class Ending:
         self._told = False
         self._kicks = 0
         self._spared_until = -math.inf
-        self.heard = False  # whether the loop has heard of it
+        self.heard: bool = False  # whether the loop has heard of it
 
     def start(self) -> None:
         overseer.join(self)

@@ -97,7 +97,7 @@ def spawn(
     return task
 
 
-current_owner = _owner.get
+current_owner: Callable[[], Owner | None] = _owner.get
 """Return the owner of the code that runs now; None if it is nobody's."""
 
 
@@ -165,9 +165,9 @@ class OwnedTasks(OfLoop):
         self._users = 0
         self._factory: _Factory | None = None
         self._installed: Any = None
-        self.numbers = itertools.count()
+        self.numbers: Iterator[int] = itertools.count()
         """Of the tasks with an owner, as they are made."""
-        self.script = contextvars.Context()
+        self.script: contextvars.Context = contextvars.Context()
         """The context variables of whoever has started the first robot."""
 
     def install(self) -> None:
@@ -305,7 +305,7 @@ class Budget(OfLoop):
     __slots__ = ("_spender", "left")
 
     def __init__(self, _loop: asyncio.AbstractEventLoop) -> None:
-        self.left = SPENDABLE
+        self.left: int = SPENDABLE
         self._spender: Callable[[], object] = _nobody
 
     @classmethod

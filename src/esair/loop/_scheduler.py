@@ -126,9 +126,9 @@ class OneShot:
     __slots__ = ("deadline", "due", "function", "order")
 
     def __init__(self, due: int, order: Order, function: Step) -> None:
-        self.due = due  # in nanoseconds of the loop's clock
-        self.order = order
-        self.function = function
+        self.due: int = due  # in nanoseconds of the loop's clock
+        self.order: Order = order
+        self.function: Step = function
         self.deadline: Deadline | None = None
         """What calls it, if it sees that something has not come."""
 
@@ -164,12 +164,12 @@ class Job:
         is called by somebody else, when there is an answer."""
         self.near: tuple[object, ...] = ()
         """What the step looks at, as long as the job is not stopped."""
-        self.scheduler = scheduler
-        self.function = function
-        self.group = group
-        self.order = order
-        self.name = name
-        self.queued = False
+        self.scheduler: Queue = scheduler
+        self.function: Step = function
+        self.group: RateGroup | None = group
+        self.order: Order = order
+        self.name: str = name
+        self.queued: bool = False
         self._number = number
         self._skipped_before = group.skipped if group is not None else 0
 
@@ -213,13 +213,15 @@ class DerivedJob(Job):
         depth: How many of its kind are computed before it, one of the other.
     """
 
+    queued: bool
+
     __slots__ = ("depth",)
 
     def __init__(self, scheduler: Queue, function: Step, name: str, depth: int) -> None:
         super().__init__(
             scheduler, function, None, order=Order.STEP, name=name, number=0
         )
-        self.depth = depth
+        self.depth: int = depth
 
     def soon(self) -> None:
         """Have it called before any step of the turn decides, once."""
@@ -237,18 +239,18 @@ class RateGroup:
     """The jobs that share an order, a period and a phase. It never drifts."""
 
     def __init__(self, order: Order, period: Fraction, phase: int, after: int) -> None:
-        self.key = (order, period, phase)
+        self.key: tuple[Order, Fraction, int] = (order, period, phase)
         self.order = order
-        self.rank = (float(period), phase)
+        self.rank: tuple[float, int] = (float(period), phase)
         self.jobs: tuple[Job, ...] = ()
         self._near: list[object] = []
-        self.skipped = 0
+        self.skipped: int = 0
         self._numerator = period.numerator
         self._denominator = period.denominator
         self._phase = phase
-        self.moment = 0  # when those that are called now were due
+        self.moment: int = 0  # when those that are called now were due
         self._count = (after - phase) * self._denominator // self._numerator
-        self.due = self._at_count()
+        self.due: int = self._at_count()
         if self.due < after:
             self._count += 1
             self.due = self._at_count()
@@ -339,14 +341,14 @@ class Scheduler(OfTurn):
         self._loops_turn = turn
         self._loop = turn.loop
         self._time = turn.time
-        self.in_turn = False
+        self.in_turn: bool = False
         """Somebody's step runs now; what it asks for is for this turn."""
         self._now_asked = Asked()
         self._next_asked = Asked()
         """What is asked for when the turn has begun: for the next one."""
         self._rests = True
         """Nobody turns it, or who does sleeps."""
-        self.turns = 0  # how many turns have begun: the number of this one
+        self.turns: int = 0  # how many turns have begun: the number of this one
         self.polled_in = 0
         """The last turn in which a sensor was asked that did not answer at once."""
         self._numbers = itertools.count()

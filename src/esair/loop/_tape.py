@@ -128,7 +128,7 @@ class Player:
         self._read = read
         self._arrived: collections.deque[Arrived] = collections.deque()
         self._firsts: dict[Tag, collections.deque[First]] = {}
-        self.turns = 0
+        self.turns: int = 0
         """How many turns have begun."""
         self.began: float = 0.0
         """When the first one did."""
@@ -147,7 +147,7 @@ class Player:
         self._news = threading.Condition()
         self._patience = PATIENCE
         self._hopes = HOPELESS
-        self.missed = 0
+        self.missed: int = 0
         """How much came in when the run was recorded, and nobody waited for now."""
         self._load()
         if self.next_turn() is not None:

@@ -269,7 +269,7 @@ class Results:
         self._tag = (executor.name,)
         self.door: Door = Door.of(loop)
         self.loop = loop
-        self.time = clock_of(loop)
+        self.time: Callable[[], float] = clock_of(loop)
         self.waits: dict[
             asyncio.Future[Any], tuple[float, float, Callable[..., Any]]
         ] = {}

@@ -55,7 +55,7 @@ class Turn(OfLoop):
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.loop = loop
-        self.number = 0
+        self.number: int = 0
         """The number of this turn, since the run began that is kept or repeated."""
         self.due: float = NEVER
         """The earliest moment at which something is to be done, in ns; `NOW`: at once."""
@@ -84,17 +84,18 @@ class Turn(OfLoop):
         self._is_at_border = False
         self._take_over(loop)
         Turn.settle(loop, self)
-        self.door = Door(self)
-        self.robot, self.outside = Scheduler(self), Scheduler(self)
-        self.deadlines = Deadlines(self, self.robot)
-        self.deadlines_outside = Deadlines(self, self.outside)
+        self.door: Door = Door(self)
+        self.robot: Scheduler = Scheduler(self)
+        self.outside: Scheduler = Scheduler(self)
+        self.deadlines: Deadlines = Deadlines(self, self.robot)
+        self.deadlines_outside: Deadlines = Deadlines(self, self.outside)
         Door.settle(loop, self.door)
         Scheduler.settle(loop, self.robot)
         Deadlines.settle(loop, self.deadlines)
         # In this order they look.
         inside, outside = self.deadlines, self.deadlines_outside
         self._steppers = (inside, self.robot, outside, self.outside)
-        self.suspends = SuspendWatch(self)
+        self.suspends: SuspendWatch = SuspendWatch(self)
         """Told when the computer slept, before anything else that is due."""
 
     def _take_over(self, loop: Any) -> None:
@@ -289,7 +290,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         """Return the time amid a turn too, in any thread."""
         return time.monotonic() + self._shift
 
-    slept = staticmethod(computer_slept)
+    slept: staticmethod[(), float] = staticmethod(computer_slept)
 
     def wait_in_thread(self, seconds: float) -> None:
         """Let time pass in a thread that works for a robot, and wait for that."""

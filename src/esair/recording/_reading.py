@@ -165,7 +165,7 @@ class Gaps:
     """
 
     def __init__(self, facts: Mapping[str, Mapping[str, str]]) -> None:
-        self.offset = _number(facts.get("clock", {}).get("offset", ""))
+        self.offset: float = _number(facts.get("clock", {}).get("offset", ""))
         self._end = facts.get("end")
         self._number = self._missing = 0
 

@@ -82,15 +82,15 @@ class Recorder:
         waits: bool = False,
     ) -> None:
         self.recording = recording
-        self.written = 0
+        self.written: int = 0
         """How many events are in the file."""
-        self.dropped = 0
+        self.dropped: int = 0
         """How many were not written: too many waited."""
-        self.left_out = 0
+        self.left_out: int = 0
         """How many values could not be encoded, or were too large."""
         self.error: RecordingError | None = None
         """Why the recording has ended early; None if it has not."""
-        self.path = _place(recording.path, name)
+        self.path: Path = _place(recording.path, name)
         self._journal = journal
         self._facts = [*facts]
         self._components = components

@@ -79,7 +79,7 @@ class Comparison:
         diverged: Callable[[Divergence], object],
     ) -> None:
         self._events = iter(recorded)
-        self.lost = 0
+        self.lost: int = 0
         """How many events were not recorded, in the first gap; it ends there."""
         self._number = 0
         self._span = span
@@ -88,9 +88,9 @@ class Comparison:
         self._diverged = diverged
         self._newest: dict[str, Seen] = {}
         self._reads: dict[str, list[str]] = {}
-        self.equal = 0
+        self.equal: int = 0
         """How many events were equal."""
-        self.is_over = False
+        self.is_over: bool = False
 
     def hear(self, event: Event) -> None:
         """Compare what has happened now; a listener of the journal."""

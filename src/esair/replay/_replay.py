@@ -75,18 +75,18 @@ class Replay:
                 str(path), "it was made by an earlier esair, which kept no turns"
             )
         self.facts = facts
-        self.about = facts["replay"]
+        self.about: dict[str, str] = facts["replay"]
         if self.about.get("format") != FORMAT:
             raise RecordingBrokenError(
                 str(path),
                 "its turns were kept by another version of esair: it is not read",
             )
         try:
-            self.seed = int(facts["robot"]["seed"])
+            self.seed: int = int(facts["robot"]["seed"])
             exact, why = self.about["exact"], self.about["why"]
-            self.file = self.about["file"]
-            self.digest = self.about["sha256"]
-            self.is_simulated = self.about["simulated"] == "yes"
+            self.file: str = self.about["file"]
+            self.digest: str = self.about["sha256"]
+            self.is_simulated: bool = self.about["simulated"] == "yes"
             self._has_seat = self.about["seat"] == "yes"
             lasts = self.about["duration"]
             self._duration = number_of(lasts) if lasts else None

@@ -106,12 +106,12 @@ class Leases:
         self._loop = asyncio.get_running_loop()
         self._time = clock_of(self._loop)
         self._next_beat: asyncio.TimerHandle | None = None
-        self.beats = Beats(self._time)
+        self.beats: Beats = Beats(self._time)
         suspends = turn_of(self._loop).suspends
         suspends.listen(self._slept)
         self._undo = partial(suspends.forget, self._slept)
-        self.lapses = 0  # How many leases have lapsed for want of fresh input
-        self.stale = 0  # How many inputs came too late and were not done
+        self.lapses: int = 0  # How many leases have lapsed for want of fresh input
+        self.stale: int = 0  # How many inputs came too late and were not done
 
     def __iter__(self) -> Iterator[Lease]:
         return iter(tuple(self._live.values()))

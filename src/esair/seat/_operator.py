@@ -127,19 +127,19 @@ class Console:
         self._waiting: dict[tuple[int, int], Waiting] = {}
         self._sessions: dict[int, Session] = {}
         self._numbers = itertools.count(1)
-        self.status = Status(robot, self._loop)
-        self.leases = Leases(
+        self.status: Status = Status(robot, self._loop)
+        self.leases: Leases = Leases(
             robot.resources, robot.actuators, self.name, self.rights.priority
         )
         self._outcomes: collections.OrderedDict[
             tuple[str, str], tuple[Act, asyncio.Future[Any]]
         ] = collections.OrderedDict()
         self._typed = itertools.count(1)
-        self.done = 0
+        self.done: int = 0
         """How many acts were done."""
-        self.refused = 0
+        self.refused: int = 0
         """How many were not."""
-        self.again = 0
+        self.again: int = 0
         """How many came again with the same id, and were not done again."""
         robot.journal.count("operator", lambda: [(self.name, self.counts())])
 

@@ -59,7 +59,7 @@ class Place:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.folder = folder()
+        self.folder: Path = folder()
         self._folder = _own_folder(self.folder)
         self._lock = -1
         try:

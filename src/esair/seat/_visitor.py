@@ -32,7 +32,7 @@ class Way(Generic[V]):
     def __init__(self, console: Console, name: str, room: int) -> None:
         self.console = console
         self.there: dict[V, None] = {}  # In the order in which they came
-        self.turned_away = 0  # How many came who may not, or were too many
+        self.turned_away: int = 0  # How many came who may not, or were too many
         self.cut_off = 0  # How many were cut off because they did not read
         self._room = room
         self._past = [0, 0]
@@ -103,12 +103,12 @@ class Visitor:
 
     def __init__(self, console: Console) -> None:
         self.console = console
-        self.session = Session("", hand=self)
-        self.dropped = 0  # How many pushed lines it has missed because it was slow
-        self.garbage = 0  # How many of its lines were no messages
+        self.session: Session = Session("", hand=self)
+        self.dropped: int = 0  # How many pushed lines it has missed because it was slow
+        self.garbage: int = 0  # How many of its lines were no messages
         # How many clients there are, if it is one too many: it can only stop
         self.narrow = 0
-        self.stops = False  # Whether it has stopped the robot
+        self.stops: bool = False  # Whether it has stopped the robot
         self._feeds: dict[str, Feed] = {}
 
     # What a way in provides.

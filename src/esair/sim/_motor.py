@@ -27,8 +27,8 @@ class SimMotor:
     """
 
     def __init__(self, world: World, side: int, send: Callable[[Frame], None]) -> None:
-        self.timeouts = 0
-        self.bad_frames = 0
+        self.timeouts: int = 0
+        self.bad_frames: int = 0
         self._world = world
         self._side = side
         self._send = send

@@ -58,9 +58,9 @@ class Simulation:
 
     def __init__(self, arena: Arena | None = None, *, seed: int = 0) -> None:
         loop = asyncio.get_running_loop()
-        self.world = World(arena, seed=seed)
+        self.world: World = World(arena, seed=seed)
         self.in_memory: bool = turn_of(loop).virtual
-        self.late = 0
+        self.late: int = 0
         self.frames: collections.deque[tuple[float, Frame]] = collections.deque(
             maxlen=FRAME_LIMIT
         )
@@ -69,12 +69,12 @@ class Simulation:
         self._folder: Path | None = None
         if not self.in_memory:
             self._folder = Path(tempfile.mkdtemp(prefix="esair-sim-"))
-        self.front = self._make_line("front")
-        self.skirt = self._make_line("skirt")
-        self.drive = MemoryCan(self._heard)
+        self.front: PtyLine | MemoryLine = self._make_line("front")
+        self.skirt: PtyLine | MemoryLine = self._make_line("skirt")
+        self.drive: MemoryCan = MemoryCan(self._heard)
         self._motors = [SimMotor(self.world, side, self._tell) for side in (0, 1)]
         self._imu = SimMpu6050(self.world, seed=seed)
-        self.body = ChipBus({0x68: self._imu})
+        self.body: ChipBus = ChipBus({0x68: self._imu})
         self._range_finder = SimRangeFinder(self.world, self.front, seed=seed)
         self._bumper = SimBumper(self.world, self.skirt)
         self._began = 0.0

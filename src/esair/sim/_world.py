@@ -43,19 +43,19 @@ class World:
     """
 
     def __init__(self, arena: Arena | None = None, *, seed: int = 0) -> None:
-        self.arena = arena or Arena()
-        self.time = 0.0
-        self.distance = 0.0
+        self.arena: Arena = arena or Arena()
+        self.time: float = 0.0
+        self.distance: float = 0.0
         """How far the rover has really driven, in metres."""
-        self.target = [0.0, 0.0]
+        self.target: list[float] = [0.0, 0.0]
         """What the motors were told: left and right, in rad/s."""
-        self.wheel_speed = [0.0, 0.0]
-        self.wheel_angle = [0.0, 0.0]
+        self.wheel_speed: list[float] = [0.0, 0.0]
+        self.wheel_angle: list[float] = [0.0, 0.0]
         """What the encoders of the wheels count: left and right, in rad."""
-        self.bumps = (False, False)
+        self.bumps: tuple[bool, bool] = (False, False)
         """Whether something touches the front: left, right."""
-        self.acceleration = (0.0, 0.0)
-        self.turn_rate = 0.0
+        self.acceleration: tuple[float, float] = (0.0, 0.0)
+        self.turn_rate: float = 0.0
         self._noise = random.Random(f"world {seed}")
         self._scale = [1.0 + self._noise.gauss(0.0, 0.002) for _ in range(2)]
         self._space = pymunk.Space()

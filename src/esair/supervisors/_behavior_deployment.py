@@ -73,17 +73,17 @@ class BehaviorDeployment:
     ) -> None:
         self.resources = resources
         self.journal = resources.journal
-        self.commands = CommandQueue("behaviors", asleep=True)
+        self.commands: CommandQueue = CommandQueue("behaviors", asleep=True)
         self.members: dict[str, Member] = {}
-        self.mediator = Mediator(self.journal)
+        self.mediator: Mediator = Mediator(self.journal)
         self.performing: dict[Member, None] = {}  # those with steps of their own
         self.coming: list[Member] = []  # those whose ``setup`` a command waits for
         self.ending: list[Member] = []
         self.grace = grace
-        self.may_begin = asyncio.Event()
+        self.may_begin: asyncio.Event = asyncio.Event()
         """Set when every protection that can see has decided: ``run`` may begin."""
         self.zombies: list[Zombie] = []  # what would not end, the oldest first
-        self.zombie_count = 0
+        self.zombie_count: int = 0
         self.undead: set[asyncio.Task[Any]] = set()
         """Tasks of zombies: the loop itself keeps only weak references."""
         self.context: contextvars.Context | None = None

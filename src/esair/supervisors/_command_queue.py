@@ -33,7 +33,7 @@ class CommandQueue:
         self._turn = asyncio.Lock()
         """Held by the work that has not changed the table yet."""
         self._waiting = 0
-        self.turned_away = 0  # how many commands there was no room for
+        self.turned_away: int = 0  # how many commands there was no room for
         self._work: asyncio.Task[Any] | None = None
         self._undoes: dict[asyncio.Task[Any], bool] = {}
         """Every command that is not done, and whether it can be undone still."""

@@ -55,7 +55,7 @@ class ControlPath:
         self._leaving = leaving
         self._sensors = sensors
         self._actuators = actuators
-        self.turned_away = 0  # how many operations there was no room for
+        self.turned_away: int = 0  # how many operations there was no room for
         self.closed = False  # the robot stops: nobody gets a right any more
 
     def grant(self, terms: Terms, *, instead_of: str | None = None) -> Registration:

@@ -40,8 +40,8 @@ class Pending:
     """The requests that wait, by who waits for them."""
 
     def __init__(self) -> None:
-        self.count = 0
-        self.turned_away = 0
+        self.count: int = 0
+        self.turned_away: int = 0
         self.of_asker: dict[str, dict[Any, None]] = {}
         """Those of each asker, the oldest first."""
 
@@ -75,12 +75,12 @@ class Ledger:
 
     def __init__(self, journal: Journal) -> None:
         self.journal = journal
-        self.pending = Pending()
+        self.pending: Pending = Pending()
         self.ledger: collections.deque[tuple[str, str, str, Outcome]] = (
             collections.deque(maxlen=LEDGER_SIZE)
         )
-        self.delivered = 0
-        self.late_answers = 0
+        self.delivered: int = 0
+        self.late_answers: int = 0
         """How many answers came when nobody waited for them any more."""
 
     def outcomes(self) -> list[Record]:

@@ -43,9 +43,9 @@ class Life:
     __slots__ = ("journal", "name", "restarts")
 
     def __init__(self, name: str, policy: Restart, journal: Journal) -> None:
-        self.name = name
-        self.restarts = RestartBudget(policy)
-        self.journal = journal
+        self.name: str = name
+        self.restarts: RestartBudget = RestartBudget(policy)
+        self.journal: Journal = journal
 
     def tell(
         self, kind: Kind, error: BaseException | None = None, text: str = ""
@@ -78,8 +78,8 @@ class RestartBudget:
     __slots__ = ("_times", "count", "policy")
 
     def __init__(self, policy: Restart) -> None:
-        self.policy = policy
-        self.count = 0  # how many restarts there were since it was full
+        self.policy: Restart = policy
+        self.count: int = 0  # how many restarts there were since it was full
         self._times: collections.deque[float] | None = None
 
     def fill(self) -> None:

@@ -72,10 +72,10 @@ class Mailbox:
     def __init__(
         self, action: Behavior | Reaction, mediator: Mediator, name: str
     ) -> None:
-        self.action = action
-        self.name = name
-        self.room = action.inbox_size if isinstance(action, Behavior) else 0
-        self.outlived = False
+        self.action: Behavior | Reaction = action
+        self.name: str = name
+        self.room: int = action.inbox_size if isinstance(action, Behavior) else 0
+        self.outlived: bool = False
         """Tasks of a run that has ended may be there; they must not speak for it."""
         self.carriers: tuple[asyncio.Task[Any], ...] = ()
         """The tasks that only wait for its threads."""
@@ -84,10 +84,14 @@ class Mailbox:
         self.inbox: list[tuple[str, Any]] = []  # who put what
         self.latest: Any = NOTHING  # what everybody may get again and again
         self.outbox: list[Any] = []
-        self.dropped = 0
-        self.turned_away = 0  # how many requests and offers there was no room for
-        self.senders = RequestQueue(self)  # puts that wait until it can receive
-        self.askers = ServedQueue(self, "provide")  # gets that wait until it can send
+        self.dropped: int = 0
+        self.turned_away: int = 0  # how many requests and offers there was no room for
+        self.senders: RequestQueue = RequestQueue(
+            self
+        )  # puts that wait until it can receive
+        self.askers: ServedQueue = ServedQueue(
+            self, "provide"
+        )  # gets that wait until it can send
         self.queues: Mapping[Any, OrderQueue] = _NO_QUEUES
         """The requests that it takes, by their type."""
         if isinstance(action, Behavior) and action.takes:
@@ -97,8 +101,8 @@ class Mailbox:
                 if isinstance(each, Takes)
             }
         self.takers: list[asyncio.Future[None]] | None = None
-        self.owner = Owner()
-        self.budget = Budget.of(asyncio.get_running_loop())
+        self.owner: Owner = Owner()
+        self.budget: Budget = Budget.of(asyncio.get_running_loop())
         self._mediator = mediator
 
     @property
@@ -108,9 +112,9 @@ class Mailbox:
     @state.setter
     def state(self, state: BehaviorState) -> None:
         self._state = state
-        self.alive = state in _ALIVE
-        self.is_quick = self.alive and not self.outlived
-        self.receives = state is BehaviorState.RUNNING and self.room > 0
+        self.alive: bool = state in _ALIVE
+        self.is_quick: bool = self.alive and not self.outlived
+        self.receives: bool = state is BehaviorState.RUNNING and self.room > 0
 
     @property
     def serves(self) -> Request | None:

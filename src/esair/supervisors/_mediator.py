@@ -46,7 +46,7 @@ class Mediator(Ledger):
         super().__init__(journal)
         self.boxes: dict[str, Mailbox] = {}
         """The mailboxes of the robot's behaviors and reactions, by their names."""
-        self.closed = False
+        self.closed: bool = False
 
     # Put.
 

@@ -83,15 +83,15 @@ class Member:
     def __init__(
         self, action: Behavior | Reaction, crew: BehaviorDeployment, name: str
     ) -> None:
-        self.action = action
-        self.name = name
-        self.mail = Mailbox(action, crew.mediator, name)
+        self.action: Behavior | Reaction = action
+        self.name: str = name
+        self.mail: Mailbox = Mailbox(action, crew.mediator, name)
         """What others see of it: its state, and what they put there."""
-        self.life = Life(name, action.restart, crew.journal)
-        self.detail = ""
-        self.grants = Grants(name, crew)
+        self.life: Life = Life(name, action.restart, crew.journal)
+        self.detail: str = ""
+        self.grants: Grants = Grants(name, crew)
         self.runner: ReactionRunner | None = None
-        self.steps = Steps(name, crew, self.grants)
+        self.steps: Steps = Steps(name, crew, self.grants)
         """The reactions that it performs now."""
         self.task: asyncio.Task[BaseException | None] | None = None
         self.ready: asyncio.Future[None] | None = None
@@ -99,15 +99,15 @@ class Member:
         """If there is one, ``run`` begins only when it is done."""
         self.over: asyncio.Future[None] | None = None
         """Done when it has been ended; there from when that begins."""
-        self.given_up = False
+        self.given_up: bool = False
         """Nobody wants it any more: it is removed, or its place is."""
-        self.crew = crew
-        self.stream = Stream(f"{crew.resources.seed}/{name}")
+        self.crew: BehaviorDeployment = crew
+        self.stream: Stream = Stream(f"{crew.resources.seed}/{name}")
         """Its random numbers, made from the robot's seed and its name."""
         self.mail.owner.stream = self.stream
         self._timer: asyncio.TimerHandle | None = None
         self._portal: Portal | None = None
-        self.sight = Sight(crew.resources.actuators.protections, action, name)
+        self.sight: Sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
         self.seat = crew.resources.seat_for(action)
         """Its place if its code runs in a process of its own."""

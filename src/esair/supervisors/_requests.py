@@ -56,6 +56,11 @@ class Request:
         offered: It was answered with something that is there once only.
     """
 
+    over: bool
+    cancelled: bool
+
+    offered: bool
+
     # Of most requests most of these stay as they are.
     over = cancelled = offered = waits = False
     how: Outcome | None = None
@@ -82,13 +87,13 @@ class Request:
         self.kind = kind
         self.data = data
         self.asker = asker
-        self.peer = queue.member.name
+        self.peer: str = queue.member.name
         self.queue = queue
         self.by = by
         self._ledger = ledger
         self._loop = asyncio.get_running_loop()
-        self.task = current_task_of(self._loop)
-        self.parent = served()
+        self.task: Any | None = current_task_of(self._loop)
+        self.parent: Request | None = served()
 
     # What the asker does.
 
@@ -218,9 +223,9 @@ class RequestQueue:
     working: Mapping[Request, None] = {}  # what was taken, and has no outcome
 
     def __init__(self, member: Mailbox) -> None:
-        self.member = member
+        self.member: Mailbox = member
         self._waiting: dict[str, collections.deque[Request]] = {}
-        self.count = 0
+        self.count: int = 0
 
     def __iter__(self) -> Iterator[Request]:
         return iter([each for queue in self._waiting.values() for each in queue])
@@ -284,7 +289,7 @@ class ServedQueue(RequestQueue):
 
     def __init__(self, member: Mailbox, method: str | None) -> None:
         super().__init__(member)
-        self.method = method
+        self.method: str | None = method
         self.task: asyncio.Task[Done] | None = None
         self.current: Request | None = None  # what the task is for
 

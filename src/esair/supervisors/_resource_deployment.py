@@ -67,16 +67,16 @@ class ResourceDeployment:
         self.sensors = sensors
         self.actuators = actuators
         self.registrations = registrations
-        self.commands = CommandQueue("resources", asleep=True)
+        self.commands: CommandQueue = CommandQueue("resources", asleep=True)
         self.lives: dict[str, ResourceLife] = {}
         self._derived: dict[str, DerivedOpener] = {}
         self._leaving: set[str] = set()
         rules = Rules(policies, registrations, declared)
-        self.plan = Plan(
+        self.plan: Plan = Plan(
             policies=tuple(rules.policies.values()), writers=rules.writers_of
         )
         """This robot as the rulebook sees it, with its actions: always as it is now."""
-        self.control = ControlPath(
+        self.control: ControlPath = ControlPath(
             registrations,
             rules,
             self.lives,
@@ -93,7 +93,9 @@ class ResourceDeployment:
         """The driver calls that were given up, and whose code still runs."""
         self.seed = 0
         """What the random numbers of its components begin with; set by the robot."""
-        self.began = 0.0  # when the robot has started, in seconds of the loop's clock
+        self.began: float = (
+            0.0  # when the robot has started, in seconds of the loop's clock
+        )
         self.armory: Armory | None = None
         """The second process that makes safe what this one cannot; the robot's."""
         self.buses: list[Bus] = []

@@ -30,7 +30,7 @@ class Rules:
         declared: Declared,
     ) -> None:
         # What is no policy, or one too many, is found before the robot starts.
-        self.policies = {
+        self.policies: dict[str, Policy] = {
             each.resource: each for each in policies if isinstance(each, Policy)
         }
         self._registrations = registrations

@@ -26,12 +26,12 @@ class Sight:
         self._action = action
         label = f"step {name} of {step_of}" if step_of else name
         self.name = name
-        self.entries = tuple(
+        self.entries: tuple[Protection, ...] = tuple(
             _entry(action, need, step_of or name, label)
             for need in action.needs.values()
             if action.holds_when_blind(need)
         )
-        self.reason = UNDECIDED  # why it cannot decide; empty if it can
+        self.reason: str = UNDECIDED  # why it cannot decide; empty if it can
         self._decided: asyncio.Future[None] | None = None
 
     @property

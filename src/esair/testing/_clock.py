@@ -51,7 +51,7 @@ class VirtualLoop(TurnLoop):
     virtual = True
 
     def __init__(self, *, seed: int | None = None, start: float = 0.0) -> None:
-        self.suspended = 0.0
+        self.suspended: float = 0.0
         self._random = random.Random(seed) if seed else None
         self._passes = 0
         self._held = False

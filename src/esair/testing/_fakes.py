@@ -68,10 +68,10 @@ class _Fake(Resource):
 
     _faults: _Faults
 
-    opened = 0  # How often it was opened
-    is_open = False  # Whether it is open now
+    opened: int = 0  # How often it was opened
+    is_open: bool = False  # Whether it is open now
 
-    has_power_cycled = False
+    has_power_cycled: bool = False
     """Whether its set-up is gone, because its power was, since it was opened."""
 
     async def open(self) -> None:
@@ -165,7 +165,7 @@ class FakeSensor(_Fake, Sensor[T], Generic[T]):
         **options: Settings and options of `Sensor`, such as ``rate=20.0``.
     """
 
-    reads = 0
+    reads: int = 0
     """How often it was asked."""
 
     def __init__(

@@ -87,6 +87,18 @@ class Gate:
     Each fault is a moment until which it lasts, on the loop's clock.
     """
 
+    after: float
+    before: float
+    unpowered: bool
+    flood: float
+    frozen: float
+    bad: float
+    fails: float
+    late: float
+    silent: float
+
+    gone: float
+
     def __init__(
         self,
         resource: Resource,
@@ -97,18 +109,18 @@ class Gate:
         alone: bool,
     ) -> None:
         self.resource = resource
-        self.name = resource.name
+        self.name: str = resource.name
         self.told: list[Told] = []
-        self.heard = -1e9  # When the robot got a good value from it last
+        self.heard: float = -1e9  # When the robot got a good value from it last
         # When it was taken away from the robot; None while it belongs to it
         self.left: float | None = None
-        self.faulty = -1.0  # When its last fault is over
+        self.faulty: float = -1.0  # When its last fault is over
         self.gone = self.silent = self.late = self.fails = -1.0
         self.bad = self.frozen = self.flood = -1.0
         self.deaf = self.unpowered = self._opens = False
-        self.was_here = False  # Whether its driver was ever called
-        self.in_thread = False  # Whether it is read or told in a thread
-        self.speechless = ""  # Why a stand-in has nothing to say; empty if it has
+        self.was_here: bool = False  # Whether its driver was ever called
+        self.in_thread: bool = False  # Whether it is read or told in a thread
+        self.speechless: str = ""  # Why a stand-in has nothing to say; empty if it has
         self.before = self.after = 0.0
         self.error = "OSError"
         self.how_bad = "nan"

@@ -18,6 +18,12 @@ from esair.torture._values import has_number, is_good, wrong
 class Lever:
     """What one action is made to do."""
 
+    was_deaf: bool
+    deaf: bool
+    mad: float
+
+    hangs: float
+
     def __init__(self, action: Any, loop: Any) -> None:
         self.action = action
         # Until when it does not go on, its commands are no good

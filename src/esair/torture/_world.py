@@ -93,19 +93,19 @@ class World:
     ) -> None:
         self.target = target
         self.story = story
-        self.loop = VirtualLoop(seed=story.seed)
-        self.judge = Judge(self)
+        self.loop: VirtualLoop = VirtualLoop(seed=story.seed)
+        self.judge: Judge = Judge(self)
         self.gates: list[Gate] = []
         self.levers: dict[int, Lever] = {}
         self.halted = False
-        self.is_up = False
+        self.is_up: bool = False
         self.ends: float | None = None
         self.muted: dict[str, float] = {}
         self.protected: frozenset[str] = frozenset()
         self.done: Counter[str] = Counter()
         self.robot: esair.Robot
-        self.grace = 1.0
-        self.boxes = Boxes()
+        self.grace: float = 1.0
+        self.boxes: Boxes = Boxes()
         self.deeds: Deeds
         self.lasting: set[str] = set()
         self._checks = checks

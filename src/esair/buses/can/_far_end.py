@@ -38,10 +38,10 @@ class MemoryCan(CanWire):
 
     def __init__(self, heard: Callable[[Frame], None]) -> None:
         super().__init__()
-        self.plugged = True
+        self.plugged: bool = True
         self._users: dict[object, Gone] = {}
-        self.state = CanState.ACTIVE
-        self.dropped = 0
+        self.state: CanState = CanState.ACTIVE
+        self.dropped: int = 0
         self._heard = heard
         self._robots: list[_MemoryNode] = []
         self._queue: collections.deque[Frame] = collections.deque()
@@ -189,8 +189,8 @@ class MemoryCan(CanWire):
 
 class _MemoryNode:
     def __init__(self, wire: MemoryCan, received: Received) -> None:
-        self.loop = asyncio.get_running_loop()
-        self.state = wire.state
+        self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
+        self.state: CanState = wire.state
         self._wire = wire
         self._received: Received | None = received
 

@@ -73,7 +73,7 @@ class I2CBus(LinkBus[RegisterLink]):
         wire: Wire | None = None,
     ) -> None:
         super().__init__(name=name, timeout=timeout, wire=wire)
-        self.place = kernel.check_place(name, bus)
+        self.place: int | str = kernel.check_place(name, bus)
         self.pec = pec
         self._is_removable = False
 

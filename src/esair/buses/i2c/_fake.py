@@ -38,7 +38,7 @@ class FakeLink(PlayedWire, ChipBus):
 
     def __init__(self, chips: dict[int, Chip]) -> None:
         super().__init__(chips)
-        self.selected = 0
+        self.selected: int = 0
         self.silent: set[int] = set()
         self._one_at_a_time = threading.Lock()
 

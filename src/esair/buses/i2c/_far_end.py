@@ -46,7 +46,7 @@ class Registers:
     power_up: Content = b""
 
     def __init__(self, content: Content = b"") -> None:
-        self.content = bytearray(self.size)
+        self.content: bytearray = bytearray(self.size)
         self.fill(self.power_up)
         self.fill(content)
         self._at_start = bytes(self.content)

@@ -101,13 +101,13 @@ class SerialBus(Bus):
                     name, field, f"expected true or false, not {level!r:.80}"
                 )
         check_seconds(name, "late_limit", late_limit)
-        self.port = port
-        self.baudrate = check_whole(name, "baudrate", baudrate, 1)
-        self.framing = make_framing(name, framing)
-        self.out_limit = check_whole(name, "out_limit", out_limit, 1)
-        self.write_timeout = check_seconds(name, "write_timeout", write_timeout)
-        self.bad_limit = check_whole(name, "bad_limit", bad_limit, 1)
-        self.path = ""
+        self.port: str = port
+        self.baudrate: int = check_whole(name, "baudrate", baudrate, 1)
+        self.framing: Framing = make_framing(name, framing)
+        self.out_limit: int = check_whole(name, "out_limit", out_limit, 1)
+        self.write_timeout: float = check_seconds(name, "write_timeout", write_timeout)
+        self.bad_limit: int = check_whole(name, "bad_limit", bad_limit, 1)
+        self.path: str = ""
         self._options = options
         if wire is None:
             place = SerialPlace(name, port)

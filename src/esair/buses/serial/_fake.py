@@ -77,10 +77,10 @@ class FakeSerial(SerialBus):
             name=name, framing=framing, wire=LateWire(self._reach), **options
         )
         self.sent: Sent[bytes] = Sent(maxlen=SENT_LIMIT)
-        self.written = b""
+        self.written: bytes = b""
         self.on_write: Reply | None = None
         self.on_frame: Reply | None = None
-        self.lost_bytes = 0
+        self.lost_bytes: int = 0
         self._plugged = True
         self._stalled = False
         self._room: int | None = None

@@ -36,7 +36,7 @@ class PtyLine(SerialWire):
         super().__init__()
         self.path = path
         self.heard: Callable[[bytes], None] = _nobody
-        self.lost = 0
+        self.lost: int = 0
         self._loop = asyncio.get_running_loop()
         self._master = -1
         self._slave = -1
@@ -139,7 +139,7 @@ class MemoryLine(SerialWire):
         super().__init__()
         self.name = name
         self.heard: Callable[[bytes], None] = _nobody
-        self.lost = 0
+        self.lost: int = 0
         self._loop = asyncio.get_running_loop()
         self._link: _MemoryLink | None = None
         self._plugged = False

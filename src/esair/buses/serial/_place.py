@@ -32,12 +32,12 @@ class SerialPlace:
                 "expected the path of a device file, usb:VID:PID[:SERIAL], or a URL "
                 f"such as loop://, not {port!r:.80}",
             )
-        self.is_usb = port.startswith("usb:")
+        self.is_usb: bool = port.startswith("usb:")
         if self.is_usb:
             parse_identity(port, component=owner, field="port")
         self.owner = owner
         self.port = port
-        self.is_url = "://" in port
+        self.is_url: bool = "://" in port
 
     def find(self) -> str:
         """Return the path, or the URL, to open. Blocks.

@@ -40,6 +40,8 @@ class SpiBus(LinkBus[SpiLink]):
             ``open()`` returns the link.
     """
 
+    path: str
+
     def __init__(
         self,
         *,
@@ -51,9 +53,9 @@ class SpiBus(LinkBus[SpiLink]):
         wire: Wire | None = None,
     ) -> None:
         super().__init__(name=name, timeout=timeout, wire=wire)
-        self.bus = check_whole(name, "bus", bus, 0)
-        self.speed = check_whole(name, "speed", speed, 1)
-        self.mode = check_whole(name, "mode", mode, 0, 3)
+        self.bus: int = check_whole(name, "bus", bus, 0)
+        self.speed: int = check_whole(name, "speed", speed, 1)
+        self.mode: int = check_whole(name, "mode", mode, 0, 3)
 
     async def exchange(
         self,

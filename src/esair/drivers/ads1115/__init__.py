@@ -90,13 +90,13 @@ class Ads1115(Sensor[float]):
     """
 
     bus: I2CBus
-    full_scale = setting(
+    full_scale: float = setting(
         4.096,
         unit="V",
         choices=FULL_SCALES,
         doc="the greatest voltage (the gain); no input may be beyond the supply",
     )
-    data_rate = setting(
+    data_rate: int = setting(
         128,
         unit="Hz",
         choices=DATA_RATES,
@@ -111,8 +111,8 @@ class Ads1115(Sensor[float]):
         **settings: Unpack[_Settings],
     ) -> None:
         super().__init__(**settings)
-        self.address = check_address(self, address, range(0x48, 0x4C))
-        self.channel = str(channel)
+        self.address: int = check_address(self, address, range(0x48, 0x4C))
+        self.channel: str = str(channel)
         check_choice(self.name, "channel", self.channel, sorted(CHANNELS))
         self._full_scale: float = self.full_scale
         self._data_rate: int = self.data_rate

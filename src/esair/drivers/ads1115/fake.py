@@ -30,7 +30,7 @@ class FakeAds1115:
     keeps_pointer = True
 
     def __init__(self, *inputs: float) -> None:
-        self.inputs = [*inputs, 0.0, 0.0, 0.0, 0.0][:4]
+        self.inputs: list[float] = [*inputs, 0.0, 0.0, 0.0, 0.0][:4]
         self.busy = 1
         self.conversions: list[str] = []
         self.power_cycle()

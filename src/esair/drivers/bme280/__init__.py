@@ -166,24 +166,26 @@ class Bme280(Sensor[Climate]):
     """
 
     bus: I2CBus
-    rate = setting(1.0, unit="Hz", min=0.001, max=50.0, doc="how often it is asked")
-    oversampling = setting(
+    rate: float = setting(
+        1.0, unit="Hz", min=0.001, max=50.0, doc="how often it is asked"
+    )
+    oversampling: int = setting(
         1,
         choices=_OVERSAMPLING,
         doc="how many samples a value is the mean of; 16 take 0.12 s",
     )
-    smoothing = setting(
+    smoothing: int = setting(
         1,
         choices=_FILTER,
         doc="how slowly temperature and pressure follow (IIR filter)",
     )
-    deadline = 0.5
+    deadline: float = 0.5
 
     def __init__(
         self, *, address: int = ADDRESS, **settings: Unpack[_Settings]
     ) -> None:
         super().__init__(**settings)
-        self.address = check_address(self, address, range(0x76, 0x78))
+        self.address: int = check_address(self, address, range(0x76, 0x78))
         self._calibration: Calibration | None = None
         self._told = 1, 0
         """What it was told: how many samples, and how smoothly, as its codes."""

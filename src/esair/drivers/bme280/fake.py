@@ -60,7 +60,7 @@ class FakeBme280(Registers):
         self.calibration = calibration
         self.raw: tuple[int, int, int] | None = None
         self.busy = 1
-        self.measurements = 0
+        self.measurements: int = 0
         first, second = calibration.encode()
         super().__init__({ID: IDENTITY, CALIBRATION_00: first, CALIBRATION_26: second})
         self.power_cycle()

@@ -201,7 +201,7 @@ class Board(_OnBoard, Sensor[BoardState]):
     """
 
     bus: SerialBus
-    period = SILENCE
+    period: float = SILENCE
 
     def __init__(self, *, arm: bool = True, **settings: Unpack[SensorSettings]) -> None:
         super().__init__(**settings)
@@ -299,11 +299,11 @@ class BoardActuator(_OnBoard, Actuator[Any]):
     """
 
     bus: SerialBus
-    own_timeout = 0.35
+    own_timeout: float = 0.35
 
     def __init__(self, *, safe: Any, **settings: Unpack[ActuatorSettings]) -> None:
         super().__init__(**settings)
-        self.safe = tuples(safe)
+        self.safe: Any = tuples(safe)
 
     @property
     def value_type(self) -> Any:

@@ -133,9 +133,9 @@ class Wire:
     """
 
     def __init__(self) -> None:
-        self.version = 0
-        self.named = False
-        self.period = 1.0
+        self.version: Any = 0
+        self.named: bool = False
+        self.period: float = 1.0
         self._free = 0
         self._sensors: list[str] = []
         self._actuators: list[str] = []

@@ -93,7 +93,7 @@ class Camera(Sensor[Any]):
         dropped: How many pictures were thrown away because newer ones were there.
     """
 
-    deadline = OPEN_TIMEOUT + 2.0
+    deadline: float = OPEN_TIMEOUT + 2.0
 
     def __init__(
         self,
@@ -116,8 +116,10 @@ class Camera(Sensor[Any]):
         if (width is None) is not (height is None):
             raise ConfigError(self.name, "height", "expected both, width and height")
         self.colors = check_choice(self.name, "colors", colors, ("bgr", "rgb", "gray"))
-        self.silent_after = check_seconds(self.name, "silent_after", silent_after)
-        self.dropped = 0
+        self.silent_after: float = check_seconds(
+            self.name, "silent_after", silent_after
+        )
+        self.dropped: int = 0
         self._request = CameraRequest(device, width, height, fps)
         self._opener = opener or _open_camera
         self._executor: Executor | None = None

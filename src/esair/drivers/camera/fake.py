@@ -38,8 +38,8 @@ class FakeCamera:
         self.fps = fps
         self.taken = 0
         self.silent = False
-        self.powered = 1
-        self.plugged = True
+        self.powered: int = 1
+        self.plugged: bool = True
 
     def open(self, request: CameraRequest) -> _FakeLink:
         """Open it.
@@ -66,7 +66,7 @@ class FakeCamera:
 
 class _FakeLink:
     def __init__(self, camera: FakeCamera) -> None:
-        self.pace = 1.0 / camera.fps
+        self.pace: float = 1.0 / camera.fps
         self._camera = camera
         self._powered = camera.powered
         self._picture: Picture | None = None

@@ -42,8 +42,8 @@ class _Object(OnNode):
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self.dictionary = read_eds(self.name, eds, self.node)
-        self.variable = find_object(self.name, self.dictionary, object)
+        self.dictionary: Any = read_eds(self.name, eds, self.node)
+        self.variable: Any = find_object(self.name, self.dictionary, object)
         if factor is not None and (
             not factor or self.variable.data_type not in INTEGER_TYPES + FLOAT_TYPES
         ):
@@ -113,7 +113,7 @@ class CanopenSensor(_Object, Sensor[Any]):
     ) -> None:
         super().__init__(**settings)
         self.pdo = pdo
-        self.bad_frames = 0
+        self.bad_frames: int = 0
         self._mapped: Mapped | None = None
         if not pdo and not self.variable.readable:
             raise ConfigError(
@@ -226,7 +226,7 @@ class CanopenActuator(_Object, Actuator[Any]):
                 f"expected {allowed[0]:g} to {allowed[1]:g}, not {safe!r:.80}",
             )
         self.limits = allowed
-        self.claim = f"{self.variable.qualname} of node {self.node}"
+        self.claim: str = f"{self.variable.qualname} of node {self.node}"
         self._newest = 0
 
     def safe_frames(self) -> SafeFrames | None:

@@ -70,7 +70,7 @@ class CanopenNetwork(canopen.Network):
 
     def __init__(self, bus: CanBus) -> None:
         super().__init__()
-        self.executor = Executor(f"{bus.name}_canopen")
+        self.executor: Executor = Executor(f"{bus.name}_canopen")
         self._can = weakref.ref(bus)
         self._loop = asyncio.get_running_loop()
 

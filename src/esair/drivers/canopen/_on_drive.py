@@ -54,10 +54,10 @@ class OnDrive(OnNode):
     ) -> None:
         super().__init__(**settings)
         node = self.node
-        self.dictionary = (
+        self.dictionary: Any = (
             profile.standard(node) if eds is None else read_eds(self.name, eds, node)
         )
-        self.tell_every = check_seconds(self.name, "tell_every", tell_every)
+        self.tell_every: float = check_seconds(self.name, "tell_every", tell_every)
         self._is_prepared = False
         self._sync: Sync | None = None
 
@@ -136,7 +136,7 @@ class DriveActuator(OnDrive):
         self.factor = factor
         largest = abs(factor) * (2**31 - 1)
         self._allowed = (-largest, largest) if limits is None else limits
-        self.claim = f"the drive of node {self.node}"
+        self.claim: str = f"the drive of node {self.node}"
         self.stop = check_choice(self.name, "stop", stop, ("quick_stop", "halt"))
         self.state: State | None = None
         """What the drive told last; None while it is not open."""

@@ -32,7 +32,7 @@ class OnNode(Resource):
     """What the node has told in emergency messages, the newest last; 16 are kept."""
 
     bus: CanBus
-    deadline = 2.0
+    deadline: float = 2.0
 
     def __init__(
         self,
@@ -43,13 +43,13 @@ class OnNode(Resource):
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
-        self.node = check_whole(self.name, "node", node, 1, 127)
+        self.node: int = check_whole(self.name, "node", node, 1, 127)
         self.heartbeat = heartbeat
         if heartbeat is not None and not 0.001 <= heartbeat <= 65.0:
             raise ConfigError(
                 self.name, "heartbeat", f"expected 0.001 to 65 s, not {heartbeat!r}"
             )
-        self.sdo_timeout = check_seconds(self.name, "sdo_timeout", sdo_timeout)
+        self.sdo_timeout: float = check_seconds(self.name, "sdo_timeout", sdo_timeout)
         self.emergencies = collections.deque(maxlen=16)
         self._link: Node | None = None
 

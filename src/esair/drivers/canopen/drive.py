@@ -87,10 +87,10 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         **settings: Unpack[_StateSettings],
     ) -> None:
         super().__init__(**settings)
-        self.sync = self._check_sync(sync)
+        self.sync: float | None = self._check_sync(sync)
         self.position_factor = position_factor
         self.velocity_factor = velocity_factor
-        self.bad_frames = 0
+        self.bad_frames: int = 0
 
     def counts(self) -> dict[str, int]:
         """Return the PDOs that were too short."""
@@ -139,7 +139,7 @@ class Drive(DriveActuator, Actuator[float]):
         sdo_timeout: How long it may take to answer, in seconds.
     """
 
-    safe = 0.0
+    safe: float = 0.0
     mode = profile.PROFILE_VELOCITY
     target = profile.TARGET_VELOCITY
 
@@ -147,8 +147,8 @@ class Drive(DriveActuator, Actuator[float]):
         self, *, sync: float | None = None, **settings: Unpack[DriveActuatorSettings]
     ) -> None:
         super().__init__(**settings)
-        self.sync = self._check_sync(sync)
-        self.limits = self._allowed
+        self.sync: float | None = self._check_sync(sync)
+        self.limits: tuple[float, float] = self._allowed
 
     async def write(self, command: float) -> None:
         """Tell the drive its velocity, and enable it if that is not 0; or stop it."""

@@ -31,12 +31,12 @@ class FakeCanopenNode:
     def __init__(
         self, can: FakeCan, eds: Path | str | ObjectDictionary, *, node: int = 1
     ) -> None:
-        self.delay = 0.0
+        self.delay: float = 0.0
         self.written: list[tuple[int, int, Any]] = []
         self._network = _Network(can)
         can.on_send(self.receive)
         self._refused: dict[tuple[int, int], int] = {}
-        self.local = _local_node(node, eds)
+        self.local: Any = _local_node(node, eds)
         self.local.add_read_callback(self._read)
         self.local.add_write_callback(self._write)
         self._network.add_node(self.local)

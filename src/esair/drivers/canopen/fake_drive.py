@@ -37,13 +37,17 @@ class FakeDrive(FakeCanopenNode):
         syncs: How many SYNCs it heard.
     """
 
+    position: float
+
+    velocity: float
+
     def __init__(
         self, can: FakeCan, *, node: int = 5, eds: Path | str | None = None
     ) -> None:
-        self.drive_state = State.DISABLED
+        self.drive_state: State = State.DISABLED
         self.velocity = self.position = 0.0
         self.moves: list[int] = []
-        self.syncs = 0
+        self.syncs: int = 0
         self._word = 0
         self._goal: float | None = None
         self._held: dict[int, bytes] = {}

@@ -43,13 +43,13 @@ class PositionDrive(DriveActuator, Actuator[Move]):
         sdo_timeout: How long it may take to answer, in seconds.
     """
 
-    safe = Move(stop=True)
+    safe: Move = Move(stop=True)
     mode = profile.PROFILE_POSITION
     target = profile.TARGET_POSITION
 
     def __init__(self, **settings: Unpack[DriveActuatorSettings]) -> None:
         super().__init__(**settings)
-        self.limits = {"position": self._allowed}
+        self.limits: dict[str, tuple[float, float]] = {"position": self._allowed}
 
     async def write(self, command: Move) -> None:
         """Tell the drive where to go, and enable it; or stop it."""

@@ -80,6 +80,8 @@ class DbcActuator(Actuator[Any]):
         own_timeout: After how many seconds without a command the node itself stops.
     """
 
+    codec: MessageCodec
+
     bus: CanBus
 
     def __init__(
@@ -105,7 +107,9 @@ class DbcActuator(Actuator[Any]):
         self._id = id_to(self.name, codec.message, source, destination)
         self._in_packets = codec.size > 8 and is_j1939(codec.message)
         if self._in_packets:
-            self.deadline = max(self.deadline, seconds_for(codec.size, self._id) + 0.5)
+            self.deadline: float = max(
+                self.deadline, seconds_for(codec.size, self._id) + 0.5
+            )
         self._claim: Claim | None = None
         self._own_name: int | None = None
         if j1939_name is not None:
@@ -114,10 +118,12 @@ class DbcActuator(Actuator[Any]):
             self.deadline = max(self.deadline, CLAIM_TIME)
         if not codec.message.is_multiplexed():  # else others may have a share of it
             kind = "extended frame" if codec.message.is_extended_frame else "frame"
-            self.claim = f"the {kind} {self._id:#x}"
+            self.claim: str = f"the {kind} {self._id:#x}"
         self.signal = signal
         self.sequence = sequence
-        self.cycle = None if cycle is None else check_seconds(self.name, "cycle", cycle)
+        self.cycle: float | None = (
+            None if cycle is None else check_seconds(self.name, "cycle", cycle)
+        )
         self._fixed = dict(fixed or {})
         for name in self._fixed:
             find_signal(self.name, f"fixed.{name}", codec, name)
@@ -134,7 +140,9 @@ class DbcActuator(Actuator[Any]):
         self._writing = 0
         self._repeating: asyncio.Task[None] | None = None
         self.safe = safe
-        self.limits = self._narrowed(limits)
+        self.limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = (
+            self._narrowed(limits)
+        )
         self._within = {} if self.limits is None else self._by_name(self.limits)
         self._limited_only: Set[str] = frozenset()
         """The signals of commands, if numbers within limits are all that they have."""
@@ -156,7 +164,7 @@ class DbcActuator(Actuator[Any]):
         )
         self._check_safe()
         if slew is not None:
-            self.slew = slew
+            self.slew: float | Mapping[str, float] = slew
         for name in self.slew if isinstance(self.slew, Mapping) else ():
             if find_signal(self.name, "slew", codec, name).multiplexer_ids:
                 raise ConfigError(

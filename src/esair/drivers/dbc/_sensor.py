@@ -52,6 +52,10 @@ class DbcSensor(Sensor[Any]):
         missed: How many frames never came, by their numbers.
     """
 
+    missed: int
+    repeated: int
+    bad_frames: int
+
     bus: CanBus
 
     bad_frame_limit: int = 10
@@ -72,7 +76,7 @@ class DbcSensor(Sensor[Any]):
     ) -> None:
         super().__init__(**settings)
         check_choice(self.name, "choices", choices, ("numbers", "names"))
-        self.codec = MessageCodec(
+        self.codec: MessageCodec = MessageCodec(
             find_message(self.name, database, message), names=choices == "names"
         )
         self.signal = signal
@@ -93,7 +97,7 @@ class DbcSensor(Sensor[Any]):
                 TRANSPORT.id | self._ids.id & sender, TRANSPORT.mask | sender
             )
         self.sources: dict[int, int] = {}
-        self.buffer = check_whole(self.name, "buffer", buffer, 1)
+        self.buffer: int = check_whole(self.name, "buffer", buffer, 1)
         self.bad_frames = self.repeated = self.missed = 0
         self._numbers: dict[int, int] = {}
         self._dropped = 0

@@ -43,7 +43,7 @@ class FakeDbcNode:
         assert isinstance(found, Database)
         self.database = found
         self.heard: collections.deque[Heard] = collections.deque(maxlen=10_000)
-        self.bad_frames = 0
+        self.bad_frames: int = 0
         self._can = can
         self._starts = 0.0
         can.on_send(self.receive)

@@ -75,7 +75,7 @@ class FakeJ1939Node:
         self.waits = self.reason = 0
         self.is_silent = False
         self.lost: set[int] = set()
-        self.late = 0.0
+        self.late: float = 0.0
         self._can = can
         self._begun: dict[int, Begun] = {}
         self._last = 0  # which packet ends those that were asked for

@@ -71,7 +71,7 @@ class Gamepad(Sensor[Pad]):
             ``device``, may block.
     """
 
-    repeat = setting(
+    repeat: float = setting(
         20.0, unit="Hz", min=1.0, max=100.0, doc="how often it is told without a change"
     )
 

@@ -208,7 +208,7 @@ class DigitalInput(_OnLine, Sensor[bool]):
         missed: How many changes nobody saw, because they came too fast.
     """
 
-    debounce = setting(
+    debounce: float = setting(
         0.0,
         unit="s",
         min=0.0,
@@ -222,7 +222,7 @@ class DigitalInput(_OnLine, Sensor[bool]):
         super().__init__(**settings)
         check_choice(self.name, "bias", bias, get_args(Bias))
         self._request = attrs.evolve(self._request, bias=bias)
-        self.missed = 0
+        self.missed: int = 0
         self._seen = False
         """What it is as far as the stream has told, or was at the opening."""
 

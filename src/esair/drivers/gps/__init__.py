@@ -116,8 +116,8 @@ class FixBuilder:
         self._apart = 0
         self._looks = Looks()
         self._passed = self._unseen = 0  # in bytes, since a sentence was bad
-        self.bad_sentences = 0
-        self.without_fix = 0
+        self.bad_sentences: int = 0
+        self.without_fix: int = 0
 
     def feed(self, body: bytes) -> Fix | None:
         """Take a sentence, as it stands between ``$`` and ``*``.
@@ -247,7 +247,7 @@ class Gps(Sensor[Fix]):
     """
 
     bus: SerialBus
-    deadline = 2.5
+    deadline: float = 2.5
 
     def __init__(
         self,
@@ -263,8 +263,8 @@ class Gps(Sensor[Fix]):
                 f"expected of GGA and RMC, not {sentences!r:.80}",
             )
         check_bus(self, SerialBus, Sentences)
-        self.sentences = tuple(sentences)
-        self.builder = FixBuilder(self.sentences)
+        self.sentences: tuple[str, ...] = tuple(sentences)
+        self.builder: FixBuilder = FixBuilder(self.sentences)
 
     def counts(self) -> dict[str, int]:
         """Return the sentences that were bad, and the moments without a position."""

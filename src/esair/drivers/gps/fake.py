@@ -32,8 +32,8 @@ class FakeGps:
     def __init__(
         self, line: FakeSerial, fix: Fix | None = None, *, period: float = 0.1
     ) -> None:
-        self.fix = fix or Fix(48.1173, 11.516667, altitude=545.4, quality=1)
-        self.moments = 0
+        self.fix: Fix = fix or Fix(48.1173, 11.516667, altitude=545.4, quality=1)
+        self.moments: int = 0
         self.silent = False
         self._starting = 0
         self._start = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)

@@ -98,7 +98,7 @@ class _OnLine(Resource):
             raise ConfigError(
                 self.name, "bus", "expected a SerialBus with framing='lines', not 'raw'"
             )
-        self.key = self.name if key is None else key
+        self.key: str = self.name if key is None else key
         if not _KEY.match(self.key):
             raise ConfigError(
                 self.name,
@@ -150,7 +150,7 @@ class LineSensor(_OnLine, Sensor[float]):
         self.silent_after = silent_after
         if silent_after is not None:
             check_seconds(self.name, "silent_after", silent_after)
-        self.bad_lines = 0
+        self.bad_lines: int = 0
 
     @property
     def can_be_asked(self) -> bool:
@@ -225,10 +225,10 @@ class LineActuator(_OnLine, Actuator[float]):
         **settings: Unpack[_ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
-        self.claim = f"the value {self.key!r}"
+        self.claim: str = f"the value {self.key!r}"
         self.safe = safe
         self.ack = ack
-        self.limits = limits
+        self.limits: tuple[float, float] | None = limits
         self.own_timeout = own_timeout
 
     def safe_frames(self) -> SafeFrames:

@@ -37,8 +37,8 @@ class FakeBoard:
         ack: bool = False,
         period: float = 0.0,
     ) -> None:
-        self.values = values or {}
-        self.commands = commands or {}
+        self.values: dict[str, float] = values or {}
+        self.commands: dict[str, float] = commands or {}
         self._at_start = dict(self.commands)
         self.name = name
         self.ack = ack

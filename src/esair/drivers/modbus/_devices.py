@@ -87,18 +87,18 @@ class _OnUnit(Resource):
     ) -> None:
         super().__init__(**settings)
         check_bus(self, SerialBus, ModbusRtu, ModbusTcp)
-        self.unit = check_whole(self.name, "unit", unit, 0, 255)
-        self.register = check_whole(self.name, "register", register, 0, 0xFFFF)
-        self.table = check_choice(self.name, "table", table, self._tables)
-        self.kind = check_choice(self.name, "type", type, get_args(Kind))
+        self.unit: int = check_whole(self.name, "unit", unit, 0, 255)
+        self.register: int = check_whole(self.name, "register", register, 0, 0xFFFF)
+        self.table: str = check_choice(self.name, "table", table, self._tables)
+        self.kind: Any = check_choice(self.name, "type", type, get_args(Kind))
         self.word_order = check_choice(
             self.name, "word_order", word_order, ("big", "little")
         )
         if not factor:
             raise ConfigError(self.name, "factor", "expected a factor that is not 0")
         self.factor = factor
-        self.timeout = check_seconds(self.name, "timeout", timeout)
-        self.is_bit = table in {"coil", "discrete"}
+        self.timeout: float = check_seconds(self.name, "timeout", timeout)
+        self.is_bit: bool = table in {"coil", "discrete"}
         self._type = _KINDS[type]
         self._decoder = DecodePDU(False)
 
@@ -232,15 +232,15 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
     ) -> None:
         super().__init__(**settings)
         self.own_timeout = own_timeout
-        self.claim = f"{self.table} {self.register} of unit {self.unit}"
+        self.claim: str = f"{self.table} {self.register} of unit {self.unit}"
         if self.is_bit:
             if not isinstance(safe, bool):
                 raise ConfigError(self.name, "safe", f"expected a bool, not {safe!r}")
             self.safe = safe
             return
-        self.safe = float(safe)
+        self.safe: Any = float(safe)
         allowed = self._bounds()
-        self.limits = allowed if limits is None else limits
+        self.limits: tuple[float, float] = allowed if limits is None else limits
         low, high = self.limits
         if not allowed[0] <= low <= self.safe <= high <= allowed[1]:
             raise ConfigError(

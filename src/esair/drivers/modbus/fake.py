@@ -44,10 +44,10 @@ class FakeModbus:
         discretes: dict[int, bool] | None = None,
         unit: int = 1,
     ) -> None:
-        self.holding = holding or {}
-        self.inputs = inputs or {}
-        self.coils = coils or {}
-        self.discretes = discretes or {}
+        self.holding: dict[int, int] = holding or {}
+        self.inputs: dict[int, int] = inputs or {}
+        self.coils: dict[int, bool] = coils or {}
+        self.discretes: dict[int, bool] = discretes or {}
         self.unit = unit
         self.silent = False
         self.refuse: Callable[[int, int], int] = lambda _function, _address: 0

@@ -99,23 +99,25 @@ class Mpu6050(Sensor[Motion]):
     """
 
     bus: I2CBus
-    rate = setting(50.0, unit="Hz", min=1.0, max=200.0, doc="how often it is asked")
-    gyro_range = setting(
+    rate: float = setting(
+        50.0, unit="Hz", min=1.0, max=200.0, doc="how often it is asked"
+    )
+    gyro_range: int = setting(
         250,
         unit="°/s",
         choices=(250, 500, 1000, 2000),
         doc="the fastest turn it measures",
     )
-    accel_range = setting(
+    accel_range: int = setting(
         2, unit="g", choices=(2, 4, 8, 16), doc="the hardest push it measures"
     )
-    deadline = 0.5
+    deadline: float = 0.5
 
     def __init__(
         self, *, address: int = ADDRESS, **settings: Unpack[_Settings]
     ) -> None:
         super().__init__(**settings)
-        self.address = check_address(self, address, range(0x68, 0x6A))
+        self.address: int = check_address(self, address, range(0x68, 0x6A))
         self._gyro_step = self._accel_step = 0
 
     async def open(self) -> None:

@@ -33,7 +33,9 @@ class FakeMpu6050(Registers):
     """
 
     size = 128
-    power_up = MappingProxyType({WHO_AM_I: IDENTITY, PWR_MGMT_1: SLEEP})
+    power_up: MappingProxyType[int, int | bytes] = MappingProxyType(
+        {WHO_AM_I: IDENTITY, PWR_MGMT_1: SLEEP}
+    )
 
     def __init__(self, motion: Motion = AT_REST) -> None:
         self._motion = motion

@@ -52,7 +52,7 @@ class ObjectSensor(Sensor[Any]):
         limits: Least and greatest value; what is outside is a fault of the device.
     """
 
-    deadline = 2.0
+    deadline: float = 2.0
 
     def __init__(
         self,
@@ -66,10 +66,10 @@ class ObjectSensor(Sensor[Any]):
         **settings: Unpack[SensorSettings],
     ) -> None:
         super().__init__(**settings)
-        self.object = Made(self, library, arguments, set_up, lost)
+        self.object: Made = Made(self, library, arguments, set_up, lost)
         self._read = self.object.reading(value)
         if limits is not None:
-            self.limits = limits
+            self.limits: tuple[float, float] = limits
 
     def open(self) -> None:
         """Make the object, and set it up."""
@@ -103,7 +103,7 @@ class ObjectActuator(Actuator[Any]):
         limits: Least and greatest command, or of each of its fields.
     """
 
-    deadline = 2.0
+    deadline: float = 2.0
 
     def __init__(
         self,
@@ -118,11 +118,11 @@ class ObjectActuator(Actuator[Any]):
         **settings: Unpack[ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
-        self.object = Made(self, library, arguments, set_up, lost)
+        self.object: Made = Made(self, library, arguments, set_up, lost)
         self._tell = self.object.telling(attribute)
-        self.safe = HOLD if safe == "hold" else safe
+        self.safe: Any = HOLD if safe == "hold" else safe
         self.limits = limits
-        self.claim = f"{attribute} of {library} {arguments or ''}"
+        self.claim: str = f"{attribute} of {library} {arguments or ''}"
 
     @property
     def value_type(self) -> Any:

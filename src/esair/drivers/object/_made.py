@@ -50,7 +50,7 @@ class Made:
         self._listed = tuple(arguments) if isinstance(arguments, Sequence) else ()
         self._named = {} if is_list else dict(arguments or {})
         self._lost = tuple(self._error(each, hint) for each in lost)
-        self.set_up = {
+        self.set_up: dict[str, tuple[Path, Any]] = {
             text: (Path(owner, f"set_up.{text}", text, to_assign=True), value)
             for text, value in (set_up or {}).items()
         }

@@ -67,14 +67,14 @@ class _OnAxis(Resource):
     """What the sensor and the actuator have in common: the heartbeat of an axis."""
 
     bus: CanBus
-    deadline = 2.0
+    deadline: float = 2.0
 
     def __init__(
         self, *, node: int, heartbeat_timeout: float = 0.5, **settings: Any
     ) -> None:
         super().__init__(**settings)
-        self.node = check_whole(self.name, "node", node, 0, 0x3E)
-        self.heartbeat_timeout = check_seconds(
+        self.node: int = check_whole(self.name, "node", node, 0, 0x3E)
+        self.heartbeat_timeout: float = check_seconds(
             self.name, "heartbeat_timeout", heartbeat_timeout
         )
 
@@ -129,7 +129,7 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
 
     def __init__(self, **settings: Unpack[_SensorSettings]) -> None:
         super().__init__(**settings)
-        self.bad_frames = 0
+        self.bad_frames: int = 0
 
     def counts(self) -> dict[str, int]:
         """Return the frames that were too short."""
@@ -206,8 +206,8 @@ class OdriveAxis(_OnAxis, Actuator[float]):
     ) -> None:
         super().__init__(**settings)
         check_choice(self.name, "control", control, ("velocity", "position", "torque"))
-        self.control = ControlMode[control.upper()]
-        self.claim = f"node {self.node}"
+        self.control: ControlMode = ControlMode[control.upper()]
+        self.claim: str = f"node {self.node}"
         goes = self.control is ControlMode.POSITION
         if idle and goes:
             raise ConfigError(
@@ -218,7 +218,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         if safe is None:
             safe = HOLD if goes else 0.0
         self.safe = safe
-        self.safe_moves = goes and safe is not HOLD
+        self.safe_moves: bool = goes and safe is not HOLD
         self.idle = idle
         self._armed_at: float | None = None
         """When it was told to enter closed loop control; None if it was not."""

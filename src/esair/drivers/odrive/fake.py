@@ -47,6 +47,8 @@ class FakeOdrive:
         bad_frames: How many frames were too short.
     """
 
+    position: float
+
     def __init__(
         self,
         can: FakeCan,
@@ -58,17 +60,17 @@ class FakeOdrive:
         self.node = node
         self.watchdog = watchdog
         self.boot_time = boot_time
-        self.state = AxisState.IDLE
-        self.mode = ControlMode.POSITION
-        self.errors = AxisError(0)
-        self.permanent = AxisError(0)
+        self.state: AxisState = AxisState.IDLE
+        self.mode: ControlMode = ControlMode.POSITION
+        self.errors: AxisError = AxisError(0)
+        self.permanent: AxisError = AxisError(0)
         self.refuses_to_arm = False
         self.inputs: list[float] = []
         self.requests: list[AxisState] = []
         self.position = self._goal = 0.0
-        self.velocity = 0.0
-        self.cleared = 0
-        self.bad_frames = 0
+        self.velocity: float = 0.0
+        self.cleared: int = 0
+        self.bad_frames: int = 0
         self._can = can
         can.on_send(self.receive)
         self._loop = asyncio.get_running_loop()

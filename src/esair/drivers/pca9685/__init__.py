@@ -25,8 +25,8 @@ class PwmChannel(OnChannel[float]):
         frequency: How many periods a second, 24 to 1526 Hz.
     """
 
-    safe = 0.0
-    limits = (0.0, 1.0)
+    safe: float = 0.0
+    limits: tuple[float, float] = (0.0, 1.0)
 
     def safe_frames(self) -> SafeFrames | None:
         """No pulses; None if the safe command is another one."""

@@ -107,15 +107,15 @@ class OnChannel(Actuator[T]):
         **settings: Unpack[ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
-        self.address = check_address(self, address, ADDRESSES)
-        self.channel = check_whole(self.name, "channel", channel, 0, 15)
+        self.address: int = check_address(self, address, ADDRESSES)
+        self.channel: int = check_whole(self.name, "channel", channel, 0, 15)
         if not 24.0 <= frequency <= 1526.0:
             raise ConfigError(
                 self.name, "frequency", f"expected 24 to 1526 Hz, not {frequency!r:.80}"
             )
-        self.frequency = float(frequency)
-        self.register = LED0_ON_L + 4 * channel
-        self.claim = f"channel {channel} of the chip {address:#04x}"
+        self.frequency: float = float(frequency)
+        self.register: int = LED0_ON_L + 4 * channel
+        self.claim: str = f"channel {channel} of the chip {address:#04x}"
         self._chip: Chip | None = None
 
     async def open(self) -> None:

@@ -34,10 +34,10 @@ class FakePca9685(Registers):
     """
 
     keeps_pointer = True
-    power_up = MappingProxyType(_POWER_UP | _OFF)
+    power_up: MappingProxyType[int, int | bytes] = MappingProxyType(_POWER_UP | _OFF)
 
     def __init__(self) -> None:
-        self.stops = 0
+        self.stops: int = 0
         super().__init__()
 
     @property

@@ -87,8 +87,10 @@ class PwmServo(OnChannel[ServoPosition]):
         self.max_angle = max_angle
         self.min_pulse = min_pulse
         self.max_pulse = max_pulse
-        self.safe = ServoPosition((min_angle + max_angle) / 2, on=False)
-        self.limits = {"angle": (min(min_angle, max_angle), max(min_angle, max_angle))}
+        self.safe: ServoPosition = ServoPosition((min_angle + max_angle) / 2, on=False)
+        self.limits: dict[str, tuple[float, float]] = {
+            "angle": (min(min_angle, max_angle), max(min_angle, max_angle))
+        }
 
     def pulse(self, angle: float) -> float:
         """Return the length of the pulse for an angle, in seconds."""

@@ -194,12 +194,12 @@ class ScanDecoder:
     """
 
     def __init__(self) -> None:
-        self.discarded = 0
-        self.bad_turns = 0
+        self.discarded: int = 0
+        self.bad_turns: int = 0
         self._rest = b""
         self._turn = bytearray()
         self._whole = self._is_lost = False
-        self.looks = Looks()
+        self.looks: Looks = Looks()
         self._paid = self._leave = 0  # places, from the beginning of what is kept
 
     def feed(self, data: bytes) -> list[Scan]:
@@ -281,12 +281,12 @@ class RpLidar(Sensor[Scan]):
     """
 
     bus: SerialBus
-    deadline = 1.0
+    deadline: float = 1.0
 
     def __init__(self, **settings: Unpack[SensorSettings]) -> None:
         super().__init__(**settings)
         check_bus(self, SerialBus, Raw)
-        self.decoder = ScanDecoder()
+        self.decoder: ScanDecoder = ScanDecoder()
         self.info: Info | None = None
 
     def counts(self) -> dict[str, int]:

@@ -52,9 +52,9 @@ class FakeRpLidar:
         period: float = 0.1,
     ) -> None:
         self.distance = distance
-        self.info = Info(0x18, (1, 29), 7, "0123456789ABCDEF0123456789ABCDEF")
-        self.health = Health("good", 0)
-        self.scanning = False
+        self.info: Info = Info(0x18, (1, 29), 7, "0123456789ABCDEF0123456789ABCDEF")
+        self.health: Health = Health("good", 0)
+        self.scanning: bool = False
         self.requests: list[int] = []
         self.silent = False
         self._rest = b""

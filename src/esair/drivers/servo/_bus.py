@@ -72,6 +72,8 @@ class ServoBus(LinkBus[SdkPort]):
         opener: Opens something else than a port, such as a fake; may block.
     """
 
+    path: str
+
     table = DYNAMIXEL_X
     _rx_timeout = COMM_RX_TIMEOUT
     _rx_corrupt = COMM_RX_CORRUPT
@@ -87,7 +89,7 @@ class ServoBus(LinkBus[SdkPort]):
     ) -> None:
         super().__init__(name=name, timeout=timeout)
         self.port = port
-        self.baudrate = check_whole(name, "baudrate", baudrate, 1)
+        self.baudrate: int = check_whole(name, "baudrate", baudrate, 1)
         self._opener = opener
         self._exchanges = Exchanges(self, late_limit=LATE_LIMIT)
         self._together = Together(self._make_requests)

@@ -97,7 +97,7 @@ class _OnServo(Resource):
     ) -> None:
         super().__init__(**settings)
         check_bus(self, ServoBus)
-        self.id = check_whole(self.name, "id", id, 0, 252)
+        self.id: int = check_whole(self.name, "id", id, 0, 252)
 
 
 class ServoPosition(_OnServo, Sensor[float]):
@@ -107,7 +107,9 @@ class ServoPosition(_OnServo, Sensor[float]):
         id: The servo's id, 0 to 252; they come with 1.
     """
 
-    rate = setting(50.0, unit="Hz", min=0.1, max=500.0, doc="how often it is asked")
+    rate: float = setting(
+        50.0, unit="Hz", min=0.1, max=500.0, doc="how often it is asked"
+    )
 
     async def open(self) -> None:
         """Make sure that the servo answers, and can be asked in one turn of the wire."""
@@ -138,7 +140,7 @@ class Torqued(_OnServo, Actuator[T]):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.claim = f"servo {self.id}"
+        self.claim: str = f"servo {self.id}"
         self._torque = False
 
     async def open(self) -> None:
@@ -203,7 +205,7 @@ class Servo(Torqued[Goal]):
     """
 
     mode = POSITION
-    speed = setting(
+    speed: float = setting(
         0.0, unit="rad/s", min=0.0, max=30.0, doc="how fast it moves; 0 for no limit"
     )
 

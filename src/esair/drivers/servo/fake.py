@@ -65,7 +65,7 @@ class FakeServo:
         self._start(mode=self.table[OPERATING_MODE], steps=self.get(PRESENT_POSITION))
 
     def _start(self, mode: int, steps: int) -> None:
-        self.table = bytearray(TABLE_SIZE)
+        self.table: bytearray = bytearray(TABLE_SIZE)
         self.table[OPERATING_MODE] = mode
         for place in range(28):
             self.table[MAP + 2 * place] = MAPPED + place
@@ -150,8 +150,8 @@ class FakeServos:
         )
         self._there: Mapping[int, _Obeying] = self.servos
         self.written: list[tuple[int, int, bytes]] = []
-        self.plugged = True
-        self.delay = 0.0
+        self.plugged: bool = True
+        self.delay: float = 0.0
         self.turns = 0
         self._garble = 0
         self._stalled = False

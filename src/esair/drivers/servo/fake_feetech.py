@@ -25,7 +25,7 @@ class FakeFeetechServo:
     """
 
     def __init__(self, *, steps: int = 2048) -> None:
-        self.table = bytearray(TABLE_SIZE)
+        self.table: bytearray = bytearray(TABLE_SIZE)
         self.table[3:5] = (777).to_bytes(2, "little")
         self.faults = 0
         for entry in (FEETECH_STS.goal, FEETECH_STS.position):
@@ -72,6 +72,8 @@ class FakeFeetechServo:
 
 class FakeFeetechServos(FakeServos):
     """Servos on one line; ``open`` is the opener of a `FeetechBus`."""
+
+    feetech: dict[int, FakeFeetechServo]
 
     _header = b"\xff\xff"
     _word = 1

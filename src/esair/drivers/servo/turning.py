@@ -26,7 +26,7 @@ __all__ = ["ServoCurrent", "ServoVelocity"]
 class _Turned(Torqued[float]):
     """A servo that is told a number; 0 is at rest, and needs no torque to begin with."""
 
-    safe = 0.0
+    safe: float = 0.0
 
     _entry: Entry
 
@@ -67,7 +67,7 @@ class ServoVelocity(_Turned):
         **settings: Unpack[TorquedSettings],
     ) -> None:
         super().__init__(**settings)
-        self.limits = limits
+        self.limits: tuple[float, float] = limits
         self._entry = self.bus.table.velocity
 
     def _units(self, command: float) -> int:
@@ -106,7 +106,7 @@ class ServoCurrent(_Turned):
         if max(map(abs, limits)) > unit * 0x7FFF:
             raise ConfigError(self.name, "limits", f"a servo has less than {limits!r}")
         self.unit = unit
-        self.limits = limits
+        self.limits: tuple[float, float] = limits
 
     def _units(self, command: float) -> int:
         return round(command / self.unit)
