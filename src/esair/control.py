@@ -91,21 +91,21 @@ class Pid:
             raise ValueError(
                 "Pid: p, i and d have different signs: one works against another"
             )
-        self.p = float(p)
-        self.i = float(i)
-        self.d = float(d)
-        self.low = float(low)
-        self.high = float(high)
-        self.wrap = float(wrap)
+        self.p: float = float(p)
+        self.i: float = float(i)
+        self.d: float = float(d)
+        self.low: float = float(low)
+        self.high: float = float(high)
+        self.wrap: float = float(wrap)
         self.longest_ms = longest_ms
         self.reset()
 
     def reset(self) -> None:
         """Forget what was: as it was made."""
-        self.integral = _between(self.low, 0.0, self.high)
-        self.output = self.integral
-        self.measured = 0.0
-        self.started = False
+        self.integral: float = _between(self.low, 0.0, self.high)
+        self.output: float = self.integral
+        self.measured: float = 0.0
+        self.started: bool = False
 
     def step(self, target: float, measured: float, elapsed_ms: int) -> float:
         """Return what to do now.
@@ -152,13 +152,13 @@ class LowPass:
 
     def __init__(self, time_ms: float) -> None:
         _check("LowPass", "time_ms", time_ms, 0.001)
-        self.time_ms = float(time_ms)
+        self.time_ms: float = float(time_ms)
         self.reset()
 
     def reset(self) -> None:
         """Forget what was: the next value is believed at once."""
-        self.value = 0.0
-        self.started = False
+        self.value: float = 0.0
+        self.started: bool = False
 
     def step(self, value: float, elapsed_ms: int) -> float:
         """Return the smoothed value.
@@ -205,15 +205,15 @@ class Slew:
         _check("Slew", "down_per_s", down_per_s, 1e-9)
         _check("Slew", "start", start, -_GREATEST)
         _check("Slew", "longest_ms", longest_ms, 1)
-        self.up_per_s = float(up_per_s)
-        self.down_per_s = float(down_per_s)
-        self.start = float(start)
+        self.up_per_s: float = float(up_per_s)
+        self.down_per_s: float = float(down_per_s)
+        self.start: float = float(start)
         self.longest_ms = longest_ms
         self.reset()
 
     def reset(self) -> None:
         """Go back to the start at once."""
-        self.value = self.start
+        self.value: float = self.start
 
     def step(self, value: float, elapsed_ms: int) -> float:
         """Return how far it has come towards *value*.
@@ -252,14 +252,14 @@ class Debounce:
         _check("Debounce", "off_ms", off_ms, 0)
         self.on_ms = on_ms
         self.off_ms = off_ms
-        self.start = bool(start)
+        self.start: bool = bool(start)
         self.reset()
 
     def reset(self) -> None:
         """Go back to the start."""
-        self.value = self.start
-        self.other_ms = 0
-        self.was_other = False
+        self.value: bool = self.start
+        self.other_ms: int = 0
+        self.was_other: bool = False
 
     def step(self, value: bool, elapsed_ms: int) -> bool:
         """Return what is believed.
@@ -302,14 +302,14 @@ class Hysteresis:
         _check("Hysteresis", "on", on, -_GREATEST)
         if off >= on:
             raise ValueError("Hysteresis: off has to be below on")
-        self.off = float(off)
-        self.on = float(on)
-        self.start = bool(start)
+        self.off: float = float(off)
+        self.on: float = float(on)
+        self.start: bool = bool(start)
         self.reset()
 
     def reset(self) -> None:
         """Go back to the start."""
-        self.value = self.start
+        self.value: bool = self.start
 
     def step(self, value: float) -> bool:
         """Return whether it is on."""
@@ -337,15 +337,15 @@ class MovingMedian:
                 "MovingMedian: count is " + repr(count) + ": expected 1 to 63"
             )
         self.count = count
-        self.values = [0.0] * count
-        self.in_order = [0.0] * count
+        self.values: list[float] = [0.0] * count
+        self.in_order: list[float] = [0.0] * count
         self.reset()
 
     def reset(self) -> None:
         """Forget all values."""
-        self.known = 0
-        self.next = 0
-        self.value = 0.0
+        self.known: int = 0
+        self.next: int = 0
+        self.value: float = 0.0
 
     def step(self, value: float) -> float:
         """Take a value; return the median of the last ones."""
@@ -379,14 +379,14 @@ class Complementary:
     def __init__(self, time_ms: float, *, wrap: float = 0.0) -> None:
         _check("Complementary", "time_ms", time_ms, 0.001)
         _check("Complementary", "wrap", wrap, 0.0)
-        self.time_ms = float(time_ms)
-        self.wrap = float(wrap)
+        self.time_ms: float = float(time_ms)
+        self.wrap: float = float(wrap)
         self.reset()
 
     def reset(self) -> None:
         """Forget what was: the next angle of the slow one is believed at once."""
-        self.value = 0.0
-        self.started = False
+        self.value: float = 0.0
+        self.started: bool = False
 
     def step(self, rate_per_s: float, angle: float, elapsed_ms: int) -> float:
         """Return the angle; from minus half a turn to half a turn if it wraps.
@@ -442,16 +442,16 @@ class TrapezoidProfile:
         _check("TrapezoidProfile", "acceleration_per_s2", acceleration_per_s2, 1e-9)
         _check("TrapezoidProfile", "start", start, -_GREATEST)
         _check("TrapezoidProfile", "longest_ms", longest_ms, 1)
-        self.speed_per_s = float(speed_per_s)
-        self.acceleration_per_s2 = float(acceleration_per_s2)
-        self.start = float(start)
+        self.speed_per_s: float = float(speed_per_s)
+        self.acceleration_per_s2: float = float(acceleration_per_s2)
+        self.start: float = float(start)
         self.longest_ms = longest_ms
         self.reset()
 
     def reset(self) -> None:
         """Stand at the start."""
-        self.position = self.start
-        self.velocity = 0.0
+        self.position: float = self.start
+        self.velocity: float = 0.0
         """Units a second, with its direction."""
 
     def step(self, target: float, elapsed_ms: int) -> float:

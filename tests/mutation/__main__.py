@@ -45,8 +45,14 @@ TESTS = [
     *(f"tests/{room}" for room in ("connections", "supervisors", "protection", "turn")),
     *(f"tests/{room}" for room in ("actions", "resources", "journal", "recording")),
     *(f"tests/{room}" for room in ("replay", "seat", "plan", "testing")),
-    *(f"tests/test_{it}.py" for it in ("robot", "halt", "cancellation", "one_owner")),
-    *(f"tests/test_{it}.py" for it in ("nobody_takes_the_loop", "state_machine")),
+    *(
+        f"tests/standard/test_{it}.py"
+        for it in ("robot", "halt", "cancellation", "one_owner")
+    ),
+    *(
+        f"tests/standard/test_{it}.py"
+        for it in ("nobody_takes_the_loop", "state_machine")
+    ),
 ]
 IN_REAL_TIME = 3
 """The exit code of a child in which a test in real time has failed; and how often it must."""
