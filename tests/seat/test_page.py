@@ -23,7 +23,7 @@ from tests.seat.conftest import STILL, Twist, Wander, eventually
 
 import esair
 from esair.seat import Seat
-from esair.seat._lobby import CONNECTIONS, OF_ONE
+from esair.seat._page import CONNECTIONS, OF_ONE
 
 pytestmark = pytest.mark.real_clock
 

@@ -23,7 +23,7 @@ from esair.testing import VirtualLoop
 from esair.torture import Outcome, Step, Story, Target, World, torture
 from esair.torture._kinds import KINDS, cast_of
 from esair.torture._patience import HeldError, Patience, _held_in
-from esair.torture._teller import random_story
+from esair.torture._torture import random_story
 
 HERE = Path(__file__).parent
 

@@ -26,14 +26,12 @@ from typing import Any, Final, NamedTuple, TypeVar, Unpack
 
 import gpiozero
 
-from esair.drivers.object import Made
+from esair.drivers.object import Made, MadeActuator, MadeSensor
 from esair.exceptions import ConfigError
 from esair.resources import (
     HOLD,
-    Actuator,
     ActuatorSettings,
     Resource,
-    Sensor,
     SensorSettings,
 )
 
@@ -117,7 +115,7 @@ TELLS: Final[Mapping[str, Told]] = {
 """What each class is told. Angles are degrees, all else parts of the whole."""
 
 
-class GpiozeroSensor(Sensor[Any]):
+class GpiozeroSensor(MadeSensor):
     """A sensor of gpiozero.
 
     Args:
@@ -125,8 +123,6 @@ class GpiozeroSensor(Sensor[Any]):
         arguments: The keywords of the class, or a list of its pins.
         limits: Least and greatest value; what is outside is a fault of the device.
     """
-
-    deadline: float = 2.0
 
     def __init__(
         self,
@@ -138,25 +134,13 @@ class GpiozeroSensor(Sensor[Any]):
     ) -> None:
         super().__init__(**settings)
         value = _known(self, device, READS)
-        self.object: Made = Made(self, getattr(gpiozero, device), arguments)
+        self.object = Made(self, getattr(gpiozero, device), arguments)
         self._read = self.object.reading(value)
         if limits is not None:
             self.limits: tuple[float, float] = limits
 
-    def open(self) -> None:
-        """Take the pins."""
-        self.object.open()
 
-    def close(self) -> None:
-        """Give the pins back."""
-        self.object.close()
-
-    def read(self) -> Any:
-        """Read it, as `READS` says."""
-        return self._read()
-
-
-class GpiozeroActuator(Actuator[Any]):
+class GpiozeroActuator(MadeActuator):
     """An actuator of gpiozero.
 
     Args:
@@ -165,8 +149,6 @@ class GpiozeroActuator(Actuator[Any]):
         limits: Narrower limits than those of `TELLS`; for an ``AngularServo`` they are
             those of its angles.
     """
-
-    deadline: float = 2.0
 
     def __init__(
         self,
@@ -188,27 +170,9 @@ class GpiozeroActuator(Actuator[Any]):
                     -90.0 if least is None else float(least),
                     90.0 if most is None else float(most),
                 )
-        self.object: Made = Made(self, getattr(gpiozero, device), arguments)
+        self.object = Made(self, getattr(gpiozero, device), arguments)
         self._tell = self.object.telling(told.attribute)
         self.claim: str = f"{device} {arguments or ''}"
-
-    @property
-    def value_type(self) -> Any:
-        """The type of the commands."""
-        return float if self.safe is HOLD else type(self.safe)
-
-    def open(self) -> None:
-        """Take the pins; nothing moves by it."""
-        self.object.open()
-
-    def close(self) -> None:
-        """Give the pins back."""
-        self.object.close()
-
-    def write(self, command: Any) -> None:
-        """Tell it, as `TELLS` says; a servo that is to hold keeps what it was told."""
-        if command is not HOLD:
-            self._tell(command)
 
 
 def _known(owner: Resource, device: str, known: Mapping[str, T]) -> T:

@@ -8,6 +8,7 @@ import itertools
 import logging
 import math
 import os
+import random
 import signal
 import threading
 import time
@@ -18,13 +19,173 @@ from collections.abc import Callable, Iterator
 import attrs
 
 from esair.torture._judge import Violation
-from esair.torture._kinds import cast_of
+from esair.torture._kinds import KINDS, Cast, Kind, cast_of
 from esair.torture._life import longest_tail
-from esair.torture._shrink import shrink
-from esair.torture._story import Story
+from esair.torture._story import Step, Story
 from esair.torture._target import Target
-from esair.torture._teller import aftermaths, calm, random_story, sieges
 from esair.torture._world import Check, Outcome, tell
+
+DENSE, SPARSE = (0.08, 30, 80), (0.4, 6, 24)
+"""Random stories: the pause between two steps on average, in seconds; how many steps
+there are, at least and at most."""
+
+UP = 3.0  # When the first step is in a story that looks what comes after, in seconds
+SIEGE = 6.0
+"""When the robot is stopped in a story that looks for what grows, in seconds: the
+fault outlasts it."""
+
+FEWEST, MOST = 2, 6  # How many steps there are in a story that looks what comes after
+
+
+def calm(seed: int) -> Story:
+    """Tell of a robot that nothing is done to."""
+    return Story(seed, lasts=5.0)
+
+
+def sieges(cast: Cast, seed: int) -> Iterator[Story]:
+    """Tell of each component that one thing is done to it, for long, and the stop."""
+    for kind in KINDS.values():
+        if kind.lasts == (0.0,) or kind.group == "user":
+            continue
+        for name in cast[kind.on]:
+            much = kind.much[0] if kind.name == "flooding" else kind.much[-1]
+            step = Step(1.0, kind.name, name, lasts=10.0, how=kind.hows[0], much=much)
+            yield Story(seed, (step,), lasts=SIEGE)
+
+
+def aftermaths(cast: Cast, seed: int, calm: float) -> Iterator[Story]:
+    """Tell of each component that one thing is done to it, then of some at random.
+
+    Each goes on for long when all is well again: does the robot, too?
+
+    Args:
+        cast: Who is in the robot.
+        seed: Decides the stories.
+        calm: How long they go on, in seconds.
+    """
+    dice = random.Random(seed)
+    for kind in KINDS.values():
+        for name in cast[kind.on] if kind.weight and kind.name != "suspended" else ():
+            how, much = dice.choice(kind.hows), dice.choice(kind.much)
+            lasts = dice.choice(kind.lasts[-2:])
+            yield _calmly(
+                [Step(UP, kind.name, name, lasts=lasts, how=how, much=much)], dice, calm
+            )
+    while True:
+        steps = random_story(cast, dice.randrange(2**31)).steps
+        begin = dice.randrange(max(1, len(steps) - MOST))
+        steps = steps[begin : begin + dice.randint(FEWEST, MOST)]
+        yield _calmly(
+            [
+                attrs.evolve(each, at=round(each.at - steps[0].at + UP, 3))
+                for each in steps
+                if each.kind not in {"suspended", "end"}
+            ],
+            dice,
+            calm,
+        )
+
+
+def _calmly(steps: list[Step], dice: random.Random, calm: float) -> Story:
+    """Make a story that goes on for long when all is well again."""
+    story = Story(dice.randrange(1, 2**31), tuple(steps))
+    return attrs.evolve(story, lasts=round(story.over_at + calm, 3))
+
+
+def random_story(cast: Cast, seed: int) -> Story:
+    """Tell a random story; the same seed tells the same one."""
+    dice = random.Random(seed)
+    kinds = [each for each in KINDS.values() if each.weight and cast[each.on]]
+    weights = [each.weight for each in kinds]
+    gap, fewest, most = dice.choice((DENSE, DENSE, SPARSE))
+    at = dice.choice((0.0, 0.3, 0.3, 1.0))
+    steps = []
+    for _ in range(dice.randint(fewest, most)):
+        at += dice.choice((0.0, dice.expovariate(1 / gap), dice.expovariate(1 / gap)))
+        (kind,) = dice.choices(kinds, weights)
+        steps.append(_step(kind, cast, at, dice))
+    lasts = round(at + dice.choice((0.0, 0.3, *(1.0,) * 8)), 3)
+    how = dice.choice(("", "", "stop", "cancel", "error"))
+    if how:
+        steps.append(Step(lasts, "end", how=how))
+    return Story(dice.randrange(1, 2**31), tuple(steps), lasts)
+
+
+def _step(kind: Kind, cast: Cast, at: float, dice: random.Random) -> Step:
+    return Step(
+        round(at, 3),
+        kind.name,
+        dice.choice(cast[kind.on]),
+        lasts=dice.choice(kind.lasts),
+        how=dice.choice(kind.hows),
+        much=dice.choice(kind.much),
+    )
+
+
+Shows = Callable[[Story], bool]
+
+TRIES = 400  # How many shorter stories are told at most
+
+
+def shrink(story: Story, shows: Shows) -> Story:
+    """Leave out, shorten and simplify what the finding does not need."""
+    left = TRIES
+
+    def better(candidates: Iterator[Story]) -> Story | None:
+        nonlocal left
+        for each in candidates:
+            if left <= 0:
+                return None
+            left -= 1
+            if shows(each):
+                return each
+        return None
+
+    while left > 0:
+        found = better(_fewer(story)) or better(_simpler(story))
+        if found is None:
+            break
+        story = found
+    return story
+
+
+def _fewer(story: Story) -> Iterator[Story]:
+    """Leave out a half, a quarter, ..., one step."""
+    steps = story.steps
+    size = len(steps)
+    while size > 0:
+        for start in range(0, len(steps), size):
+            rest = steps[:start] + steps[start + size :]
+            if len(rest) < len(steps):
+                yield attrs.evolve(story, steps=rest)
+        size //= 2
+
+
+def _simpler(story: Story) -> Iterator[Story]:
+    last = max((each.at for each in story.steps), default=0.0)
+    for lasts in (round(last + 0.3, 3), round(last + 1.0, 3), story.lasts / 2):
+        if last <= lasts < story.lasts - 0.05:
+            yield attrs.evolve(story, lasts=round(lasts, 3))
+    if story.seed:
+        yield attrs.evolve(story, seed=0)
+    for place, step in enumerate(story.steps):
+        for simpler in _simpler_steps(step):
+            steps = list(story.steps)
+            steps[place] = simpler
+            yield attrs.evolve(story, steps=tuple(sorted(steps, key=lambda s: s.at)))
+
+
+def _simpler_steps(step: Step) -> Iterator[Step]:
+    kind = KINDS[step.kind]
+    if step.how != kind.hows[0]:
+        yield attrs.evolve(step, how=kind.hows[0])
+    rounded = round(step.at, 1)
+    if rounded != step.at:
+        yield attrs.evolve(step, at=rounded)
+    for lasts in kind.lasts:
+        if 0 < lasts < step.lasts:
+            yield attrs.evolve(step, lasts=lasts)
+
 
 MOST_FINDINGS = 5  # After how many findings it ends
 COLLECT = 25  # How many stories are told between two collections of what they leave

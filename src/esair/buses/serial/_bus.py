@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import inspect
 import logging
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,7 +12,6 @@ from typing import Any
 from esair.buses._bus import Bus, Wire
 from esair.buses._exchanges import LATE_LIMIT, Exchange, Exchanges
 from esair.buses._inbox import Inbox, within
-from esair.buses.serial._framing import make_framing, resync_bytes
 from esair.buses.serial._line import Line, SerialLink
 from esair.buses.serial._place import SerialPlace
 from esair.buses.serial._port import Port, close_port, link_of, reach_port
@@ -22,11 +22,56 @@ from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
     describe,
+    did_you_mean,
+    hint_for,
 )
-from esair.framing import Framing
+from esair.framing import FRAMINGS, Cobs, Framing, Lines
 from esair.loop import Arrivals
 from esair.values import check_bytes, check_duration, check_seconds, check_whole
 from esair.watchdog import Outlet
+
+
+def make_framing(owner: str, described: Framing | str | Mapping[str, Any]) -> Framing:
+    """Return a new framing: from another one, a name, or a table with parameters."""
+    if isinstance(described, Framing):
+        return described.fresh()
+    table = {"type": described} if isinstance(described, str) else described
+    if not isinstance(table, Mapping):
+        raise ConfigError(owner, "framing", f"expected {_names()}, not {table!r:.80}")
+    if "type" not in table:
+        raise ConfigError(owner, "framing", f"'type' is missing: expected {_names()}")
+    name = table["type"]
+    if not isinstance(name, str) or name not in FRAMINGS:
+        hint = did_you_mean(str(name), FRAMINGS)
+        raise ConfigError(
+            owner, "framing", f"expected {_names()}, not {name!r:.80}{hint}"
+        )
+    framing: Any = FRAMINGS[name]
+    parameters = {key: value for key, value in table.items() if key != "type"}
+    known = list(inspect.signature(framing).parameters)
+    for key in parameters:
+        if key not in known:
+            hint = hint_for(key, known, "it has")
+            raise ConfigError(owner, "framing", f"{name} has no {key!r:.80}{hint}")
+    try:
+        made: Framing = framing(**parameters)
+    except ConfigError as error:
+        message = str(error).removeprefix(f"framing: {error.field}: ")
+        raise ConfigError(owner, "framing", f"{error.field}: {message}") from error
+    return made
+
+
+def resync_bytes(framing: Framing) -> bytes:
+    """Return what ends a message that was cut, where the framing has such a thing.
+
+    Without it the other end takes the next message for the rest of the one before.
+    """
+    return framing.delimiter if isinstance(framing, Lines | Cobs) else b""
+
+
+def _names() -> str:
+    return "one of " + ", ".join(repr(name) for name in FRAMINGS)
+
 
 ASK_LIMIT = 32
 """How many exchanges may wait for their turn on one line."""

@@ -32,10 +32,56 @@ from esair.resources import (
     SensorSettings,
 )
 
-__all__ = ["Made", "ObjectActuator", "ObjectSensor"]
+__all__ = ["Made", "MadeActuator", "MadeSensor", "ObjectActuator", "ObjectSensor"]
 
 
-class ObjectSensor(Sensor[Any]):
+class MadeSensor(Sensor[Any]):
+    """A sensor that is an object of a package: made at each opening."""
+
+    deadline: float = 2.0
+    object: Made
+    _read: Callable[[], Any]
+
+    def open(self) -> None:
+        """Make the object, and set it up."""
+        self.object.open()
+
+    def close(self) -> None:
+        """Close the object, if it can be closed."""
+        self.object.close()
+
+    def read(self) -> Any:
+        """Read it; on the thread of the object."""
+        return self._read()
+
+
+class MadeActuator(Actuator[Any]):
+    """An actuator that is an object of a package: made at each opening."""
+
+    deadline: float = 2.0
+    object: Made
+    _tell: Callable[[Any], Any]
+
+    @property
+    def value_type(self) -> Any:
+        """The type of the commands."""
+        return float if self.safe is HOLD else type(self.safe)
+
+    def open(self) -> None:
+        """Make the object, and set it up; nothing moves by it."""
+        self.object.open()
+
+    def close(self) -> None:
+        """Close the object, if it can be closed."""
+        self.object.close()
+
+    def write(self, command: Any) -> None:
+        """Tell it; what is to hold keeps what it was told."""
+        if command is not HOLD:
+            self._tell(command)
+
+
+class ObjectSensor(MadeSensor):
     """What an attribute or a method of an object gives.
 
     Args:
@@ -52,8 +98,6 @@ class ObjectSensor(Sensor[Any]):
         limits: Least and greatest value; what is outside is a fault of the device.
     """
 
-    deadline: float = 2.0
-
     def __init__(
         self,
         *,
@@ -66,25 +110,13 @@ class ObjectSensor(Sensor[Any]):
         **settings: Unpack[SensorSettings],
     ) -> None:
         super().__init__(**settings)
-        self.object: Made = Made(self, library, arguments, set_up, lost)
+        self.object = Made(self, library, arguments, set_up, lost)
         self._read = self.object.reading(value)
         if limits is not None:
             self.limits: tuple[float, float] = limits
 
-    def open(self) -> None:
-        """Make the object, and set it up."""
-        self.object.open()
 
-    def close(self) -> None:
-        """Close the object, if it can be closed."""
-        self.object.close()
-
-    def read(self) -> Any:
-        """Read it; on the thread of the object."""
-        return self._read()
-
-
-class ObjectActuator(Actuator[Any]):
+class ObjectActuator(MadeActuator):
     """What an attribute of an object is set to, or a method of it is called with.
 
     Args:
@@ -103,8 +135,6 @@ class ObjectActuator(Actuator[Any]):
         limits: Least and greatest command, or of each of its fields.
     """
 
-    deadline: float = 2.0
-
     def __init__(
         self,
         *,
@@ -118,26 +148,8 @@ class ObjectActuator(Actuator[Any]):
         **settings: Unpack[ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
-        self.object: Made = Made(self, library, arguments, set_up, lost)
+        self.object = Made(self, library, arguments, set_up, lost)
         self._tell = self.object.telling(attribute)
         self.safe: Any = HOLD if safe == "hold" else safe
         self.limits = limits
         self.claim: str = f"{attribute} of {library} {arguments or ''}"
-
-    @property
-    def value_type(self) -> Any:
-        """The type of the commands."""
-        return float if self.safe is HOLD else type(self.safe)
-
-    def open(self) -> None:
-        """Make the object, and set it up."""
-        self.object.open()
-
-    def close(self) -> None:
-        """Close the object, if it can be closed."""
-        self.object.close()
-
-    def write(self, command: Any) -> None:
-        """Assign the command, or call with it; on the thread of the object."""
-        if command is not HOLD:
-            self._tell(command)
