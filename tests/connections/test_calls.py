@@ -421,7 +421,7 @@ async def test_the_end_of_a_safe_task_by_a_stranger_does_not_spin(
         channel = robot.actuators.channels["wheels"]
         channel.make_safe().cancel()
         async with asyncio.timeout(1.0):
-            await channel.safe_now()
+            await channel.safe.settled()
     assert robot.stopped[0].answered
 
 

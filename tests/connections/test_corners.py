@@ -109,12 +109,12 @@ async def test_a_holder_that_never_wrote_again_is_only_released():
         await asyncio.sleep(1.0)  # the command has timed out, the hold goes on
         channel = robot.actuators.channel("wheels")
         told = list(wheels.commands)
-        assert channel.holder is user.wheels.registration
+        assert channel.hold.holder is user.wheels.registration
 
         robot.resources.revoke(user.wheels.registration)
         await asyncio.sleep(0.1)
 
-        assert channel.holder is None
+        assert channel.hold.holder is None
         assert wheels.commands == told
 
 

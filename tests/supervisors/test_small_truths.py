@@ -468,7 +468,7 @@ async def test_who_gives_up_waiting_for_safe_disturbs_nobody() -> None:
         channel = robot.actuators.channels["motor"]
         motor.slow(0.1)
         channel.make_safe()
-        waiting = [asyncio.create_task(channel.safe_now()) for _ in range(3)]
+        waiting = [asyncio.create_task(channel.safe.settled()) for _ in range(3)]
         await asyncio.sleep(0.05)
         waiting[0].cancel()
         before = asyncio.get_running_loop().time()

@@ -354,14 +354,14 @@ class Sampling:
         awaited = [
             each
             for each in dict.fromkeys(bearing)
-            if each.awaited_in == turn and each.latency <= half
+            if each.asking.awaited_in == turn and each.asking.latency <= half
         ]
         if not awaited:
             return False
         self._awaits = len(awaited)
         self._sampled_in = turn
         for each in awaited:
-            each.when_answered(functools.partial(self._answered, turn))
+            each.asking.when_answered(functools.partial(self._answered, turn))
         self._lose_patience()
         self._patience = self._scheduler.at(
             now + half, self._wait_no_longer, order=Order.EXPIRY

@@ -23,7 +23,7 @@ from esair.connections._gate import (
 from esair.connections._protection import Guards, Protection, Stillness
 from esair.connections._registrations import Registration
 from esair.connections._turns import Decision, Sent, WaitingWrites
-from esair.connections._wire import IDLE, NOT_YET, SafeCommand, Watched, Wire
+from esair.connections._wire import IDLE, NOT_YET, SafeCommand, Wire
 from esair.exceptions import (
     AccessDeniedError,
     DeviceLostError,
@@ -151,45 +151,6 @@ class ActuatorChannel(Device):
     @property
     def actuator(self) -> Actuator[Any]:
         return self.wire.actuator
-
-    @property
-    def command_timeout(self) -> float:
-        return self.wire.command_timeout
-
-    @property
-    def applied(self) -> AppliedChannel | None:
-        return self.wire.applied
-
-    @property
-    def watch(self) -> Watched | None:
-        return self.wire.watch
-
-    @watch.setter
-    def watch(self, watch: Watched | None) -> None:
-        self.wire.watch = watch
-
-    @property
-    def latched(self) -> bool:
-        """Whether the robot stops: nothing but the safe command leaves any more."""
-        return self.gate.latched
-
-    @property
-    def halts(self) -> int:
-        return self.gate.halts
-
-    @property
-    def fence(self) -> int:
-        return self.gate.fence
-
-    @property
-    def holder(self) -> Registration | None:
-        """Who has written last, and has not given it back."""
-        return self.hold.holder
-
-    @property
-    def present_holder(self) -> Registration | None:
-        """Who holds it now; None when the hold is over."""
-        return self.hold.present(self.time())
 
     @property
     def is_safe(self) -> bool:
@@ -329,22 +290,6 @@ class ActuatorChannel(Device):
         self.stillness.disarm()
         if self.operations.running:
             self.operations.end(self._safe_instead())
-
-    async def safe_now(self, until: float = float("inf")) -> None:
-        """Wait until the safe command is the last thing on the wire; bounded."""
-        await self.safe.settled(until)
-
-    async def open_safe(self) -> None:
-        """Send the safe command to a device that was just opened."""
-        await self.safe.at_opening()
-
-    async def last_safe(self) -> None:
-        """Send the safe command to a device that is to be closed: it may move still."""
-        await self.safe.at_closing()
-
-    def closed(self) -> None:
-        """Nobody waits for the safe command any more; a thread that has it goes on."""
-        self.safe.close()
 
     def keep_still(self) -> None:
         """Make it safe if somebody is blind, unless a higher priority moves it."""

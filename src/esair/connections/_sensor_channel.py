@@ -71,7 +71,6 @@ class SensorChannel(Device):
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
-        "_asking",
         "_check_value",
         "_followers",
         "_frozen",
@@ -93,7 +92,7 @@ class SensorChannel(Device):
         self.dropped = 0  # how many readings a slow follower has not seen
         self.sequence = 0
         self._followers: tuple[Follower, ...] = ()
-        self._asking = Asking(
+        self.asking = Asking(
             self, publish=self.publish, fail=self._fail, silent=self._silent
         )
         self._listening = Listening(
@@ -115,13 +114,13 @@ class SensorChannel(Device):
     def configured(self) -> None:
         """Take over a changed rate, or deadline."""
         sensor = self.sensor
-        self._asking.configured(sensor)
+        self.asking.configured(sensor)
         if sensor.can_be_asked:
             self.good_for, self.max_age = 1.0 / sensor.rate, PERIODS / sensor.rate
         else:
             self.good_for = math.inf
             self.max_age = math.inf if sensor.period is None else sensor.period
-        if self._asking.stop_polling():
+        if self.asking.stop_polling():
             self._start_polling()
         for follower in self._followers:
             follower.limited()
@@ -131,25 +130,6 @@ class SensorChannel(Device):
         """What is asked, or pushes."""
         sensor: Sensor[Any] = self.driver.resource  # type: ignore[assignment]
         return sensor
-
-    @property
-    def awaited_in(self) -> int:
-        """The turn in which it was polled, while that poll is not answered; or 0."""
-        return self._asking.awaited_in
-
-    @property
-    def latency(self) -> float:
-        """How long the device took lately at most, in seconds; what is past fades."""
-        return self._asking.latency
-
-    @property
-    def missed(self) -> int:
-        """How many polls were left out because the device had not answered yet."""
-        return self._asking.missed
-
-    def when_answered(self, function: Callable[[], None]) -> None:
-        """Call a function when the poll of this turn has ended, whatever came of it."""
-        self._asking.when_answered(function)
 
     @property
     def successes(self) -> int:
@@ -164,11 +144,11 @@ class SensorChannel(Device):
     def counts(self) -> dict[str, int]:
         return {
             "readings": self.sequence,
-            "transactions": self._asking.transactions,
-            "missed": self.missed,
+            "transactions": self.asking.transactions,
+            "missed": self.asking.missed,
             "bad": self.bad,
             "dropped": self.dropped,
-            "turned_away": self._asking.waiting.turned_away,
+            "turned_away": self.asking.waiting.turned_away,
             "abandoned": self.calls.abandoned,
             "late": self.calls.late,
         }
@@ -194,12 +174,12 @@ class SensorChannel(Device):
         self.state = state
         self.error = error
         self.newest = None
-        self._asking.stop_polling()
+        self.asking.stop_polling()
         self.calls.next_opening(error)
-        self._asking.down(error)
+        self.asking.down(error)
         for follower in self._followers:
             follower.changed(error)
-        self._asking.answered()
+        self.asking.answered()
         self.operations.gone(error)
 
     def removed(self) -> None:
@@ -209,7 +189,7 @@ class SensorChannel(Device):
     def forget_age(self) -> None:
         """Make every reading stale, as after a suspend of the computer."""
         self.newest = None
-        self._asking.forget()
+        self.asking.forget()
         error = StaleReadingError(self.name, None, self.good_for)
         for follower in self._followers:
             follower.changed(error)
@@ -242,9 +222,9 @@ class SensorChannel(Device):
         if not fresh and not self.sensor.can_be_asked and self.newest is not None:
             # A device that pushes cannot be asked; it has been silent for too long.
             raise StaleReadingError(self.name, self.time() - self.newest.time, max_age)
-        need = self._asking.next_answer(fresh=fresh)
-        self._asking.ask()
-        reading = await self._asking.waiting.reading(need, timeout)
+        need = self.asking.next_answer(fresh=fresh)
+        self.asking.ask()
+        reading = await self.asking.waiting.reading(need, timeout)
         self._check(registration)
         age = self.time() - reading.time
         if age > max_age:
@@ -285,31 +265,31 @@ class SensorChannel(Device):
     def unfollow(self, follower: Follower) -> None:
         self._followers = tuple(f for f in self._followers if f is not follower)
         if not self._followers:
-            self._asking.stop_polling()
+            self.asking.stop_polling()
 
     def _start_polling(self) -> None:
         if self._followers:
-            self._asking.start_polling(self.sensor, self._check_value, self._history)
+            self.asking.start_polling(self.sensor, self._check_value, self._history)
 
     # Operations, and calls between two questions.
 
     def ready_for(self, operation: Operating) -> bool:
         """Tell whether an operation may begin now."""
-        return not self._asking.busy
+        return not self.asking.busy
 
     def operating(self, operation: Operating, call: Call) -> None:
         """The device has begun with an operation, and is busy."""
-        self._asking.busy = call
+        self.asking.busy = call
 
     def operated(self, call: Call | None) -> None:
         """An operation has its outcome; the device is free if it has ended."""
         if call is not None:
-            self._asking.ended(call)
-        self._asking.free()
+            self.asking.ended(call)
+        self.asking.free()
 
     def between(self, method: Method, told: Callable[[End], None]) -> bool:
         """Call the driver between two questions; tells whether the device was free."""
-        asking = self._asking
+        asking = self.asking
         if asking.busy:
             return False
 
@@ -326,9 +306,9 @@ class SensorChannel(Device):
 
     def _late(self, call: Call) -> None:
         """A call has ended whose outcome was out before."""
-        if call is self._asking.busy:
-            self._asking.ended(call)
-            self._asking.free()
+        if call is self.asking.busy:
+            self.asking.ended(call)
+            self.asking.free()
 
     # Values.
 
@@ -366,7 +346,7 @@ class SensorChannel(Device):
         self._history.append(reading)
         if self._journal.heard:
             self._journal.publish(Kind.READING, self.name, "", reading)
-        waiting = self._asking.waiting
+        waiting = self.asking.waiting
         if waiting.readers:
             waiting.answer(number, reading)
         for follower in self._followers:
@@ -375,7 +355,7 @@ class SensorChannel(Device):
     def _fail(self, error: BaseException, number: float) -> None:
         deadline = self.sensor.deadline
         translated = translate_call(self.name, "read", deadline, error)
-        self._asking.waiting.answer(number, translated)
+        self.asking.waiting.answer(number, translated)
         for follower in self._followers:
             follower.doubt(translated)
         self.robot.on_error(translated)

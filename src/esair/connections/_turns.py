@@ -140,8 +140,8 @@ class Decision:
         return rest
 
     def _rank(self, wish: Wish) -> tuple[bool, int, bool, str, int, str]:
-        registration = wish.registration
-        holder = self._channel.present_holder
+        registration, channel = wish.registration, self._channel
+        holder = channel.hold.present(channel.time())
         return (
             wish.command is not None,  # who gives it back comes first
             -registration.priority,

@@ -157,9 +157,9 @@ class Leases:
         lease.command = command(resource)
         lease.until = max(lease.until, sent + lease.seconds)
         lease.channel = self._actuators.channel(lease.actuator)
-        lease.fence, lease.halts = lease.channel.fence, lease.channel.halts
+        lease.fence, lease.halts = lease.channel.gate.fence, lease.channel.gate.halts
         if lease.repeats is None:
-            pause = lease.channel.command_timeout / 3
+            pause = lease.channel.wire.command_timeout / 3
             lease.repeats = Scheduler.of(self._loop).every(
                 pause, lambda _now: self._repeat(lease)
             )
@@ -224,7 +224,7 @@ class Leases:
         """Keep what was told alive within the lease: an actuator forgets sooner."""
         if self._time() >= lease.until:
             self._lapse(lease)
-        elif not lease.writing and lease.channel.fence == lease.fence:
+        elif not lease.writing and lease.channel.gate.fence == lease.fence:
             self._write(lease)
 
     def _write(self, lease: Lease) -> asyncio.Future[Any]:
@@ -252,7 +252,7 @@ class Leases:
             lease.writing = False
 
     async def _send(self, lease: Lease, command: Any) -> Written[Any] | Refused:
-        if lease.halts != lease.channel.halts:
+        if lease.halts != lease.channel.gate.halts:
             return _superseded(lease, self._time(), "the robot was halted meanwhile")
         hold = max(lease.until - self._time(), 0.001)
         return await self._actuators.write(lease.registration, command, hold=hold)

@@ -229,7 +229,7 @@ class BehaviorDeployment:
         wrote = [channels[name] for name in sorted(member.used) if name in channels]
         if wrote:
             # What is sent goes on to be sent.
-            await asyncio.gather(*(channel.safe_now(deadline) for channel in wrote))
+            await asyncio.gather(*(channel.safe.settled(deadline) for channel in wrote))
         self.ending.remove(member)
         wake(over)
         self.undead.update(undead)

@@ -97,7 +97,7 @@ class ControlPath:
     def _tell_applied(self, actuator: str) -> None:
         """Have the last command of an actuator as a reading, from now on."""
         channel = self._actuators.channels[actuator]
-        if channel.applied is None:
+        if channel.wire.applied is None:
             applied = AppliedChannel(channel.actuator, self.registrations)
             self._sensors.channels[applied.name] = applied
             channel.tell_applied(applied)

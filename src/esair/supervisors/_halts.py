@@ -141,7 +141,7 @@ class Halts:
     async def _answer(self, halting: Halting) -> None:
         channels = tuple(self._channels.values())
         try:
-            await asyncio.gather(*(channel.safe_now() for channel in channels))
+            await asyncio.gather(*(channel.safe.settled() for channel in channels))
         finally:
             halting.settle(channel.told() for channel in channels)
 

@@ -92,8 +92,8 @@ class Opener:
         if changes:
             await self.call("apply", **changes)
         if isinstance(self._channel, ActuatorChannel):
-            await self._channel.open_safe()
-            self._channel.watch = self.watch
+            await self._channel.safe.at_opening()
+            self._channel.wire.watch = self.watch
 
     def _identify(self, answer: Any) -> None:
         """Remember who the device is, or refuse another one in its place."""

@@ -312,7 +312,7 @@ class ResourceDeployment:
             await self.lives[name].last_try(until)
             return
         channel.make_safe()
-        await channel.safe_now(until)
+        await channel.safe.settled(until)
 
     async def _undeploy(self, name: str, state: ResourceState, until: float) -> None:
         life = self.lives[name]
@@ -324,7 +324,7 @@ class ResourceDeployment:
         if self.lives.get(name) is not life:
             return  # the stop and a command have closed it at the same time
         if isinstance(life.channel, ActuatorChannel):
-            life.channel.closed()
+            life.channel.safe.close()
         self._forget(name, state)
 
     def _forget(self, name: str, state: ResourceState) -> None:

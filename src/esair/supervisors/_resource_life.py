@@ -323,7 +323,7 @@ class ResourceLife:
             self._down(error)
             is_there = isinstance(error, GivenUpError) or not is_loss(error)
             if is_there and isinstance(self.channel, ActuatorChannel):
-                await self.channel.last_safe()
+                await self.channel.safe.at_closing()
             await self.device.close()
             # A driver that has held the loop would be asked again in the same turn, whose
             # clock stood still, and before the robot could hear that it shall end.

@@ -114,11 +114,11 @@ class Judge:
         if channel is None or channel.actuator is not gate.resource:
             self.say("unregistered", name, f"{what} by somebody who calls its driver")
             return
-        if channel.latched:
+        if channel.gate.latched:
             self.say("stopped", name, f"{what} after the stop of the robot had begun")
         if not same(channel.told().command, command):
             self.say("unregistered", name, f"{what} by somebody who calls its driver")
-        holder = channel.holder
+        holder = channel.hold.holder
         if holder is None and gate.in_thread:
             return  # given back while the command was on its way into the thread
         if holder is None or holder.reason is not None:
