@@ -90,8 +90,6 @@ class ActuatorChannel(Device):
     the channel those that keep the actuator still, they its safe command, that the wire.
     """
 
-    error: EsairError | BeingReplacedError | None
-
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
         "_dead_man",

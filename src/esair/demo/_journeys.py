@@ -106,8 +106,6 @@ class Journey(Behavior):
 class Explore(Journey):
     """Goes to where the known floor ends, where most can be learned at least cost."""
 
-    tried: tuple[()]
-
     def plan(self, belief: Belief) -> Way | None:
         """Return the way to the best frontier."""
         way = way_to_frontier(belief.floor, belief.position, self.tried)

@@ -290,7 +290,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         """Return the time amid a turn too, in any thread."""
         return time.monotonic() + self._shift
 
-    slept: staticmethod[(), float] = staticmethod(computer_slept)
+    slept = staticmethod(computer_slept)
 
     def wait_in_thread(self, seconds: float) -> None:
         """Let time pass in a thread that works for a robot, and wait for that."""
