@@ -434,7 +434,7 @@ async def test_a_loss_ends_a_poll_that_came_before_a_reader():
     async with esair.Robot(resources=[slow, wheels], behaviors=[user]) as robot:
         channel = robot.sensors.channel("sonar")
         reading = asyncio.create_task(user.sonar.read())
-        channel._asking._turn(loop.time())
+        channel.asking._turn(loop.time())
         await asyncio.sleep(0.1)
         slow.unplug()
         await asyncio.sleep(0.1)

@@ -632,7 +632,7 @@ async def test_late_readings_of_a_closed_device_are_dropped(user_of: Any) -> Non
         resources=[slow], behaviors=[Look()], start_patience=0.01
     ) as robot:
         await asyncio.sleep(0.25)
-        assert robot.sensors.channels["slow"].missed >= 1
+        assert robot.sensors.channels["slow"].asking.missed >= 1
         slow.report_lost()
         await asyncio.sleep(0.05)
         assert seen == []

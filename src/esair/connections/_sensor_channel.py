@@ -76,6 +76,7 @@ class SensorChannel(Device):
         "_frozen",
         "_history",
         "_listening",
+        "asking",
         "bad",
         "dropped",
         "good_for",
