@@ -26,7 +26,7 @@ from typing import Any, Final, NamedTuple, TypeVar, Unpack
 
 import gpiozero
 
-from esair.drivers.object import Made, MadeActuator, MadeSensor
+from esair.drivers._made import Made, MadeActuator, MadeSensor
 from esair.exceptions import ConfigError
 from esair.resources import (
     HOLD,

@@ -23,62 +23,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Unpack
 
-from esair.drivers.object._made import Arguments, Lost, Made
+from esair.drivers._made import Arguments, Lost, Made, MadeActuator, MadeSensor
 from esair.resources import (
     HOLD,
-    Actuator,
     ActuatorSettings,
-    Sensor,
     SensorSettings,
 )
 
-__all__ = ["Made", "MadeActuator", "MadeSensor", "ObjectActuator", "ObjectSensor"]
-
-
-class MadeSensor(Sensor[Any]):
-    """A sensor that is an object of a package: made at each opening."""
-
-    deadline: float = 2.0
-    object: Made
-    _read: Callable[[], Any]
-
-    def open(self) -> None:
-        """Make the object, and set it up."""
-        self.object.open()
-
-    def close(self) -> None:
-        """Close the object, if it can be closed."""
-        self.object.close()
-
-    def read(self) -> Any:
-        """Read it; on the thread of the object."""
-        return self._read()
-
-
-class MadeActuator(Actuator[Any]):
-    """An actuator that is an object of a package: made at each opening."""
-
-    deadline: float = 2.0
-    object: Made
-    _tell: Callable[[Any], Any]
-
-    @property
-    def value_type(self) -> Any:
-        """The type of the commands."""
-        return float if self.safe is HOLD else type(self.safe)
-
-    def open(self) -> None:
-        """Make the object, and set it up; nothing moves by it."""
-        self.object.open()
-
-    def close(self) -> None:
-        """Close the object, if it can be closed."""
-        self.object.close()
-
-    def write(self, command: Any) -> None:
-        """Tell it; what is to hold keeps what it was told."""
-        if command is not HOLD:
-            self._tell(command)
+__all__ = ["Made", "ObjectActuator", "ObjectSensor"]
 
 
 class ObjectSensor(MadeSensor):

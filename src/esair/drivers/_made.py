@@ -1,0 +1,286 @@
+"""An object of a package, by ways such as ``"channels[0].voltage"``: made, used, closed."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from esair.exceptions import ConfigError, DeviceLostError, describe
+from esair.resources import HOLD, Actuator, Resource, Sensor
+
+
+class Path:
+    """A way from an object: attributes, items, and calls with plain arguments.
+
+    Nothing is evaluated: names, numbers and texts are looked up one after the other.
+
+    Args:
+        owner: The resource whose setting this is.
+        field: The name of the setting, for an error.
+        text: The way, such as ``"temperature"``, ``"channels[0].duty_cycle"``,
+            ``"get_temperature()"`` or ``"read(0, gain=2)"``.
+        to_assign: Whether it has to end at an attribute.
+
+    Raises:
+        ConfigError: It is no such way.
+    """
+
+    def __init__(
+        self, owner: Resource, field: str, text: str, *, to_assign: bool = False
+    ) -> None:
+        self.text = text
+        self.is_call: bool = False
+        """Whether the last step is a call."""
+        self._steps: list[tuple[str, Any]] = []
+        try:
+            self._take(ast.parse(text, mode="eval").body)
+        except (SyntaxError, ValueError, TypeError):
+            raise ConfigError(
+                owner.name,
+                field,
+                "expected an attribute such as 'temperature', 'channels[0].duty_cycle' "
+                f"or 'read(0)', not {text!r:.80}",
+            ) from None
+        self.is_call = self._steps[-1][0] == "call"
+        if to_assign and self._steps[-1][0] != "attribute":
+            raise ConfigError(owner.name, field, f"expected an attribute, not {text!r}")
+
+    def _take(self, node: ast.expr) -> None:
+        match node:
+            case ast.Name(id=name) if not name.startswith("__"):
+                self._steps.append(("attribute", name))
+            case ast.Attribute(value=inner, attr=name) if not name.startswith("__"):
+                self._take(inner)
+                self._steps.append(("attribute", name))
+            case ast.Subscript(value=inner, slice=key):
+                self._take(inner)
+                self._steps.append(("item", ast.literal_eval(key)))
+            case ast.Call(func=inner, args=args, keywords=keywords):
+                self._take(inner)
+                told = tuple(map(ast.literal_eval, args))
+                named = {str(k.arg): ast.literal_eval(k.value) for k in keywords}
+                self._steps.append(("call", (told, named)))
+            case _:
+                raise ValueError(node)
+
+    def get(self, found: Any) -> Any:
+        """Go the way from an object; return what is there."""
+        for kind, what in self._steps:
+            found = _step(found, kind, what)
+        return found
+
+    def put(self, found: Any, value: Any) -> None:
+        """Go the way; assign a value to its end, or call that with it before all else."""
+        for kind, what in self._steps[:-1]:
+            found = _step(found, kind, what)
+        kind, what = self._steps[-1]
+        if kind == "call":
+            told, named = what
+            found(value, *told, **named)
+        else:
+            setattr(found, what, value)
+
+
+def _step(found: Any, kind: str, what: Any) -> Any:
+    if kind == "attribute":
+        return getattr(found, what)
+    if kind == "item":
+        return found[what]
+    told, named = what
+    return found(*told, **named)
+
+
+def imported(owner: Resource, library: str, *, hint: str) -> Callable[..., Any]:
+    """Return the class or function that ``module:name`` names.
+
+    Raises:
+        ConfigError: There is none, or it cannot be called.
+    """
+    module, colon, name = library.partition(":")
+    if not (module and colon and name):
+        raise ConfigError(
+            owner.name, "library", f"expected 'module:Class', not {library!r:.80}"
+        )
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            owner.name, "library", f"{error.name!r} is not installed; {hint}"
+        ) from error
+    except Exception as error:  # some packages refuse to be imported on some boards
+        raise ConfigError(
+            owner.name, "library", f"{library!r} cannot be used: {describe(error)}"
+        ) from error
+    if not callable(found):
+        raise ConfigError(owner.name, "library", f"{library!r} is no class")
+    made: Callable[..., Any] = found
+    return made
+
+
+Arguments = Mapping[str, Any] | Sequence[Any] | None
+Lost = Sequence[str | type[Exception]]
+
+
+class Made:
+    """The object of a resource.
+
+    Args:
+        owner: The resource, which errors name.
+        library: Its class as ``module:Class``, or anything that is called and makes it.
+        arguments: What that is called with: keywords, or a list of values.
+        set_up: Attributes that are assigned at each opening, by their ways.
+        lost: Errors that say that the device is gone.
+        hint: What to do if the package is not installed, in words.
+        around: What is entered around each use of the object.
+
+    Raises:
+        ConfigError: The package is not installed, or a way is none.
+    """
+
+    def __init__(
+        self,
+        owner: Resource,
+        library: str | Callable[..., Any],
+        arguments: Arguments = None,
+        set_up: Mapping[str, Any] | None = None,
+        lost: Lost = (),
+        *,
+        hint: str = "install the package that has it",
+        around: Callable[[], contextlib.AbstractContextManager[None]] = (
+            contextlib.nullcontext
+        ),
+    ) -> None:
+        self._owner = owner
+        self._around = around
+        self._make = self._called(library, hint)
+        is_list = isinstance(arguments, Sequence)
+        self._listed = tuple(arguments) if isinstance(arguments, Sequence) else ()
+        self._named = {} if is_list else dict(arguments or {})
+        self._lost = tuple(self._error(each, hint) for each in lost)
+        self.set_up: dict[str, tuple[Path, Any]] = {
+            text: (Path(owner, f"set_up.{text}", text, to_assign=True), value)
+            for text, value in (set_up or {}).items()
+        }
+        """What is assigned at each opening, by its way."""
+        self.it: Any = None
+        """The object, between `open` and `close`."""
+
+    def _called(self, library: Any, hint: str) -> Callable[..., Any]:
+        if isinstance(library, str):
+            return imported(self._owner, library, hint=hint)
+        made: Callable[..., Any] = library
+        return made
+
+    def _error(self, error: str | type[Exception], hint: str) -> type[Exception]:
+        found: Any = self._called(error, hint)
+        if not (isinstance(found, type) and issubclass(found, Exception)):
+            raise ConfigError(
+                self._owner.name, "lost", f"{error!r} is no class of errors"
+            )
+        return found
+
+    def open(self, *first: Any) -> None:
+        """Make the object, with what comes before its arguments, and set it up."""
+        self.close()
+        self.it = self.use(lambda: self._make(*first, *self._listed, **self._named))
+        for path, value in self.set_up.values():
+            self.use(path.put, self.it, value)
+
+    def close(self) -> None:
+        """Close the object, if it can be closed, and forget it."""
+        made, self.it = self.it, None
+        close = getattr(made, "close", None)
+        if callable(close):
+            close()
+
+    def get(self, path: Path) -> Any:
+        """Return what is at the end of a way from the object."""
+        return self.use(path.get, self._there())
+
+    def reading(self, value: str | Sequence[str]) -> Callable[[], Any]:
+        """Return what reads a value, or a dictionary of several.
+
+        Raises:
+            ConfigError: There is none, or it is no way.
+        """
+        texts = [value] if isinstance(value, str) else list(value)
+        if not texts:
+            raise ConfigError(
+                self._owner.name, "value", "expected at least one attribute"
+            )
+        paths = {text: Path(self._owner, "value", text) for text in texts}
+        if isinstance(value, str):
+            return lambda: self.get(paths[value])
+        return lambda: {text: self.get(path) for text, path in paths.items()}
+
+    def telling(self, attribute: str) -> Callable[[Any], None]:
+        """Return what assigns a command to an attribute, or calls it with one."""
+        is_call = isinstance(attribute, str) and attribute.endswith(")")
+        path = Path(self._owner, "attribute", attribute, to_assign=not is_call)
+        return lambda command: self.use(path.put, self._there(), command)
+
+    def _there(self) -> Any:
+        if self.it is None:
+            raise DeviceLostError(self._owner.name, "it is not open")
+        return self.it
+
+    def use(self, function: Callable[..., Any], *told: Any) -> Any:
+        """Call what uses the object.
+
+        Raises:
+            DeviceLostError: It raised one of the errors that say so.
+        """
+        try:
+            with self._around():
+                return function(*told)
+        except self._lost as error:
+            raise DeviceLostError(self._owner.name, describe(error)) from error
+
+
+class MadeSensor(Sensor[Any]):
+    """A sensor that is an object of a package: made at each opening."""
+
+    deadline: float = 2.0
+    object: Made
+    _read: Callable[[], Any]
+
+    def open(self) -> None:
+        """Make the object, and set it up."""
+        self.object.open()
+
+    def close(self) -> None:
+        """Close the object, if it can be closed."""
+        self.object.close()
+
+    def read(self) -> Any:
+        """Read it; on the thread of the object."""
+        return self._read()
+
+
+class MadeActuator(Actuator[Any]):
+    """An actuator that is an object of a package: made at each opening."""
+
+    deadline: float = 2.0
+    object: Made
+    _tell: Callable[[Any], Any]
+
+    @property
+    def value_type(self) -> Any:
+        """The type of the commands."""
+        return float if self.safe is HOLD else type(self.safe)
+
+    def open(self) -> None:
+        """Make the object, and set it up; nothing moves by it."""
+        self.object.open()
+
+    def close(self) -> None:
+        """Close the object, if it can be closed."""
+        self.object.close()
+
+    def write(self, command: Any) -> None:
+        """Tell it; what is to hold keeps what it was told."""
+        if command is not HOLD:
+            self._tell(command)
