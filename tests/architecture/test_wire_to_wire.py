@@ -62,7 +62,11 @@ class Wheels(LineActuator):
 
 
 async def way_of_a_reading() -> list[Call]:
-    """Count the calls for one reading, when everything has gone that way before."""
+    """Return the calls for one reading: the shortest way of ten.
+
+    Beside some of them stands what comes now and then: a look at the computer's sleep, a
+    stall of a busy machine.
+    """
     board, port = os.openpty()
     tty.setraw(port)
     os.set_blocking(board, False)
@@ -72,6 +76,7 @@ async def way_of_a_reading() -> list[Call]:
     sonar = LineSensor(name="sonar", bus=bus, key="range")
     turn = turn_of(asyncio.get_running_loop())
     found: list[Call] = []
+    ways: list[list[Call]] = []
 
     def see(frame: FrameType, event: str, _argument: object) -> None:
         file = Path(frame.f_code.co_filename)
@@ -80,17 +85,18 @@ async def way_of_a_reading() -> list[Call]:
             found.append(Call(turn.number, name, frame.f_code.co_qualname))
 
     async with esair.Robot(resources=[sonar, wheels], behaviors=[Drive()]):
-        for number in range(3):
-            await asyncio.sleep(0.05)
+        for number in range(10):
+            await asyncio.sleep(0.03)
             found.clear()
             wheels.arrived.clear()
             os.write(board, f"range={0.5 + number}\n".encode())
             sys.setprofile(see)
             await asyncio.wait_for(wheels.arrived.wait(), 5.0)
+            begin = next(i for i, each in enumerate(found) if each.function == BEGIN)
+            ways.append(found[begin:])
     os.close(board)
     os.close(port)
-    begin = next(at for at, each in enumerate(found) if each.function == BEGIN)
-    return found[begin:]
+    return min(ways, key=len)
 
 
 @pytest.mark.real_clock
