@@ -1,8 +1,10 @@
 """``esair min build --board c|avr``: what is written, how much it takes, what examples get."""
 
+import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -101,6 +103,34 @@ def test_the_sketch_is_one_of_c_plus_plus(tmp_path) -> None:
         ["g++", "-fsyntax-only", "-I", folder, folder / "robot.cpp"], check=True
     )
     assert text.count("return false;") == 3
+
+
+@pytest.mark.long
+def test_the_same_robot_gives_the_same_text(tmp_path) -> None:
+    """In each process, whatever the order of its sets."""
+    actuators = [f"wheel_{n}" for n in range(6)]
+    (tmp_path / "six.py").write_text(
+        "from esair.minimal import Actuator, Reaction, Sensor, reads, writes\n"
+        "class Button(Sensor):\n    def read(self) -> bool: return False\n"
+        "class Wheel(Actuator):\n    safe = 0\n    def write(self, command): pass\n"
+        "class Go(Reaction):\n    button = reads(bool)\n    wheel_0 = writes(int)\n"
+        "    def react(self, button):\n        return 1 if button else None\n"
+    )
+    tables = [f'[actuator.{name}]\ndriver = "six:Wheel"\n' for name in actuators]
+    tables += ['[sensor.button]\ndriver = "six:Button"\n']
+    tables += ['[behavior.go]\ndriver = "six:Go"\n']
+    (tmp_path / "robot.toml").write_text("".join(tables))
+    texts = set()
+    for seed in "12":
+        words = ["min", "build", str(tmp_path / "robot.toml"), "--board", "c"]
+        subprocess.run(
+            [sys.executable, "-m", "esair", *words, "--out", str(tmp_path / seed)],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            check=True,
+        )
+        texts.add((tmp_path / seed / "robot" / "robot.c").read_text())
+
+    assert len(texts) == 1
 
 
 def test_no_floats_where_the_reactions_have_none(tmp_path) -> None:

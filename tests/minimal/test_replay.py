@@ -148,16 +148,16 @@ def steps_of(told: Told, world: World) -> str:
     return json.dumps(steps)
 
 
-NUMBERS = [0.25, 0.5, 1, -0.75, 2.0]
+NUMBERS = [0.25, 0.5, 1, -0.75, 2.0, 0.0]
 
 COMMANDS: dict[str, list[Any]] = {
     "number": [*NUMBERS, "nan", "inf", "x", True],
-    "count": [1, 2, -3, 0.5, True, "x"],
+    "count": [0, 1, 2, -3, 0.5, True, "x"],
     "switch": [True, False, 1],
-    "pair": [[0.25, 0.5], [1, -0.75], [2.0, "nan"], [0.5], 0.5],
-    "twist": [[0.25, 0.5], [1, -0.75], [2.0, 0.25], ["inf", 0.25], 0.5],
+    "pair": [[0.0, 0.0], [0.25, 0.5], [1, -0.75], [2.0, "nan"], [0.5], 0.5],
+    "twist": [[0.0, 0.0], [0.25, 0.5], [1, -0.75], [2.0, 0.25], ["inf", 0.25], 0.5],
 }
-"""What reactions decide to send to each kind of actuator; some of it is no good."""
+"""What reactions decide to send to each kind of actuator; some is safe, some no good."""
 
 LIMITS: dict[str, list[Any]] = {
     "number": [None, [-1.0, 1.0]],
