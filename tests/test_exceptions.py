@@ -21,6 +21,7 @@ FAMILY: dict[str, tuple[type[Exception], tuple[Any, ...]]] = {
     "DeviceLostError": (ConnectionError, ("wheels", "unplugged")),
     "DeviceFaultError": (OSError, ("wheels", "checksum")),
     "DriverStuckError": (TimeoutError, ("wheels", "write", 1.0)),
+    "NoTurnError": (TimeoutError, ("chips", "a read", 1.0)),
     "StaleReadingError": (TimeoutError, ("sonar", 0.7, 0.5)),
     "BadValueError": (ValueError, ("wheels", "linear", "expected a finite number")),
     "BehaviorUnavailableError": (TimeoutError, ("mapper", "receive", 1.0, "running")),

@@ -13,6 +13,7 @@ it broadly (``except TimeoutError``) or exactly (``except esair.StaleReadingErro
     ├── DeviceLostError          ConnectionError  unplugged; it may come back
     ├── DeviceFaultError         OSError          the device answered wrongly
     ├── DriverStuckError         TimeoutError     a driver call did not return
+    │   └── NoTurnError                           its bus had no time for it
     ├── StaleReadingError        TimeoutError     no reading that is fresh enough
     ├── BadValueError            ValueError       a value that must not be sent
     ├── BehaviorUnavailableError TimeoutError     busy for the whole interval
@@ -166,6 +167,17 @@ class DriverStuckError(EsairError, TimeoutError):
         self.resource = resource
         self.call = call
         self.seconds = seconds
+
+
+class NoTurnError(DriverStuckError):
+    """A call got no turn on its bus: it was not made, and the device was not asked."""
+
+    def __init__(self, resource: str, call: str, seconds: float) -> None:
+        super().__init__(resource, call, seconds)
+        self.args = (
+            f"{call} of {resource!r} got no turn on its bus in {seconds:g} s: "
+            "the bus is asked for more than it can do, or is held up",
+        )
 
 
 class StaleReadingError(EsairError, TimeoutError):

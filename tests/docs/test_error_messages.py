@@ -16,6 +16,7 @@ ERRORS = [
     esair.DeviceLostError("sonar"),
     esair.DeviceFaultError("wheels", "expected a fan41"),
     esair.DriverStuckError("arm", "write", 1.0),
+    esair.NoTurnError("chips", "chip 0x40", 1.0),
     esair.StaleReadingError("sonar", 0.62, 0.5),
     esair.BadValueError("wheels", "linear", "expected at most 0.6, not 3.0"),
     esair.BehaviorUnavailableError("mapper", "receive", 1.0, "parked"),

@@ -20,6 +20,9 @@ E = TypeVar("E", bound=BaseException)
 LOOK_TIMEOUT = 1.0
 """How long a bus looks what is there before it opens it, in seconds."""
 
+TURN_LIMIT = 1.0
+"""How long what is asked of a bus waits for its turn, in seconds; its time begins then."""
+
 CANCEL_TIMEOUT = 0.2
 """How long a close waits for the end of an opening that is under way, in seconds."""
 
@@ -213,6 +216,10 @@ class Bus(abc.ABC):
     def waiting(self) -> int:
         """How much waits to be sent: bytes, frames or calls."""
         return self.executor.waiting
+
+    def seconds_for(self, traffic: int) -> float:
+        """Return how long so many bytes of one device keep the wire; 0 if not known."""
+        return 0.0
 
     def on_lost(self, listener: Callable[[BaseException], None]) -> Callable[[], None]:
         """Call a function when the wire is gone; returns how to stop that."""

@@ -7,10 +7,10 @@ import functools
 from collections.abc import Awaitable, Callable, Hashable
 from typing import Self
 
-from esair.buses._bus import Bus
+from esair.buses._bus import TURN_LIMIT, Bus
 from esair.buses._inbox import within
-from esair.exceptions import BusyError, DeviceLostError, DriverStuckError
-from esair.loop import Deadline, Deadlines, arrive, fail
+from esair.exceptions import BusyError, DeviceLostError, DriverStuckError, NoTurnError
+from esair.loop import Deadline, Deadlines, InLine, arrive, fail, had_turn
 
 LATE_LIMIT = 0.4
 """How long after it was due an answer may still come, in seconds."""
@@ -81,8 +81,8 @@ class Exchanges:
         Args:
             send: Sends it; gets how many seconds are left.
             *kinds: What the answer begins with; anything if none is given.
-            timeout: How long to wait, for the turn, the sending and the answer
-                together, in seconds.
+            timeout: How long to wait, for the sending and the answer together, in
+                seconds; for its turn it waits as long, and `TURN_LIMIT` at least.
             answers: Tells its answer from those to all other requests, by a sequence
                 number, say; then late ones need not be waited for.
             patience: How long after it was sent its answer is due, in seconds;
@@ -90,7 +90,8 @@ class Exchanges:
 
         Raises:
             BusyError: Too many requests wait; it was not sent.
-            DriverStuckError: There was no answer, or no turn, in time.
+            NoTurnError: Others had the wire all the time; it was not sent.
+            DriverStuckError: There was no answer in time.
         """
         exchange = self.request(*kinds, timeout=timeout, answers=answers)
         if not self.take(exchange):
@@ -175,7 +176,7 @@ class Exchanges:
         for owed, deadline in self.unanswered.items():
             if deadline is None:
                 self._owe(owed, self._late_limit)
-        if self.now is None and not self._is_owed_to(exchange):
+        if self.now is None and not self.is_owed_to(exchange):
             self.now = exchange
             return
         if len(self._line) >= self._limit:
@@ -217,7 +218,8 @@ class Exchanges:
         if self.now is not None:
             self.now.expire()
 
-    def _is_owed_to(self, exchange: Exchange) -> bool:
+    def is_owed_to(self, exchange: Exchange) -> bool:
+        """Tell whether an answer is owed that could be taken for that of another."""
         return bool(self.unanswered) and any(map(exchange.is_like, self.unanswered))
 
     def _owe(self, exchange: Exchange, seconds: float) -> None:
@@ -238,11 +240,20 @@ class Exchanges:
         """Give the turn to the first whose answer can be taken for none that is owed."""
         if self.now is None:
             for exchange in self._line:
-                if not self._is_owed_to(exchange):
+                if not self.is_owed_to(exchange):
                     self._line.remove(exchange)
                     self.now = exchange
                     exchange.begin_turn()
                     return
+
+    def no_turn(self, exchange: Exchange, stuck: DriverStuckError) -> DriverStuckError:
+        """Return the error for a request that could not leave in time."""
+        if self.is_owed_to(exchange):  # its own device has not answered
+            return stuck
+        self._bus.stats.no_turn += 1
+        return self._bus.failed(
+            NoTurnError(self._bus.name, stuck.call, max(stuck.seconds, TURN_LIMIT))
+        )
 
     def stuck(self, what: str, seconds: float) -> DriverStuckError:
         """Return the error for a request whose time is up, counted."""
@@ -315,9 +326,20 @@ class Exchange:
         return waiter
 
     async def wait(self) -> None:
-        """Wait for its turn, as long as its time lasts."""
-        self._waiter = self.loop.create_future()
-        await within(self._waiter, max(0.0, self.left))
+        """Wait for its turn, with which its time begins.
+
+        Unless it waits for what its own device owes: that is silence of the device.
+        """
+        if self._exchanges.is_owed_to(self):
+            self._waiter = self.loop.create_future()
+            await within(self._waiter, max(0.0, self.left))
+            return
+        self._waiter = InLine(loop=self.loop)
+        since = self.loop.time()
+        await within(self._waiter, max(self._seconds, TURN_LIMIT))
+        now = self.loop.time()
+        had_turn(now - since)
+        self.until = now + self._seconds
 
     def takes(self, message: bytes) -> bool:
         """Tell whether a message can be its answer."""
@@ -369,7 +391,7 @@ class Exchange:
         except DriverStuckError:
             raise
         except TimeoutError:
-            raise self._stuck() from None
+            raise self._exchanges.no_turn(self, self._stuck()) from None
         if self.left <= 0.0:  # its turn came with the end of its time
             self._exchanges.end_turn(self)
             raise self._stuck()

@@ -10,7 +10,7 @@ import random
 from collections.abc import Callable, Hashable
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from esair.buses._bus import Bus, Wire, wanted
+from esair.buses._bus import TURN_LIMIT, Bus, Wire, wanted
 from esair.buses._opening import open_on, shut_on
 from esair.exceptions import (
     BusyError,
@@ -18,6 +18,7 @@ from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
     EsairError,
+    NoTurnError,
     describe,
 )
 from esair.loop import turn_of
@@ -59,8 +60,9 @@ class Failure(NamedTuple):
 class LinkBus(Bus, Generic[L]):
     """A bus behind a link whose calls block, and return when the transfer is made.
 
-    A transfer that does not return holds up the whole bus: everybody who asks gets
-    `DriverStuckError` at once until it returns, and what waited is not made late.
+    Whoever asks waits for a turn, at most `TURN_LIMIT`; the time-out of a transfer begins
+    with that. One that does not return is a `DriverStuckError` and holds up the bus: the
+    others get `NoTurnError` at once until it returns, and what waited is not made late.
 
     Where the link is a wire in memory and the clock a virtual one, calls are made in
     the event loop itself: a thread would make the order of things depend on chance.
@@ -231,8 +233,10 @@ class LinkBus(Bus, Generic[L]):
             return function(link, *args)
         try:
             return await self.executor.call(
-                function, link, *args, timeout=timeout, guard=wanted
+                function, link, *args, timeout=timeout, guard=wanted, turn=TURN_LIMIT
             )
+        except NoTurnError as error:
+            raise self._no_turn(address, error.seconds) from None
         except DriverStuckError:
             raise self.failed(self._stuck_with(address, timeout)) from None
         except BusyError:
@@ -244,7 +248,11 @@ class LinkBus(Bus, Generic[L]):
         if stuck is not None:
             self.stats.refused += 1
             since = asyncio.get_running_loop().time() - stuck + self.timeout
-            raise self.failed(DriverStuckError(self.name, "an earlier transfer", since))
+            raise self.failed(NoTurnError(self.name, "a transfer", since))
+
+    def _no_turn(self, address: int | None, seconds: float) -> NoTurnError:
+        self.stats.no_turn += 1
+        return self.failed(NoTurnError(self.name, self._chip(address), seconds))
 
     def _told(self, error: EsairError) -> EsairError:
         if not isinstance(error, DeviceLostError):

@@ -11,11 +11,13 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
+from esair.buses._bus import TURN_LIMIT
 from esair.buses._chips import MemoryWire
 from esair.buses._failures import Failures, os_error
+from esair.buses._inbox import within
 from esair.buses._link_bus import L, LinkBus
 from esair.exceptions import DeviceLostError
-from esair.loop import turn_of
+from esair.loop import InLine, fail, had_turn, turn_of
 
 T = TypeVar("T")
 
@@ -85,7 +87,9 @@ class PlayedBus(LinkBus[L]):
             }
         )
         super().__init__(name=name, timeout=timeout, wire=self.link)
-        self._turn_of_play = asyncio.Lock()
+        self._is_taken = False
+        self._line: collections.deque[InLine[None]] = collections.deque()
+        """The calls that wait for their turn."""
         self._go = asyncio.Event()
         self._go.set()
         self._begun: Callable[[], object] | None = None
@@ -128,6 +132,10 @@ class PlayedBus(LinkBus[L]):
         """Let every transfer take so long, as a slow or busy chip does."""
         self.link.stretch = seconds
 
+    def seconds_for(self, traffic: int) -> float:
+        """Return how long a transfer takes."""
+        return self.link.stretch or super().seconds_for(traffic)
+
     def stall(self) -> None:
         """Let no transfer return until `resume`."""
         self.link.go.clear()
@@ -162,7 +170,7 @@ class PlayedBus(LinkBus[L]):
     async def _close(self) -> None:
         if self._begun is not None:  # the wire is let go with what is stuck on it
             self._begun = None
-            self._turn_of_play.release()
+            self._pass_on()
             self.executor.stuck_since = None
         await super()._close()
 
@@ -180,33 +188,56 @@ class PlayedBus(LinkBus[L]):
         link = self._connected()
         self._check_stuck()
         loop = asyncio.get_running_loop()
-        until = loop.time() + timeout
         stuck = self._stuck_with(address, timeout)
+        await self._take_turn(address)
         try:
-            async with asyncio.timeout_at(until):
-                await self._turn_of_play.acquire()
-        except TimeoutError:
-            raise self.failed(stuck) from None
-        try:
-            async with asyncio.timeout_at(until):
+            async with asyncio.timeout(timeout):
                 await self._go.wait()
                 await asyncio.sleep(self.link.stretch)
         except TimeoutError:
             # The transfer has begun: nobody waits for it, but the chip will see it.
             self._begun = lambda: function(link, *args)
             self.executor.stuck_since = loop.time()
+            while self._line:
+                fail(self._line.popleft(), TimeoutError())
             if self._go.is_set():
                 loop.call_later(max(0.0, self.link.stretch - timeout), self._finish)
             raise self.failed(stuck) from None
         except asyncio.CancelledError:
-            self._turn_of_play.release()
+            self._pass_on()
             raise
         try:
             return await super()._call(
                 function, *args, timeout=timeout, address=address
             )
         finally:
-            self._turn_of_play.release()
+            self._pass_on()
+
+    async def _take_turn(self, address: int | None) -> None:
+        loop = asyncio.get_running_loop()
+        since = loop.time()
+        if not self._is_taken:
+            self._is_taken = True
+            return
+        waiter: InLine[None] = InLine(loop=loop)
+        self._line.append(waiter)
+        try:
+            await within(waiter, TURN_LIMIT)
+            had_turn(loop.time() - since)
+        except TimeoutError:
+            raise self._no_turn(address, loop.time() - since) from None
+        except asyncio.CancelledError:
+            if waiter.done() and not waiter.cancelled():
+                self._pass_on()
+            raise
+
+    def _pass_on(self) -> None:
+        self._is_taken = False
+        while self._line and not self._is_taken:
+            waiter = self._line.popleft()
+            if not waiter.done():
+                self._is_taken = True
+                waiter.set_result(None)
 
     def _finish(self) -> None:
         """Make the transfer that had begun, too late for who asked for it."""
@@ -214,5 +245,5 @@ class PlayedBus(LinkBus[L]):
         if begun is not None:
             with contextlib.suppress(OSError):
                 begun()
-            self._turn_of_play.release()
             self.executor.stuck_since = None
+            self._pass_on()

@@ -17,6 +17,7 @@ class BusStats:
         dropped: What came and was thrown away because nobody took it in time.
         unheard: Messages that nobody listened to.
         late: Answers that came after their request was given up.
+        no_turn: Operations that were not made: the bus had no time for them.
         retries: Operations that were tried again.
         refused: Operations refused because too many waited, or obsolete when their
             turn came.
@@ -33,6 +34,7 @@ class BusStats:
     dropped: int = 0
     unheard: int = 0
     late: int = 0
+    no_turn: int = 0
     retries: int = 0
     refused: int = 0
     discarded: int = 0

@@ -23,6 +23,7 @@ from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
     EsairError,
+    NoTurnError,
     describe,
 )
 from esair.loop import (
@@ -41,6 +42,7 @@ from esair.loop import (
     clock_of,
     current_task_of,
     current_tasks,
+    waits_in_line,
     wake,
 )
 from esair.resources import Resource
@@ -614,8 +616,9 @@ class Calls:
             if call.until > now:
                 self._deadline.start_by(call.until)
             else:
-                stuck = DriverStuckError(self.resource, call.kind, call.limit)
-                self._abandon(call, stuck)
+                in_line = waits_in_line(call.engine, call.limit / 2)
+                late = NoTurnError if in_line else DriverStuckError
+                self._abandon(call, late(self.resource, call.kind, call.limit))
 
     def _abandon(self, call: Call, error: BaseException) -> None:
         if call.kind != "stream":  # nobody waits for the end of a stream
@@ -632,7 +635,8 @@ class Calls:
             call.engine.cancel()
 
     def _give_up(self, call: Call) -> None:
-        if call.ended is None and call.opening == self.opening:
+        begun = not waits_in_line(call.engine)
+        if call.ended is None and begun and call.opening == self.opening:
             self._on_stuck(call)
 
     def _tell(self, call: Call, end: End, *, current: bool = True) -> None:
@@ -678,6 +682,7 @@ class ThreadedCall:
         self._guard = guard
         self._wanted = True
         self._rest: LightTask | None = None
+        self.begun: float | None = None
 
     def submit(self, loop: asyncio.AbstractEventLoop) -> None:
         args, guard = self._call.args, self._may_begin
@@ -686,6 +691,8 @@ class ThreadedCall:
     def _may_begin(self) -> bool:
         if self._calls.lost is not None and self._call.kind != "close":
             return False
+        if not self._wanted and self._call.kind == "read":
+            return False  # it got no turn in time: nobody would take the value
         return self._guard is None or (self._wanted and self._guard())
 
     def cancel(self) -> None:
@@ -694,7 +701,7 @@ class ThreadedCall:
             self._rest.cancel()
 
     def expired(self) -> None:
-        if self._rest is None:
+        if self._rest is None and self.begun is not None:
             self.executor.expired()
 
     # The outcome of the executor.

@@ -20,6 +20,7 @@ from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
     EsairError,
+    NoTurnError,
     ResourceRemovedError,
     StaleReadingError,
 )
@@ -357,8 +358,9 @@ class SensorChannel(Device):
         deadline = self.sensor.deadline
         translated = translate_call(self.name, "read", deadline, error)
         self.asking.waiting.answer(number, translated)
-        for follower in self._followers:
-            follower.doubt(translated)
+        if type(translated) is not NoTurnError:  # it is late, and stale in its time
+            for follower in self._followers:
+                follower.doubt(translated)
         self.robot.on_error(translated)
 
     def drop(self, registration: Registration) -> None:

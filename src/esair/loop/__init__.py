@@ -77,10 +77,13 @@ from esair.loop._tape import SPOILED, First, Player, Tag, TapeWriter
 from esair.loop._threads import (
     CallRefused,
     Executor,
+    InLine,
     Portal,
+    had_turn,
     now,
     portal,
     sleep_in_thread,
+    waits_in_line,
     works_for,
 )
 from esair.loop._turn import GLANCE, SuspendWatch, TurnLoop, new_event_loop
@@ -111,6 +114,7 @@ __all__ = [
     "First",
     "FirstSteps",
     "Gaps",
+    "InLine",
     "Job",
     "LateSignals",
     "LightTask",
@@ -145,6 +149,7 @@ __all__ = [
     "every",
     "fail",
     "go_first",
+    "had_turn",
     "has_come",
     "ignore",
     "leave_behind",
@@ -163,6 +168,7 @@ __all__ = [
     "speaks_for_nobody",
     "threads_that_keep_the_process",
     "turn_of",
+    "waits_in_line",
     "wake",
     "wake_one",
     "works_for",

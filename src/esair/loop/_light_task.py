@@ -165,6 +165,7 @@ class LightTask(asyncio.Future[None]):
         "_running_on",
         "_runs",
         "caller",
+        "lined",
         "send",
         "value",
     )
@@ -174,6 +175,8 @@ class LightTask(asyncio.Future[None]):
         self._running_on = loop
         self.caller: Caller | None = None
         """Whose coroutine it runs; asked for what it is only when somebody wants to know."""
+        self.lined = 0.0
+        """How long its coroutine has waited for turns on a bus, in seconds."""
         self._name = name
         self._context: contextvars.Context | None = None
         self._coroutine: Coroutine[Any, Any, Any] | None = None
@@ -220,6 +223,7 @@ class LightTask(asyncio.Future[None]):
     def then(self, ended: Callable[[Any, BaseException | None], None]) -> None:
         """Say what gets the result or the error of the coroutine, in the loop."""
         self._ended = ended
+        self.lined = 0.0
 
     # What a task has.
 

@@ -19,10 +19,15 @@ from typing import Any, Protocol, TypeVar
 
 import attrs
 
-from esair.exceptions import BehaviorRemovedError, BusyError, DriverStuckError
+from esair.exceptions import (
+    BehaviorRemovedError,
+    BusyError,
+    DriverStuckError,
+    NoTurnError,
+)
 from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._door import Door, arrive
-from esair.loop._light_task import look_at, raisable, settle
+from esair.loop._light_task import LightTask, look_at, raisable, settle
 from esair.loop._of_loop import clock_beside, clock_of, turn_of
 from esair.loop._ownership import Owner, spawn
 from esair.loop._scheduler import REACHED
@@ -73,8 +78,32 @@ class CallRefused(Exception):  # noqa: N818 - an answer of the guard, not a faul
     """The guard of a call said no; the function was not called."""
 
 
+class InLine(asyncio.Future[T]):
+    """What a call waits for on a bus: first for its turn, then for its outcome."""
+
+    begun: float | None = None
+    """When its turn came, on the loop's clock; None while it waits for that."""
+
+
+def waits_in_line(engine: object, seconds: float = math.inf) -> bool:
+    """Tell whether what drives a call waits for its turn on a bus, or has so long."""
+    waits_for = getattr(engine, "_fut_waiter", engine)
+    if getattr(waits_for, "begun", 0.0) is None:
+        return True
+    return getattr(engine, "lined", 0.0) >= seconds
+
+
+def had_turn(seconds: float) -> None:
+    """Take note that the call that runs has waited so long for a turn."""
+    task = asyncio.current_task()
+    if isinstance(task, LightTask):
+        task.lined += seconds
+
+
 class Outcome(Protocol):
     """Gets what a function has returned or raised, in the loop; a future is one."""
+
+    begun: float | None
 
     def done(self) -> bool:
         """Whether nobody wants it any more."""
@@ -146,6 +175,7 @@ class Executor:
         timeout: float,
         guard: Callable[[], bool] | None = None,
         bounded: bool = True,
+        turn: float = 0.0,
     ) -> T:
         """Call a blocking function in the thread and wait for its result.
 
@@ -158,14 +188,17 @@ class Executor:
                 no, the function is not called.
             bounded: Refuse it if too many calls wait; not if it is a close, without
                 which something would stay open.
+            turn: How long it may wait for its turn, in seconds; its time begins with
+                that. If 0, the time counts from now.
 
         Raises:
             BusyError: Too many calls wait, or there can be no more threads.
+            NoTurnError: It was not called in time, or the one before it is stuck.
             DriverStuckError: It did not return in time.
             CallRefused: The guard said no.
         """
         loop = asyncio.get_running_loop()
-        future: asyncio.Future[T] = loop.create_future()
+        future: InLine[T] = InLine(loop=loop)
         outside = timeout == math.inf
         self.submit(
             loop, future, function, *args, guard=guard, bounded=bounded, outside=outside
@@ -174,12 +207,15 @@ class Executor:
             return await future
         results = self._results
         assert results is not None
-        until = results.time() + timeout
-        results.waits[future] = (until, timeout, function)
-        results.deadline.start_by(until)
+        now = results.time()
+        wait = Wait(timeout, function, now + turn if turn else 0.0, now)
+        results.waits[future] = wait
+        results.deadline.start_by(now + timeout)
         try:
             return await future
         finally:
+            if turn and future.begun is not None:
+                had_turn(future.begun - now)
             del results.waits[future]
             if not results.waits:
                 results.deadline.cancel()
@@ -261,6 +297,16 @@ class Executor:
         return self._jobs
 
 
+@attrs.frozen
+class Wait:
+    """A call that waits: for how long, until when for its turn (0: any), since when."""
+
+    seconds: float
+    function: Callable[..., Any]
+    turn: float
+    since: float
+
+
 class Results:
     """What the thread of an executor has done, on its way into the event loop."""
 
@@ -270,10 +316,8 @@ class Results:
         self.door: Door = Door.of(loop)
         self.loop = loop
         self.time: Callable[[], float] = clock_of(loop)
-        self.waits: dict[
-            asyncio.Future[Any], tuple[float, float, Callable[..., Any]]
-        ] = {}
-        """Who waits for a result: until when, how many seconds that was, and of what."""
+        self.waits: dict[InLine[Any], Wait] = {}
+        """The calls that wait for their results."""
         self.deadline: Deadline = Deadlines.beside(loop).idle(self._expire)
         """That of the one whose time is over first."""
         self.held = 0
@@ -309,16 +353,28 @@ class Results:
 
     def _expire(self) -> None:
         now = self.time() + REACHED
-        for future, (until, seconds, function) in self.waits.items():
+        for future, wait in self.waits.items():
             if future.done():
                 continue
+            begun, until = future.begun, wait.since + wait.seconds
+            in_line = begun is None and wait.turn > 0.0
+            if in_line:
+                until = min(wait.turn, now + wait.seconds)
+                if wait.turn <= now or self._executor.stuck_since is not None:
+                    until = now
+            elif begun is not None and wait.turn > 0.0:
+                until = begun + wait.seconds
             if until > now:
                 self.deadline.start_by(until)
                 continue
-            self._executor.expired()
             # Not repr(): it is the driver's own code, may fail, and is long for a partial.
-            call = getattr(function, "__qualname__", type(function).__qualname__)
-            stuck = DriverStuckError(self._executor.name, call, seconds)
+            call = getattr(wait.function, "__qualname__", type(wait.function).__name__)
+            if in_line:
+                waited = now - wait.since
+                future.set_exception(NoTurnError(self._executor.name, call, waited))
+                continue
+            self._executor.expired()
+            stuck = DriverStuckError(self._executor.name, call, wait.seconds)
             future.set_exception(stuck)
 
 
@@ -331,6 +387,7 @@ def _work(calls: queue.SimpleQueue[Call | None], results: Results) -> None:
             if call.guard is not None and (call.future.done() or not call.guard()):
                 error = CallRefused()
             else:
+                call.future.begun = results.time()
                 result = call.function(*call.args)
         except BaseException as raised:  # a driver may raise anything
             error = raised

@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, Final
 
 from esair.plan._finding import Finding, mistake, warning
 from esair.plan._plan import Plan
-from esair.resources import Resource
+from esair.resources import Resource, Sensor
 
 if TYPE_CHECKING:
     from esair.buses import Bus
+
+FULL: Final = 0.8
+"""The part of its time that a bus can be asked: each transfer has its gaps."""
 
 _RENUMBERED: Final = re.compile(r"/dev/tty(USB|ACM)\d+\Z")
 
@@ -40,6 +43,25 @@ def odd_buses(plan: Plan) -> Iterator[Finding]:
             told = f"{port} may be another device after the next plugging"
             advice = "expected the path of the same device in /dev/serial/by-id"
             yield warning("port", bus, "port", told, advice, of=name)
+
+
+def overloaded(plan: Plan) -> Iterator[Finding]:
+    """Find buses of which their devices ask more than they have time for."""
+    for name, bus in _buses(plan):
+        of_bus = (each for each in plan.resource_of.values() if each.bus is bus)
+        load = sum(_per_second(each) * bus.seconds_for(each.traffic) for each in of_bus)
+        if load > FULL:
+            told = f"its devices ask {load:.0%} of its time at their rates"
+            advice = "lower their rates, or give some of them another bus"
+            yield warning("load", bus, "", told, advice, of=name)
+
+
+def _per_second(resource: Resource) -> float:
+    """Return how often a device is asked in a second, or told at least."""
+    if isinstance(resource, Sensor):
+        return resource.rate if resource.can_be_asked and not resource.pushes else 0.0
+    timeout = getattr(resource, "command_timeout", None)
+    return 1.0 / timeout if timeout else 0.0
 
 
 def _buses(plan: Plan) -> list[tuple[str, Bus]]:

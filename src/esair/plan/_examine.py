@@ -8,7 +8,7 @@ from typing import Any
 from esair.actions import Behavior, Derived, Reaction
 from esair.exceptions import ConfigError
 from esair.plan._actions import mistakes_in_action, mistyped
-from esair.plan._buses import claimed_twice, odd_buses
+from esair.plan._buses import claimed_twice, odd_buses, overloaded
 from esair.plan._derived import underivable
 from esair.plan._finding import Finding, because
 from esair.plan._names import in_use, taken, taken_by_another, used_already, wrong_kind
@@ -40,6 +40,7 @@ def examine(plan: Plan) -> list[Finding]:
         *unprotected(plan),
         *unused(plan),
         *odd_buses(plan),
+        *overloaded(plan),
     ]
 
 

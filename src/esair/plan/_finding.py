@@ -35,7 +35,8 @@ class Finding:
             met), ``placement`` (what cannot live in a process of its own), ``protect``
             (what moves without protection, and protection that is not what it seems),
             ``starve`` (actions keep each other from an actuator), ``silent`` (a sensor
-            that may never speak), ``unused``, ``port``.
+            that may never speak), ``unused``, ``port``, ``load`` (a bus is
+            asked for more than it can do).
         component: The name of the component; ``"policy of 'wheels'"`` for a policy.
         field: The field in question, as a dotted path; empty for the whole.
         wrong: What is wrong.

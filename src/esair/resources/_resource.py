@@ -80,6 +80,10 @@ class Resource(abc.Resource):
     bus: Any = None
     """The `Bus` that the device is on, if it is on one; a driver narrows the type."""
 
+    traffic: int = 8
+    """How many bytes one reading or command moves on its bus: `esair check` adds up what
+    all devices ask of it."""
+
     claim: str | None = None
     """What it needs on its bus for itself alone: ``"node 3"``, say; None if nothing.
 

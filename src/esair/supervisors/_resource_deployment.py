@@ -463,7 +463,8 @@ class ResourceDeployment:
     def _counted(self) -> Iterator[tuple[str, Mapping[str, int]]]:
         for name, life in self.lives.items():
             yield name, life.channel.counts()
-            yield name, {"losses": life.losses, "faults": life.faults}
+            counts = {"losses": life.losses, "faults": life.faults}
+            yield name, {**counts, "no_turns": life.no_turns}
             yield name, _own_counts(life.resource)
         for bound in (self.commands, self.control):
             yield "resources", {"turned_away": bound.turned_away}

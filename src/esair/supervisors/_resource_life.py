@@ -16,7 +16,13 @@ from esair.connections import (
     is_loss,
     translate,
 )
-from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
+from esair.exceptions import (
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    NoTurnError,
+    describe,
+)
 from esair.journal import Kind
 from esair.loop import (
     Deadline,
@@ -74,6 +80,8 @@ class ResourceLife:
         """Its place if its driver runs in a process of its own."""
         self.losses = 0
         self.faults = 0
+        self.no_turns = 0
+        """How many calls its bus had no time for."""
         self.tried: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         """Done when the device was tried for the first time."""
         self.configuring = asyncio.Lock()
@@ -122,6 +130,9 @@ class ResourceLife:
     def on_error(self, error: Exception) -> None:
         if isinstance(error, DeviceLostError):
             self.hear(error)
+            return
+        if isinstance(error, NoTurnError):  # nobody has asked the device
+            self.no_turns += 1
             return
         self.faults += 1
         successes = self.channel.successes

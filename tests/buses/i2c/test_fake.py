@@ -11,7 +11,12 @@ import pytest
 
 from esair.buses._played import LOG_LIMIT
 from esair.buses.i2c import Registers
-from esair.exceptions import DeviceFaultError, DeviceLostError, DriverStuckError
+from esair.exceptions import (
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    NoTurnError,
+)
 from esair.testing import FakeI2c
 
 
@@ -116,7 +121,11 @@ async def test_what_had_begun_is_done_late_and_what_waited_is_not() -> None:
     bus.stall()
     writes = [bus.write(0x10, register, b"\x01") for register in range(3)]
     results = await asyncio.gather(*writes, return_exceptions=True)
-    assert [type(each) for each in results] == [DriverStuckError] * 3
+    assert [type(each) for each in results] == [
+        DriverStuckError,
+        NoTurnError,
+        NoTurnError,
+    ]
 
     bus.resume()
 

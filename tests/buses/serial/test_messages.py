@@ -13,6 +13,7 @@ from esair.exceptions import (
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
+    NoTurnError,
 )
 from esair.testing import FakeSerial
 
@@ -100,17 +101,19 @@ async def test_exchanges_never_overlap(line: FakeSerial) -> None:
     assert [time for time, _ in times] == pytest.approx([0.0, 0.1, 0.2], abs=1e-6)
 
 
-async def test_the_deadline_includes_the_wait_for_the_turn(line: FakeSerial) -> None:
-    """Who waits behind a slow exchange gives up in time, and has sent nothing."""
+@pytest.mark.promise("BUS-5")
+async def test_the_wait_for_the_turn_ends_apart_from_the_time(line: FakeSerial) -> None:
+    """Who waits behind a slow exchange gives up in time, has sent nothing, and says so."""
     loop = asyncio.get_running_loop()
     await line.open()
-    slow = asyncio.create_task(line.ask(b"slow", timeout=1.0))
+    slow = asyncio.create_task(line.ask(b"slow", timeout=2.0))
     await asyncio.sleep(0)
 
-    with pytest.raises(DriverStuckError, match="quick"):
+    with pytest.raises(NoTurnError, match="quick"):
         await line.ask(b"quick", timeout=0.3)
 
-    assert loop.time() == pytest.approx(0.3)
+    assert loop.time() == pytest.approx(1.0)
+    assert line.stats.no_turn == 1
     assert list(line.sent) == [b"slow"]
     line.say(b"at last")
     assert await slow == b"at last"

@@ -127,7 +127,7 @@ async def test_a_transfer_that_does_not_return_is_stuck_for_all(fake_spi) -> Non
 
     with pytest.raises(DriverStuckError):
         await bus.exchange(0, b"\x01\x07")
-    with pytest.raises(DriverStuckError, match="earlier"):
+    with pytest.raises(DriverStuckError, match="held up"):
         await bus.exchange(0, b"\x02\x07")
     bus.resume()
 

@@ -24,7 +24,7 @@ from esair.exceptions import (
     DeviceFaultError,
     EsairError,
 )
-from esair.values import check_bytes, is_whole
+from esair.values import check_bytes, check_whole, is_whole
 from esair.watchdog import Outlet
 
 T = TypeVar("T")
@@ -45,8 +45,9 @@ class I2CBus(LinkBus[RegisterLink]):
     ``idempotent``. Reading registers is, unless the caller says otherwise (reading
     some registers clears them); everything else is not, unless the caller says so.
 
-    A transfer that does not return holds up the whole bus: everybody who asks gets
-    `DriverStuckError` at once until it returns, and what waited is not made late.
+    Whoever asks waits for a turn; the time-out of a transfer begins with that. One that
+    does not return is a `DriverStuckError` and holds up the bus: the others get
+    `NoTurnError` at once until it returns, and what waited is not made late.
 
     Args:
         name: The name of the bus.
@@ -54,9 +55,10 @@ class I2CBus(LinkBus[RegisterLink]):
             the adapter's name, for one whose number changes (``i2cdetect -l`` shows
             the names).
         timeout: How long a transfer may take unless it says otherwise, in seconds,
-            waiting and repeating included.
+            repeating included, the wait for its turn not.
         pec: Have the adapter add and check a checksum (SMBus packet error code); the
             chips must know it too.
+        clock: How fast the adapter is set up, in bits per second, for `esair check`.
         wire: What is opened instead of a bus of the kernel, such as a `ChipBus`; its
             ``open()`` returns the link.
     """
@@ -70,11 +72,13 @@ class I2CBus(LinkBus[RegisterLink]):
         bus: int | str = 1,
         timeout: float = 0.2,
         pec: bool = False,
+        clock: int = 100_000,
         wire: Wire | None = None,
     ) -> None:
         super().__init__(name=name, timeout=timeout, wire=wire)
         self.place: int | str = kernel.check_place(name, bus)
         self.pec = pec
+        self.clock = check_whole(name, "clock", clock, 1)
         self._is_removable = False
 
     @property
@@ -270,6 +274,10 @@ class I2CBus(LinkBus[RegisterLink]):
             if state:
                 found[address] = state
         return found
+
+    def seconds_for(self, traffic: int) -> float:
+        """Return how long so many bytes take, with two addresses and a register."""
+        return 9 * (traffic + 3) / self.clock
 
     # The way of one transfer.
 

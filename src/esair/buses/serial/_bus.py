@@ -184,6 +184,10 @@ class SerialBus(Bus):
         """How many bytes wait to be sent."""
         return 0 if self._line is None else self._line.link.get_write_buffer_size()
 
+    def seconds_for(self, traffic: int) -> float:
+        """Return how long so many bytes take, with a start and a stop bit each."""
+        return 10 * traffic / self.baudrate
+
     def frames(self, prefix: bytes = b"", *, limit: int = 64) -> Inbox[bytes]:
         """Listen to the messages that begin with a prefix.
 
@@ -264,8 +268,8 @@ class SerialBus(Bus):
         Args:
             payload: The request, not framed yet.
             prefix: What the answer begins with; one of several if it is a tuple.
-            timeout: How long to wait, for the turn, the sending and the answer
-                together, in seconds; ``write_timeout`` if None.
+            timeout: How long to wait, for the sending and the answer together, in
+                seconds; ``write_timeout`` if None. For its turn it waits apart from that.
             answers: Tells whether a message with the prefix is the answer to this
                 request and to no other, by a sequence number or an echo of the
                 request; then no late one is waited for.
@@ -274,6 +278,7 @@ class SerialBus(Bus):
             DeviceLostError: The line is gone.
             DeviceFaultError: Only damaged messages come.
             BusyError: Too many wait for their turn; nothing was sent.
+            NoTurnError: Others had the line all the time; nothing was sent.
             DriverStuckError: No answer in time, or the device took no bytes.
         """
         self._connected()

@@ -35,7 +35,7 @@ class SpiBus(LinkBus[SpiLink]):
         speed: Bits per second, unless a transfer says otherwise.
         mode: 0 to 3: polarity and phase of the clock, unless a transfer says otherwise.
         timeout: How long a transfer may take unless it says otherwise, in seconds,
-            waiting included.
+            the wait for its turn not included.
         wire: What is opened instead of a bus of the kernel, such as `SpiChips`; its
             ``open()`` returns the link.
     """
@@ -167,6 +167,10 @@ class SpiBus(LinkBus[SpiLink]):
             if not is_whole(value, least, most):
                 told = f"expected {least} to {most}{what}, not {value!r:.80}"
                 raise BadValueError(self.name, field, told)
+
+    def seconds_for(self, traffic: int) -> float:
+        """Return how long so many bytes take."""
+        return 8 * traffic / self.speed
 
     def _identity(self) -> Hashable | None:
         # A changed time may be a changed permission; device and file are the bus.
