@@ -112,6 +112,8 @@ class SerialBus(Bus):
         bad_limit: After how many damaged messages in a row everybody who listens is
             told that the device is at fault.
         wire: What is opened instead of a port, such as a line in memory.
+        echo: Whether what is sent comes back, as on one wire for both directions: that
+            is thrown away before it is looked at.
         dtr: Whether DTR is raised while the port is open, as usual. Lowering it keeps
             some boards from starting anew, and starts the motor of some others.
         rts: The same for RTS.
@@ -133,6 +135,7 @@ class SerialBus(Bus):
         write_timeout: float = 0.5,
         late_limit: float = LATE_LIMIT,
         bad_limit: int = 100,
+        echo: bool = False,
         dtr: bool = True,
         rts: bool = True,
         wire: Wire | None = None,
@@ -140,7 +143,7 @@ class SerialBus(Bus):
     ) -> None:
         super().__init__(name=name, wire=wire)
         self._levels = {"dtr": dtr, "rts": rts}
-        for field, level in self._levels.items():
+        for field, level in {**self._levels, "echo": echo}.items():
             if not isinstance(level, bool):
                 raise ConfigError(
                     name, field, f"expected true or false, not {level!r:.80}"
@@ -161,6 +164,9 @@ class SerialBus(Bus):
         self._line: Line | None = None
         self._arrivals: Arrivals
         self._listen([])
+        self._echoes = echo
+        self._echo = b""
+        """What was sent and has not come back."""
         self._bad_in_row = 0
         self._is_cut = False
         """Whether only the beginning of the message before was sent."""
@@ -239,6 +245,8 @@ class SerialBus(Bus):
                 f"bus {self.name}", "number of bytes to send", self.out_limit
             )
         self._is_cut = False
+        if self._echoes:
+            self._echo += data
         if request is not None:
             request.begin()
         if not line.write(data):
@@ -336,6 +344,7 @@ class SerialBus(Bus):
     async def _open(self) -> None:
         self.framing.reset()
         self._bad_in_row = 0
+        self._echo = b""
         self._arrivals = Arrivals.of(asyncio.get_running_loop())
         line = Line(self._received, self._gone)
         if self._wire is None:
@@ -374,6 +383,8 @@ class SerialBus(Bus):
     def _received(self, data: bytes) -> None:
         framing = self.framing
         self.stats.received += len(data)
+        if self._echo:
+            data = self._without_echo(data)
         bad_before = framing.bad_frames
         messages = framing.feed(data)
         if messages:
@@ -390,6 +401,16 @@ class SerialBus(Bus):
             )
             self._bad_in_row = 0
             self._fail_all(self.failed(fault))
+
+    def _without_echo(self, data: bytes) -> bytes:
+        """Return what is not an echo; a damaged one ends the search for the rest of it."""
+        size = min(len(data), len(self._echo))
+        if data[:size] != self._echo[:size]:
+            self._echo = b""
+            self.stats.bad_frames += 1
+            return data
+        self._echo = self._echo[size:]
+        return data[size:]
 
     def _deliver(self, messages: list[bytes]) -> None:
         exchanges = self._exchanges
