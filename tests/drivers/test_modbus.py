@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
+import random
 import socket
 import threading
 import time
@@ -14,9 +16,11 @@ import hypothesis
 import pytest
 from hypothesis import strategies as st
 
+import esair
 from esair.buses import SerialBus
 from esair.exceptions import DeviceFaultError, DeviceLostError, DriverStuckError
 from esair.framing import ModbusRtu, ModbusTcp
+from esair.messages import ResourceState
 from esair.testing import (
     ActuatorContract,
     BusContract,
@@ -303,3 +307,57 @@ async def test_what_was_not_told_is_not_confirmed(
     with pytest.raises(DeviceFaultError, match="it confirms what it was not told"):
         await device.write(5)
     await line.close()
+
+
+class Pump(esair.Behavior):
+    """Uses both, whatever comes of it."""
+
+    level = esair.reads(float)
+    valve = esair.writes(float)
+
+    async def run(self) -> None:
+        """Ask and tell ten times a second."""
+        async for _ in esair.every(0.1):
+            with contextlib.suppress(esair.EsairError):
+                await self.level.read(fresh=True)
+            with contextlib.suppress(esair.EsairError):
+                await self.valve.write(12.5)
+
+
+@pytest.mark.soak
+@pytest.mark.promise("RES-3")
+@pytest.mark.parametrize("framing", [RTU, TCP])
+async def test_a_unit_behind_a_gateway_is_there_soon_after_its_power(
+    framing: str,
+) -> None:
+    """A hundred outages from none to ten minutes: READY within 10 s of power, each time."""
+    chance = random.Random(28)
+    line, far = make(framing)
+    sensor = ModbusSensor(name="level", unit=3, register=20, type="float32", bus=line)
+    valve = ModbusActuator(
+        name="valve", unit=3, register=8, type="int32", factor=0.1, safe=0.0, bus=line
+    )
+    codes = itertools.cycle((11, 10, 5, 6))
+    delays: list[float] = []
+    far.refuse = lambda _function, _address: next(codes)  # from the start on
+
+    async with esair.Robot(resources=[sensor, valve], behaviors=[Pump()]) as robot:
+
+        def states() -> set[ResourceState]:
+            return {robot.resources.query(name).state for name in ("level", "valve")}
+
+        for _ in range(100):
+            await asyncio.sleep(
+                chance.choice((0.3, 5.0, 60.0, 600.0)) * chance.random()
+            )
+            assert ResourceState.FAILED not in states()
+            far.refuse = lambda _function, _address: 0
+            since = esair.now()
+            while states() != {ResourceState.READY}:
+                assert esair.now() - since <= 10.0
+                await asyncio.sleep(0.02)
+            delays.append(esair.now() - since)
+            far.refuse = lambda _function, _address: next(codes)
+            while ResourceState.READY in states():  # noqa: ASYNC110
+                await asyncio.sleep(0.02)
+    assert len(delays) == 100

@@ -1,8 +1,9 @@
-"""Any Adafruit CircuitPython driver of an I²C part, as a sensor or an actuator.
+"""Any Adafruit CircuitPython driver of an I²C or SPI part, as a sensor or an actuator.
 
-Adafruit's drivers expect a ``busio.I2C``; `AdafruitBus` looks like one, and is an
-`esair.buses.I2CBus`. They block, so they run on the thread of that bus, and nobody else
-uses the bus during one call of theirs: a driver that sleeps makes the others wait::
+Adafruit's drivers expect a ``busio.I2C`` or a ``busio.SPI``; `AdafruitBus` and `AdafruitSpi`
+look like them, and are an `esair.buses.I2CBus` and an `esair.buses.spi.SpiBus`. They
+block, so they run on the thread of that bus, and nobody else uses the bus during one call of
+theirs: a driver that sleeps makes the others wait::
 
     [sensor.air]
     driver = "adafruit"
@@ -11,6 +12,13 @@ uses the bus during one call of theirs: a driver that sleeps makes the others wa
     address = 0x76
     value = ["temperature", "pressure"]
 
+    [sensor.oven]
+    driver = "adafruit"
+    bus = "fast"
+    library = "adafruit_max31855:MAX31855"
+    chip = 0
+    value = "temperature"
+
     [actuator.lamp]
     driver = "adafruit"
     bus = "chips"
@@ -18,7 +26,7 @@ uses the bus during one call of theirs: a driver that sleeps makes the others wa
     attribute = "channels[0].duty_cycle"
     safe = 0
 
-Source: the API of ``busio.I2C`` of CircuitPython, and of adafruit_bus_device 5.2.
+Source: the API of ``busio`` of CircuitPython, and of adafruit_bus_device 5.2.
 """
 
 from __future__ import annotations
@@ -27,10 +35,11 @@ import contextlib
 import math
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Required, TypedDict, Unpack
+from typing import Any, Required, Self, TypedDict, Unpack
 
 from esair.buses import I2CBus
 from esair.buses.i2c import SILENT, probe, transfer
+from esair.buses.spi import SpiBus
 from esair.drivers.object import Made
 from esair.exceptions import (
     ConfigError,
@@ -48,7 +57,7 @@ from esair.resources import (
     SensorSettings,
 )
 
-__all__ = ["AdafruitActuator", "AdafruitBus", "AdafruitSensor"]
+__all__ = ["AdafruitActuator", "AdafruitBus", "AdafruitSensor", "AdafruitSpi"]
 
 _SHORTEST = 20e-6  # What a transfer takes: an address at 1 MHz, in seconds
 
@@ -57,20 +66,18 @@ _SHORTEST = 20e-6  # What a transfer takes: an address at 1 MHz, in seconds
 _one_at_a_time = threading.Lock()
 
 
-class AdafruitBus:
-    """What a CircuitPython driver takes for a ``busio.I2C``.
+class _Wire:
+    """What a bus of CircuitPython is on the thread of a bus of the robot.
 
-    It is for the thread of the bus, where plain methods of drivers run: nobody else can
-    come in between there, so the bus is always free to be locked.
-
-    Args:
-        bus: The bus.
+    Plain methods of drivers run there and nobody else can come in between, so the bus is
+    always free to be locked.
     """
 
-    def __init__(self, bus: I2CBus) -> None:
-        self._bus = bus
+    def __init__(self) -> None:
         self.transfers: int = 0
         """How many have been made."""
+        self.is_silent: bool = False
+        """Whether all that came since the opening may be an idle wire."""
         self._until = self._most = math.inf
 
     def allow(self, seconds: float) -> None:
@@ -82,7 +89,7 @@ class AdafruitBus:
         self._until = now() + seconds
         self._most = self.transfers + seconds / _SHORTEST
 
-    def __enter__(self) -> AdafruitBus:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -97,6 +104,23 @@ class AdafruitBus:
 
     def unlock(self) -> None:
         """Do nothing: the bus is free for others after the call of the driver."""
+
+    def _count(self, bus: I2CBus | SpiBus) -> None:
+        self.transfers += 1
+        if now() > self._until or self.transfers > self._most:
+            raise TimeoutError(f"{bus.name}: the call of the driver took too long")
+
+
+class AdafruitBus(_Wire):
+    """What a CircuitPython driver takes for a ``busio.I2C``.
+
+    Args:
+        bus: The bus.
+    """
+
+    def __init__(self, bus: I2CBus) -> None:
+        super().__init__()
+        self._bus = bus
 
     def scan(self) -> list[int]:
         """Return the addresses that answer."""
@@ -147,11 +171,7 @@ class AdafruitBus:
             part[:] = self._transfer(address, out, len(part))
 
     def _transfer(self, address: int, write: bytes, read: int) -> bytes:
-        self.transfers += 1
-        if now() > self._until or self.transfers > self._most:
-            raise TimeoutError(
-                f"{self._bus.name}: the call of the driver took too long"
-            )
+        self._count(self._bus)
         return self._bus.direct(
             lambda link: transfer(link, address, write, read), address=address
         )
@@ -164,10 +184,110 @@ class AdafruitBus:
         return True
 
 
+class AdafruitSpi(_Wire):
+    """What a CircuitPython driver takes for a ``busio.SPI``, and for its chip select.
+
+    What is written while the chip is selected leaves together with the next read, or when
+    the chip is left: the kernel holds a chip select for one transfer only.
+
+    Args:
+        bus: The bus.
+        chip: The number of the chip select.
+    """
+
+    def __init__(self, bus: SpiBus, chip: int) -> None:
+        super().__init__()
+        self._bus = bus
+        self._chip = chip
+        self._has_heard = False
+        self.configure()
+        self._selected = self._has_read = False
+        self._written = b""
+
+    def configure(
+        self,
+        *,
+        baudrate: int = 100_000,
+        polarity: int = 0,
+        phase: int = 0,
+        bits: int = 8,
+    ) -> None:
+        """Set the clock of the transfers that follow."""
+        self.frequency: int = baudrate
+        self._mode = polarity << 1 | phase
+
+    def switch_to_output(self, value: bool = True, drive_mode: object = None) -> None:
+        """Be a chip select that is high, unless said otherwise."""
+        self.value = value
+
+    @property
+    def value(self) -> bool:
+        """Whether the chip select is high: the chip is not selected."""
+        return not self._selected
+
+    @value.setter
+    def value(self, value: bool) -> None:
+        if self._selected and value and self._written:
+            self._exchange(b"")
+        self._selected, self._has_read = not value, False
+
+    def write(self, buffer: Any, *, start: int = 0, end: int | None = None) -> None:
+        """Write a buffer, or a part of it."""
+        self._written += bytes(memoryview(buffer)[start:end])
+        if not self._selected:
+            self._exchange(b"")
+
+    def readinto(
+        self,
+        buffer: Any,
+        *,
+        start: int = 0,
+        end: int | None = None,
+        write_value: int = 0,
+    ) -> None:
+        """Fill a buffer, or a part of it, while one value is sent."""
+        with memoryview(buffer)[start:end] as part:
+            part[:] = self._exchange(bytes([write_value]) * len(part))
+
+    def write_readinto(
+        self,
+        buffer_out: Any,
+        buffer_in: Any,
+        *,
+        out_start: int = 0,
+        out_end: int | None = None,
+        in_start: int = 0,
+        in_end: int | None = None,
+    ) -> None:
+        """Write a buffer, and fill one with what comes at the same time."""
+        out = bytes(memoryview(buffer_out)[out_start:out_end])
+        with memoryview(buffer_in)[in_start:in_end] as part:
+            part[:] = self._exchange(out)
+
+    def _exchange(self, data: bytes) -> bytes:
+        if self._has_read:
+            told = (
+                "the driver reads twice under one chip select, which the kernel cannot"
+            )
+            raise DeviceFaultError(self._bus.name, told)
+        self._count(self._bus)
+        sent, self._written = self._written + data, b""
+        self._has_read = self._selected and bool(data)
+        back = self._bus.direct(
+            lambda link: link.exchange(self._chip, sent, self.frequency, self._mode),
+            address=self._chip,
+        )[len(sent) - len(data) :]
+        if data:
+            is_idle = not set(back) - {0x00, 0xFF}
+            self.is_silent = is_idle and (self.is_silent or not self._has_heard)
+            self._has_heard = True
+        return back
+
+
 class _OnPart(Resource):
     """What the sensor and the actuator have in common: a driver's object on a bus."""
 
-    bus: I2CBus
+    bus: I2CBus | SpiBus
     deadline: float = 2.0
 
     def __init__(
@@ -175,11 +295,17 @@ class _OnPart(Resource):
         *,
         library: str | Callable[..., Any],
         address: int | None = None,
+        chip: int | None = None,
         arguments: Mapping[str, Any] | None = None,
         set_up: Mapping[str, Any] | None = None,
         **settings: Any,
     ) -> None:
         super().__init__(**settings)
+        is_spi = isinstance(self.bus, SpiBus)
+        if is_spi != (chip is not None) or (is_spi and address is not None):
+            told = "on an SPI bus chip= is needed, and only there; address= is of I²C"
+            raise ConfigError(self.name, "chip", told)
+        self._chip = chip
         self._object = Made(
             self,
             library,
@@ -188,7 +314,7 @@ class _OnPart(Resource):
             hint="Adafruit's packages are named adafruit-circuitpython-...",
             around=self._alone,
         )
-        self._wire: AdafruitBus | None = None
+        self._wire: AdafruitBus | AdafruitSpi | None = None
         self._kept: dict[str, Any] = {}
 
     @property
@@ -198,9 +324,18 @@ class _OnPart(Resource):
 
     def open(self) -> None:
         """Have the driver set the part up; on the thread of the bus."""
-        wire = self._wire = AdafruitBus(self.bus)
+        bus = self.bus
+        first: tuple[AdafruitSpi, ...] = ()
+        wire: AdafruitBus | AdafruitSpi
+        if isinstance(bus, SpiBus):
+            assert self._chip is not None
+            wire = AdafruitSpi(bus, self._chip)
+            first = (wire,)  # which is its chip select, too
+        else:
+            wire = AdafruitBus(bus)
+        self._wire = wire
         try:
-            self._object.open(wire)
+            self._object.open(wire, *first)
             for text, (path, _) in self._object.set_up.items():
                 before = wire.transfers
                 self._kept[text] = self._object.get(path)
@@ -213,7 +348,8 @@ class _OnPart(Resource):
                     )
         except Exception as error:
             self._object.it = None
-            if _is_silence(error) or not self.bus.is_open:
+            silent = wire.is_silent and not isinstance(error, ConfigError)
+            if silent or _is_silence(error) or not self.bus.is_open:
                 raise DeviceLostError(self.name, describe(error)) from error
             raise
 
@@ -247,6 +383,7 @@ class _OnPart(Resource):
 class _PartSettings(TypedDict, total=False):
     library: Required[str | Callable[..., Any]]
     address: int | None
+    chip: int | None
     arguments: Mapping[str, Any] | None
     set_up: Mapping[str, Any] | None
 
@@ -262,10 +399,11 @@ class AdafruitSensor(_OnPart, Sensor[Any]):
 
     Args:
         library: The driver's class as ``module:Class``, or anything that is called with
-            a ``busio.I2C`` and makes an object.
+            a ``busio.I2C``, or a ``busio.SPI`` and a chip select, and makes an object.
         value: What is read, such as ``"temperature"``, ``"channels[0].voltage"`` or
             ``"read(0)"``. If there are several, a reading is a dictionary of them.
-        address: The address of the part; the driver's own default if None.
+        address: The address of the part on I²C; the driver's own default if None.
+        chip: The number of its chip select on SPI.
         arguments: Further keywords for the driver's class.
         set_up: Attributes that are assigned at each opening, by their paths. A part that
             has restarted is known by them, because they are others then.
@@ -287,12 +425,13 @@ class AdafruitActuator(_OnPart, Actuator[Any]):
 
     Args:
         library: The driver's class as ``module:Class``, or anything that is called with
-            a ``busio.I2C`` and makes an object.
+            a ``busio.I2C``, or a ``busio.SPI`` and a chip select, and makes an object.
         attribute: What a command is assigned to, such as ``"channels[0].duty_cycle"``;
             with ``()`` at the end it is called with the command.
         safe: The safe command; commands are of its type.
         limits: Least and greatest command.
-        address: The address of the part; the driver's own default if None.
+        address: The address of the part on I²C; the driver's own default if None.
+        chip: The number of its chip select on SPI.
         arguments: Further keywords for the driver's class.
         set_up: Attributes that are assigned at each opening, by their paths. A part that
             has restarted is known by them, because they are others then.
@@ -312,6 +451,7 @@ class AdafruitActuator(_OnPart, Actuator[Any]):
         self._tell = self._object.telling(attribute)
         address = settings.get("address")
         where = "" if address is None else f" at {address:#04x}"
+        where += "" if self._chip is None else f" at {self._chip}"
         self.claim: str = f"{attribute} of {settings['library']}{where}"
 
     def write(self, command: Any) -> None:
