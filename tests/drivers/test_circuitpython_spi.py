@@ -188,6 +188,11 @@ async def test_two_reads_under_one_chip_select_are_refused() -> None:
 def test_a_chip_select_is_needed_on_spi_and_only_there() -> None:
     """The error says which keyword belongs to which bus."""
     spi, i2c = FakeSpi(chips={}), FakeI2c(chips={})
-    for bus, given in ((spi, {}), (spi, {"chip": 0, "address": 1}), (i2c, {"chip": 0})):
+    wrong: list[tuple[Any, dict[str, Any]]] = [
+        (spi, {}),
+        (spi, {"chip": 0, "address": 1}),
+        (i2c, {"chip": 0}),
+    ]
+    for bus, given in wrong:
         with pytest.raises(ConfigError, match="chip"):
             AdafruitSensor(library=cell, value="value", bus=bus, **given)

@@ -1,15 +1,26 @@
 """Framings of real devices as tables: the bytes of their makers, and resync that is ours."""
 
 import random
+from typing import Any
 
 import pytest
 
 from esair.framing import LengthCrc
 from esair.testing import FakeSerial
 
-LX16A = {"sync": "55 55", "header": 1, "counted": 2, "crc": "sum-8/inverted"}
-MSP = {"sync": "24 4D 3E", "sent": "24 4D 3C", "counted": -1, "crc": "xor-8"}
-UBX = {
+LX16A: dict[str, Any] = {
+    "sync": "55 55",
+    "header": 1,
+    "counted": 2,
+    "crc": "sum-8/inverted",
+}
+MSP: dict[str, Any] = {
+    "sync": "24 4D 3E",
+    "sent": "24 4D 3C",
+    "counted": -1,
+    "crc": "xor-8",
+}
+UBX: dict[str, Any] = {
     "sync": "B5 62",
     "header": 2,
     "length_size": 2,
