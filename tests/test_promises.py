@@ -32,9 +32,6 @@ PROMISES = {
 NOT_YET: dict[str, str] = dict.fromkeys(
     [
         "BUS-5",
-        "MODE-1",
-        "MODE-2",
-        "MODE-3",
         "NET-1",
         "NET-2",
         "NET-3",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Self, TypeVar
 
 import attrs
@@ -52,6 +52,8 @@ class BehaviorState(enum.Enum):
     PARKED = "parked"
     """It waits for a resource: lost, removed, or, for a reaction, stale."""
     RESTARTING = "restarting"
+    RESTING = "resting"
+    """It waits for a mode in which it runs."""
     FINISHED = "finished"
     FAILED = "failed"
     STOPPING = "stopping"
@@ -190,6 +192,7 @@ class Why(NamedTuple):
             blind, in words; the highest priority first.
         guards: Who guards it, and how each of them stands, in words.
         dies: What becomes of it when this process dies, and when this computer does.
+        resting: Who would write it in another mode than this one, in words.
     """
 
     resource: str
@@ -204,6 +207,7 @@ class Why(NamedTuple):
     writers: tuple[str, ...] = ()
     guards: tuple[str, ...] = ()
     dies: str = ""
+    resting: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         held = f"held by {self.holder} ({self.rule})"
@@ -211,7 +215,7 @@ class Why(NamedTuple):
         if self.holder is None:
             held, frees = f"and free: {self.rule}", ""
         told = f"{self.resource} is {self.state.value}, {held}"
-        lines = [told, frees, *self.guards, *self.writers, self.dies]
+        lines = [told, frees, *self.guards, *self.writers, *self.resting, self.dies]
         return "\n  ".join(line for line in lines if line)
 
 
@@ -454,6 +458,75 @@ class Policy:
     def _mistake(self, field: str, message: str) -> ConfigError:
         return ConfigError(f"policy of {self.resource!r}", field, message)
 
+
+@attrs.frozen
+class Mode:
+    """Behaviors that take their turn together, and what follows them.
+
+    Attributes:
+        behaviors: The names of the behaviors, reactions and guards that run in it.
+        then: The mode that follows when all its behaviors have ended.
+        on_failure: The mode that follows when one of its behaviors or reactions is
+            FAILED.
+    """
+
+    behaviors: Sequence[str] = attrs.field(
+        converter=lambda given: tuple(given) if isinstance(given, list) else given
+    )
+    then: str | None = attrs.field(default=None, kw_only=True)
+    on_failure: str | None = attrs.field(default=None, kw_only=True)
+
+    def __attrs_post_init__(self) -> None:
+        given = self.behaviors
+        if isinstance(given, str) or not isinstance(given, Sequence):
+            told = f"expected a list of names, not {given!r:.80}"
+            raise ConfigError("mode", "behaviors", told)
+        for behavior in given:
+            check_name("mode: behaviors", behavior)
+
+
+@attrs.frozen
+class Modes:
+    """The modes of a robot: who runs when.
+
+    Attributes:
+        table: The modes by name; none in a robot whose behaviors all run always.
+        first: The mode that it begins in.
+    """
+
+    table: Mapping[str, Mode] = attrs.field(factory=dict)
+    first: str | None = None
+
+    @classmethod
+    def of(cls, modes: Mapping[str, Mode | Sequence[str]], mode: str | None) -> Self:
+        """Make them of what a script gives: modes, or lists of names."""
+        if not isinstance(modes, Mapping):
+            raise ConfigError("robot", "modes", f"expected a dict, not {modes!r:.80}")
+        return cls(
+            {
+                check_name("mode", name): each if isinstance(each, Mode) else Mode(each)
+                for name, each in modes.items()
+            },
+            mode,
+        )
+
+    def of_behavior(self, name: str) -> list[str]:
+        """Return the modes that list a behavior; it always runs if none does."""
+        return [mode for mode, each in self.table.items() if name in each.behaviors]
+
+    def runs(self, name: str, mode: str | None) -> bool:
+        """Tell whether a behavior runs in a mode."""
+        listed = self.of_behavior(name)
+        return not listed or mode in listed
+
+    def meet(self, one: str, other: str) -> bool:
+        """Tell whether two behaviors run at the same time in any mode."""
+        ours, theirs = self.of_behavior(one), self.of_behavior(other)
+        return not ours or not theirs or not set(ours).isdisjoint(theirs)
+
+
+NO_MODES = Modes()
+"""Those of a robot whose behaviors all run always."""
 
 OPERATOR = "operator"
 """In whose name an operator acts; no component has this name."""

@@ -217,7 +217,7 @@ def test_the_table_names_every_component(show: Show) -> None:
 def test_each_event_is_told_as_it_happens(show: Show) -> None:
     """One line each where there is no terminal."""
     assert show.text.count("unplugged") == 1
-    assert show.text.count("replaces explore") == 1
+    assert show.text.count("esair mode dock") == 1
     assert show.text.count("commands of explore were not made meanwhile") == 1
 
 
@@ -285,7 +285,10 @@ def test_the_robot_is_described_by_one_file(simulated: bool) -> None:
     """The same file serves the real rover and the simulated one."""
     described = load(ROBOT, simulated=simulated)
 
-    assert list(described.behaviors) == ["mapper", "explore", "brake", "avoid", "bump"]
+    turns = ["explore", "dock", "charge"]
+    always = ["mapper", "brake", "avoid", "bump"]
+    assert sorted(described.behaviors) == sorted([*turns, *always])
+    assert list(described.robot["modes"]) == turns
     front = described.resources["ranges"].bus
     assert front is not None
     assert type(front).__name__ == ("SimSerialBus" if simulated else "SerialBus")

@@ -39,3 +39,24 @@ async def test_it_drives_while_the_shoulder_is_held() -> None:
         assert left.velocity == right.velocity == 0
     left.stop()
     right.stop()
+
+
+async def test_start_goes_to_the_other_mode_and_back() -> None:
+    """One press, one switch; the stick has no say while the robot turns by itself."""
+    can = FakeCan("drive")
+    left, right = FakeDrive(can, node=5), FakeDrive(can, node=6)
+    hands = FakeGamepad()
+    pad = Gamepad(name="pad", opener=hands.open, dead_man="tl")
+    async with pad_drive.make_robot(can, pad) as robot:
+        hands.press("start")
+        await asyncio.sleep(2.0)
+        hands.release("start")
+        await asyncio.sleep(1.0)
+        assert robot.behaviors.mode == "turn"
+        assert left.velocity == right.velocity == 2_000
+        hands.press("start")
+        await asyncio.sleep(2.0)
+        assert robot.behaviors.mode == "drive"
+        assert left.velocity == right.velocity == 0
+    left.stop()
+    right.stop()

@@ -58,6 +58,9 @@ class Behavior(ProfiledAction):
     inbox_policy: Overflow = "reject"
     """What a full inbox does: ``"reject"`` lets senders wait."""
 
+    open_at_rest: bool = False
+    """Whether its inbox takes data while it rests in a mode in which it does not run."""
+
     outbox_size: int = 16
     """How much offered data may wait for a `get` of others."""
 

@@ -51,6 +51,10 @@ class Behaviors:
         """End the run of a behavior and begin another; see `BehaviorSupervisor.restart`."""
         await self._host.manage("restart", name)
 
+    async def switch(self, mode: str, reason: str = "") -> None:
+        """Go to another mode; see `BehaviorSupervisor.switch`."""
+        await self._host.manage("switch", mode, reason)
+
 
 class BlockingBehaviors(Waits):
     """`Behaviors` for a behavior with a plain ``run``: the thread waits."""
@@ -62,6 +66,7 @@ class BlockingBehaviors(Waits):
     remove = waits(Behaviors.remove)
     replace = waits(Behaviors.replace)
     restart = waits(Behaviors.restart)
+    switch = waits(Behaviors.switch)
 
 
 class HasThread(Protocol):

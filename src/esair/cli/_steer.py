@@ -16,7 +16,7 @@ from esair.values import printable
 
 VERBS: Final = (
     *("why", "stop", "resume", "put", "ask", "operate", "set"),
-    *("add", "remove", "replace", "restart", "mute", "reset"),
+    *("mode", "add", "remove", "replace", "restart", "mute", "reset"),
 )
 """The acts that are verbs."""
 

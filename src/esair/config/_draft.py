@@ -11,7 +11,7 @@ from esair.buses import Bus
 from esair.config._mistakes import below
 from esair.config._policies import BEHAVIORS
 from esair.config._source import Source
-from esair.messages import BehaviorsPolicy, Policy
+from esair.messages import BehaviorsPolicy, Mode, Modes, Policy
 from esair.plan import Finding, Plan
 from esair.resources import Resource
 
@@ -74,6 +74,7 @@ class Draft:
             resources=[each for each in made if isinstance(each, Resource)],
             behaviors=[each for each in made if isinstance(each, ProfiledAction)],
             policies=list(self.policies.values()),
+            modes=Modes(self.robot.get("modes", {}), self.robot.get("mode")),
             buses=self.made(Bus),
             implied=self.source.implied,
             watchdog=self.robot.get("watchdog") is True,
@@ -90,6 +91,8 @@ class Draft:
         for part in self.parts:
             if part.made is finding.subject and part.made is not None:
                 key = part.key
+        if isinstance(finding.subject, Mode):
+            return ".".join(filter(None, (finding.component, finding.field)))
         if isinstance(finding.subject, Policy | BehaviorsPolicy):
             about = getattr(finding.subject, "resource", BEHAVIORS)
             key = below("access", about)

@@ -15,13 +15,14 @@ from esair.config._source import Source
 from esair.config._tables import named_tables
 from esair.config._values import INVALID
 from esair.exceptions import EsairError
+from esair.messages import Mode
 from esair.resources import Actuator, Sensor
 
 OF_ROBOT: Final = frozenset({"operator", "record", "page"})
 """The tables that are keywords of the robot with fields of their own."""
 
 TABLES: Final = (
-    *("robot", "board", "bus", "sensor", "actuator", "behavior", "access"),
+    *("robot", "board", "bus", "sensor", "actuator", "behavior", "mode", "access"),
     *OF_ROBOT,
 )
 """The tables of a file."""
@@ -50,12 +51,19 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
     for name, table in named_tables(source, "behavior"):
         draft.parts.append(Part("behavior", name, make_behavior(draft, name, table)))
     draft.policies = read_policies(source)
+    modes = {
+        name: source.convert(table, Mode, f"mode.{name}")
+        for name, table in named_tables(source, "mode")
+    }
+    sound = {name: mode for name, mode in modes.items() if mode is not INVALID}
+    if sound:
+        draft.robot["modes"] = sound
     return draft
 
 
 def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:
     table = source.data.get("robot", {})
-    parts = {"resources", "behaviors", "policies", "buses", *OF_ROBOT}
+    parts = {"resources", "behaviors", "policies", "buses", "modes", *OF_ROBOT}
     keywords = keywords_of(robot_class).fields
     settings: dict[str, Any] = {"name": "robot"}
     given = {below("robot", name): (name, value) for name, value in table.items()}

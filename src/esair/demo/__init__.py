@@ -11,7 +11,7 @@ from esair.loading import late, of_extra
 
 with of_extra("sim"):
     from esair.demo._devices import Bumper, Odometry, RangeFinder, Travel, Wheels
-    from esair.demo._journeys import Explore, Home
+    from esair.demo._journeys import Charge, Explore, Home
     from esair.demo._mapper import Belief, Mapper
     from esair.demo._reactions import Avoid, Brake, Bump
     from esair.demo._values import Scan, Touch, Twist
@@ -25,6 +25,7 @@ __all__ = [
     "Brake",
     "Bump",
     "Bumper",
+    "Charge",
     "Explore",
     "Home",
     "Mapper",

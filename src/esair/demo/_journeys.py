@@ -1,4 +1,4 @@
-"""Behaviors that go somewhere: ``Explore`` where nobody was yet, ``Home`` back."""
+"""Behaviors in turns: ``Explore`` where nobody was yet, ``Home`` to the dock, ``Charge``."""
 
 from __future__ import annotations
 
@@ -142,6 +142,11 @@ class Home(Journey):
         self.place = place
         self.arrived: bool = False
 
+    async def run(self) -> None:
+        """Go there anew, each time that it has its turn."""
+        self.arrived = False
+        await super().run()
+
     def plan(self, belief: Belief) -> Way | None:
         """Return the way home."""
         if belief.position.distance_to(*self.place) < ARRIVED:
@@ -156,6 +161,30 @@ class Home(Journey):
             self.wheels.release()
             return True
         return False
+
+
+class Charge(Behavior):
+    """Stays at the dock until the battery is full.
+
+    Args:
+        seconds: How long that takes.
+    """
+
+    wheels = writes(Twist)
+
+    def __init__(self, *, seconds: float = 20.0, name: str | None = None) -> None:
+        super().__init__(name=name)
+        self.seconds = seconds
+        self.level = 0.0  # How full the battery is: 0 to 1
+
+    async def run(self) -> None:
+        """Hold the wheels still meanwhile: nobody drives away with a cable."""
+        self.level = 0.0
+        async for _ in every(PERIOD):
+            await self.wheels.write(Twist(0.0, 0.0))
+            self.level += PERIOD / self.seconds
+            if self.level >= 1.0:
+                return
 
 
 def follow(way: Way, position: Position) -> Twist:

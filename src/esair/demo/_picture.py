@@ -35,7 +35,8 @@ KINDS = {
 }
 HOLDERS = {
     "explore": "#9ecae1",
-    "home": "#0077b6",
+    "dock": "#0077b6",
+    "charge": "#2a9d4e",
     "avoid": "#f4a259",
     "bump": "#7b2cbf",
     None: "#eceef0",
@@ -178,11 +179,7 @@ def _draw_speed(axes: Axes, run: Run, numbered: list[Event]) -> None:
     times = np.array([sample.time for sample in run.samples])
     told = np.array([sample.linear for sample in run.samples])
     asked = np.array([sample.asked for sample in run.samples])
-    home = next((event.time for event in numbered if event.kind == "swap"), np.inf)
-    held = [
-        "home" if sample.holder == "explore" and sample.time > home else sample.holder
-        for sample in run.samples
-    ]
+    held = [sample.holder for sample in run.samples]
     for name, color in HOLDERS.items():
         mine = np.array([holder == name for holder in held])
         label = f"held by {name}" if name else "held by nobody"

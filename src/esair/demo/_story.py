@@ -171,20 +171,22 @@ class Story:
             )
 
     async def _send_home(self) -> None:
-        event = self._witness.event("swap", "the user replaces explore by a way home")
-        x, y, _ = self._simulation.world.arena.start
-        home = Home(place=(x, y))
-        await self._robot.behaviors.replace("explore", home)
+        event = self._witness.event(
+            "swap", "the user sends it to the dock: esair mode dock"
+        )
+        await self._robot.behaviors.switch("dock", "the show is nearly over")
         took = self._witness.now - event.time
         self._witness.tell(event, f"done in {_ms(took)}, everything else kept running")
+        home = self._robot.behaviors.action("dock")
+        assert isinstance(home, Home)
         await self._happens(
-            "the rover is at home",
-            lambda: home.arrived,
+            "the rover is at its dock, and charges",
+            lambda: home.arrived and self._robot.behaviors.mode == "charge",
             patience=self._duration - self._witness.now,
             must=False,
         )
         await asyncio.sleep(0.5)
-        where = "is home" if home.arrived else "is on its way home"
+        where = "charges" if home.arrived else "is on its way to the dock"
         self._witness.tell(
             self._witness.event("end", f"the rover {where}"),
             "the robot stops; the wheels get their safe command last of all",

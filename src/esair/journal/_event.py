@@ -59,6 +59,8 @@ class Kind(enum.StrEnum):
     """A component is given up: its name, nobody, the error."""
     FINISHED = "finished"
     """A behavior has come to its own end: its name."""
+    MODE = "mode"
+    """The robot goes to a mode: its name, nobody, the mode before; why is the text."""
     HALTED = "halted"
     """The robot was halted: who did it; the reason is the text."""
     RESUMED = "resumed"

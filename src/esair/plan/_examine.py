@@ -11,6 +11,7 @@ from esair.plan._actions import mistakes_in_action, mistyped
 from esair.plan._buses import claimed_twice, odd_buses, overloaded
 from esair.plan._derived import underivable
 from esair.plan._finding import Finding, because
+from esair.plan._modes import mistakes_in_modes
 from esair.plan._names import in_use, taken, taken_by_another, used_already, wrong_kind
 from esair.plan._needs import unmet, untimely
 from esair.plan._placement import unplaceable
@@ -36,6 +37,7 @@ def examine(plan: Plan) -> list[Finding]:
         *_about_resources(plan, plan.resources),
         *_about_actions(plan, plan.behaviors),
         *mistakes_in_policies(plan),
+        *mistakes_in_modes(plan),
         *starving(plan),
         *unprotected(plan),
         *unused(plan),

@@ -34,6 +34,7 @@ class Finding:
             policy that does not fit the robot), ``time`` (times that can never be
             met), ``placement`` (what cannot live in a process of its own), ``protect``
             (what moves without protection, and protection that is not what it seems),
+            ``mode`` (a mode that names nobody, or that the robot never comes to),
             ``starve`` (actions keep each other from an actuator), ``silent`` (a sensor
             that may never speak), ``unused``, ``port``, ``load`` (a bus is
             asked for more than it can do).

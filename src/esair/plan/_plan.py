@@ -12,7 +12,7 @@ import attrs
 from esair.actions import Behavior, Derived, Need, Reaction, Writes
 from esair.connections import Applied
 from esair.exceptions import EsairError
-from esair.messages import Policy
+from esair.messages import NO_MODES, Modes, Policy
 from esair.resources import APPLIED, Actuator, Resource
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ class Plan:
         resources: The sensors and actuators.
         behaviors: The behaviors and reactions.
         policies: Who may do what with a resource.
+        modes: Who runs when.
         buses: Buses by name, if they have places of their own, as in a file.
         missing: Parts that were named and could not be made, for reasons that were
             told already: their names, and the kind of each (``sensor``, ``actuator``,
@@ -50,6 +51,7 @@ class Plan:
     resources: Sequence[Any] = ()
     behaviors: Sequence[Any] = ()
     policies: Sequence[Any] = ()
+    modes: Modes = NO_MODES
     buses: Mapping[str, Bus] = attrs.field(factory=dict)
     missing: Mapping[str, str] = attrs.field(factory=dict)
     implied: Collection[str] = ()

@@ -194,19 +194,22 @@ def _bare(plan: Plan, name: str, row: Protection) -> Iterator[Finding]:
     if "behavior" in plan.missing.values():
         return  # what could not be made may be what protects it
     actuator = plan.resource_of[name]
-    behaviors = [each.priority for each in row.writers if each.kind == "behavior"]
-    if not behaviors or row.guards or not _moves(actuator):
+    if not _moves(actuator):
         return
-    above = [
-        each
-        for each in row.writers
-        if each.kind == "reaction" and each.priority > max(behaviors)
-    ]
-    if not above:
+    for mode in plan.modes.table or (None,):
+        writers = [w for w in row.writers if plan.modes.runs(w.behavior, mode)]
+        behaviors = [each.priority for each in writers if each.kind == "behavior"]
+        guarded = any(plan.modes.runs(each.reaction, mode) for each in row.guards)
+        above = any(
+            each.kind == "reaction" and each.priority > max(behaviors, default=0)
+            for each in writers
+        )
+        if not behaviors or guarded or above:
+            continue
         told = (
             "it moves, and nothing protects it: it has no guard, and no reaction above "
             "its behaviors"
-        )
+        ) + (f" in mode {mode!r}" if mode else "")
         advice = f"write a reaction with esair.guards(..., name={name!r})"
         yield warning("protect", actuator, "", told, advice)
 
@@ -230,7 +233,9 @@ def _level(plan: Plan, name: str, row: Protection) -> Iterator[Finding]:
         equal = [
             each.behavior
             for each in row.writers
-            if each.behavior != holder and each.priority == need.priority
+            if each.behavior != holder
+            and each.priority == need.priority
+            and plan.modes.meet(each.behavior, holder)
         ]
         if equal:
             told = (

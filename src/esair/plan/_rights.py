@@ -64,7 +64,9 @@ def denied(
         field, error = refusal
         yield _against(policy, field, error)
     elif policy.exclusive and isinstance(need, Writes):
-        others = [each for each in _writers(plan, action, need) if each != user]
+        writers = _writers(plan, action, need)
+        meet = plan.modes.meet
+        others = [each for each in writers if each != user and meet(each, user)]
         if others:
             yield _against(policy, "exclusive", not_alone(policy, user, others[0]))
 

@@ -19,6 +19,8 @@ def starving(plan: Plan) -> Iterator[Finding]:
             sorted(writers.items(), key=lambda item: item[1].priority), 2
         ):
             action = plan.action_of[other]
+            if not plan.modes.meet(one, other):
+                continue
             if low.priority == high.priority and (
                 plan.action_of[one].holds_when_blind(low)
                 or action.holds_when_blind(high)

@@ -322,6 +322,21 @@ async def _remove(console: Console, _: Session, name: str) -> Any:
     return f"{name} was removed{rest}"
 
 
+@_act(
+    "tell which mode the robot is in, or go to another one",
+    name=Field("The mode to go to.", default=None),
+    reason=Field("Why, for the log.", default=""),
+)
+async def _mode(console: Console, _: Session, name: str | None, reason: str) -> Any:
+    behaviors = console.robot.behaviors
+    if name is not None:
+        await behaviors.switch(name, reason or f"asked by {console.name}")
+    if behaviors.mode is None:
+        return "the robot has no modes"
+    others = ", ".join(each for each in behaviors.modes.table if each != behaviors.mode)
+    return f"{behaviors.mode} (the others: {others or 'none'})"
+
+
 @_act("begin a behavior or device anew", name=PART)
 async def _restart(console: Console, _: Session, name: str) -> Any:
     await console.supervisor_of(name).restart(name)

@@ -61,6 +61,8 @@ class Status:
             "time": now,
             "up": now - self._begun,
             "halted": robot.halted,
+            "mode": robot.behaviors.mode,
+            "modes": list(robot.behaviors.modes.table),
             "resources": self._resources(counts, rates, now),
             "behaviors": self._behaviors(counts, rates),
         }

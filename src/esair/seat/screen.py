@@ -25,6 +25,7 @@ HAPPENED = (
     Kind.RESTARTED,
     Kind.FAILED,
     Kind.FINISHED,
+    Kind.MODE,
     Kind.ADDED,
     Kind.REMOVED,
     Kind.HALTED,
@@ -39,6 +40,8 @@ _COLORS = {
     "ready": "green",
     "running": "green",
     "finished": "cyan",
+    "resting": "dim",
+    "mode": "cyan",
     "up": "green",
     "resumed": "green",
     "lost": "bold red",
@@ -126,6 +129,8 @@ def _told_value(value: Any) -> str:
 def _head(status: Mapping[str, Any], hint: str) -> Text:
     head = Text(printable(status["robot"]), "bold", no_wrap=True, overflow="ellipsis")
     head.append(f"  up {_span(status['up'])}  ", "not bold")
+    if status.get("mode") is not None:
+        head.append(f"mode {printable(status['mode'])}  ", "not bold")
     if status["halted"] is not None:
         head.append(f"HALTED: {printable(status['halted'])}", "bold white on red")
     else:
@@ -189,7 +194,7 @@ def _behaviors(status: Mapping[str, Any]) -> list[Row]:
         told = printable(each["detail"] or each["error"] or kind)
         style = "" if each["detail"] else "dim"
         text = Text(told, style, no_wrap=True, overflow="ellipsis")
-        calm = each["state"] in {"running", "finished"}
+        calm = each["state"] in {"running", "finished", "resting"}
         rows.append(_row(each, 0 if calm else 2, text, "restarts"))
     return rows
 

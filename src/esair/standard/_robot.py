@@ -13,7 +13,14 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
+from collections.abc import (
+    Callable,
+    Coroutine,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import anyio
@@ -49,6 +56,8 @@ from esair.loop import (
 )
 from esair.messages import (
     BehaviorsPolicy,
+    Mode,
+    Modes,
     Operator,
     Page,
     Policy,
@@ -358,6 +367,9 @@ class Robot:
         resources: The sensors and actuators to deploy.
         behaviors: The behaviors and reactions to deploy.
         policies: Who may do what with which resource.
+        modes: Who takes turns: for each mode an `esair.Mode`, or the names of the
+            behaviors that run in it. What is in no mode always runs.
+        mode: The mode that it begins in.
         grace: How long a component may take to end when it is removed, in seconds.
         record: Where to keep what happens; needs ``esair[record]``.
         start_patience: How long ``run`` of the behaviors waits at the start for the
@@ -401,6 +413,8 @@ class Robot:
         resources: Iterable[Resource | minimal.Sensor | minimal.Actuator] = (),
         behaviors: Iterable[Behavior | Reaction | minimal.Reaction] = (),
         policies: Iterable[Policy | BehaviorsPolicy] = (),
+        modes: Mapping[str, Mode | Sequence[str]] | None = None,
+        mode: str | None = None,
         grace: float = 1.0,
         record: Recording | None = None,
         start_patience: float = 1.0,
@@ -431,11 +445,14 @@ class Robot:
         self._rules: dict[str, Any] = {
             "name": name,
             "policies": given,
+            "modes": modes,
+            "mode": mode,
             "grace": grace,
             "start_patience": start_patience,
             "seed": seed,
             "operator": operator,
         }
+        self._modes = Modes.of({} if modes is None else modes, mode)
         self.sensors: SensorConnection = SensorConnection()
         self.actuators: ActuatorConnection = ActuatorConnection()
         self.journal: Journal = Journal()
@@ -447,6 +464,7 @@ class Robot:
             policies=given,
             declared=lambda *names: self._behaviors.declared(*names),
             grace=self._grace,
+            modes=self._modes,
         )
         self.resources: ResourceSupervisor = ResourceSupervisor(self._resources)
         self._halts = Halts(
@@ -463,6 +481,7 @@ class Robot:
             halt=self._halts.halt,
             stop=self.stop,
             policies=given,
+            modes=self._modes,
         )
         self.behaviors: BehaviorSupervisor = BehaviorSupervisor(
             self._behaviors, self._typed
@@ -535,6 +554,7 @@ class Robot:
             resources=self._list_of_resources,
             behaviors=self._list_of_behaviors,
             policies=self._rules["policies"],
+            modes=self._modes,
             watchdog=self._keeper is not None,
         )
 

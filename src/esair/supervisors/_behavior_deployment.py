@@ -15,18 +15,27 @@ from esair.connections import Halting, Stopped
 from esair.exceptions import (
     AccessDeniedError,
     BehaviorFailedError,
+    BehaviorRemovedError,
     ConfigError,
     UnknownNameError,
     describe,
 )
 from esair.journal import Event, Kind
 from esair.loop import ProcessWatch, current_owner, script_context, wake
-from esair.messages import Access, BehaviorsPolicy, BehaviorState, BehaviorStatus
+from esair.messages import (
+    Access,
+    BehaviorsPolicy,
+    BehaviorState,
+    BehaviorStatus,
+    Modes,
+)
 from esair.plan import Finding, refuse
 from esair.supervisors._command_queue import CommandQueue
+from esair.supervisors._ending import end
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._member import Member
 from esair.supervisors._resource_deployment import ResourceDeployment
+from esair.supervisors._turns import Turns
 
 START_TIMEOUT = 5.0
 """How long the start waits for the ``setup`` of behaviors, in seconds."""
@@ -70,6 +79,7 @@ class BehaviorDeployment:
         halt: Callable[[str, str], Halting],
         stop: Callable[[str], Awaitable[Stopped]],
         policies: Iterable[object],
+        modes: Modes,
     ) -> None:
         self.resources = resources
         self.journal = resources.journal
@@ -90,6 +100,9 @@ class BehaviorDeployment:
         """The context variables of the script; those of its behaviors begin so."""
         self.verbs: abc.Supervisor | None = None
         """Does what a behavior asks for that may manage others."""
+        self.turns = Turns(self, modes)
+        """Which mode the robot is in."""
+        resources.mode = lambda: self.turns.mode
         self._managers = {
             manager
             for each in policies
@@ -130,9 +143,17 @@ class BehaviorDeployment:
 
     def ended(self) -> None:
         """One has finished, or failed for good, or has gone: are all at their end?"""
+        self.turns.look()
         if self._all_ended is None or self._all_ended.done():
             return
-        behaviors = [m for m in self.members.values() if isinstance(m.action, Behavior)]
+        if self.turns.busy or self.turns.waits:
+            return
+        behaviors = [
+            member
+            for member in self.members.values()
+            if isinstance(member.action, Behavior)
+            and member.mail.state is not BehaviorState.RESTING
+        ]
         over = {BehaviorState.FINISHED, BehaviorState.FAILED, BehaviorState.REMOVED}
         if behaviors and all(member.mail.state in over for member in behaviors):
             self._all_ended.set_result(None)
@@ -188,30 +209,28 @@ class BehaviorDeployment:
             self.commands.changed()
             await asyncio.wait({over})
 
-    async def begin(self, member: Member) -> None:
-        """Start a member, and wait for its setup outside of the command queue."""
-        self.coming.append(member)
+    async def begin(self, *members: Member) -> None:
+        """Start members, and wait for their setup outside of the command queue."""
+        self.coming += members
         process = ProcessWatch(asyncio.get_running_loop())
         try:
-            member.start()
-            ready = member.ready
-            if ready is None:
+            for member in members:
+                member.start()
+            pairs = [(m, m.ready) for m in members if m.ready is not None]
+            if not pairs:
                 return
             self.commands.changed()
-            await asyncio.wait({ready}, timeout=SETUP_TIMEOUT)
-            if not ready.done():
-                raise BehaviorFailedError(
-                    member.name, f"its setup did not end in {SETUP_TIMEOUT:g} s"
-                )
-            try:
-                ready.result()
-            except Exception as error:
-                if member.given_up:
-                    raise
-                raise BehaviorFailedError(member.name, describe(error)) from error
+            await asyncio.wait(
+                [ready for _, ready in pairs],
+                timeout=SETUP_TIMEOUT,
+                return_when=asyncio.FIRST_EXCEPTION,
+            )
+            for member, ready in sorted(pairs, key=lambda pair: not pair[1].done()):
+                _check_set_up(member, ready)
         finally:
-            self.coming.remove(member)
-            _warn_of(process, member.name)
+            for member in members:
+                self.coming.remove(member)
+            _warn_of(process, " or ".join(member.name for member in members))
 
     async def end(self, member: Member) -> None:
         """End a member; what it moved is safe, or the time for both is over."""
@@ -220,24 +239,36 @@ class BehaviorDeployment:
         self.ending.append(member)
         over = member.over = member.over or loop.create_future()
         undead = await member.stop(self.grace)
+        member.mail.state = BehaviorState.REMOVED
+        await self._settle(member, undead, deadline)
+        self.ending.remove(member)
+        wake(over)
+
+    async def rested(self, member: Member) -> None:
+        """Wait until the run of a member that rests has ended; what it moved is safe."""
+        deadline = asyncio.get_running_loop().time() + self.grace + MARGIN
+        await self._settle(member, await end(member.mail.owner, self.grace), deadline)
+
+    async def _settle(
+        self, member: Member, undead: list[asyncio.Task[Any]], deadline: float
+    ) -> None:
+        """Fence off what would not end, and wait until what it moved is safe."""
         zombies = [
             *(task.get_name() for task in undead),
             *(thread.name for thread in member.mail.owner.threads),
         ]
-        member.mail.state = BehaviorState.REMOVED
         channels = self.resources.actuators.channels
         wrote = [channels[name] for name in sorted(member.used) if name in channels]
         if wrote:
             # What is sent goes on to be sent.
             await asyncio.gather(*(channel.safe.settled(deadline) for channel in wrote))
-        self.ending.remove(member)
-        wake(over)
         self.undead.update(undead)
         for task in undead:
             task.add_done_callback(self.undead.discard)
+        at = asyncio.get_running_loop().time()
         for name in zombies:
             self.zombie_count += 1
-            self.zombies.append(Zombie(member.name, name, loop.time()))
+            self.zombies.append(Zombie(member.name, name, at))
             del self.zombies[:-ZOMBIE_LIMIT]
             _log.warning("%s: %s would not end; it is fenced off", member.name, name)
 
@@ -253,17 +284,19 @@ class BehaviorDeployment:
         for behavior in behaviors:
             member = Member(behavior, self, behavior.name)
             self.take_in(member)
-            member.sight.accept()
+            if not self.turns.rest(member):
+                member.sight.accept()
 
     async def start(self) -> None:
         """Deploy what was accepted; returns when all run, or have failed."""
-        members = list(self.members.values())
+        resting = BehaviorState.RESTING
+        members = [m for m in self.members.values() if m.mail.state is not resting]
         process = ProcessWatch(asyncio.get_running_loop())
         for member in members:
             member.try_to_start()
         # All are deployed: a setup that gives a command does not wait for itself.
         self.commands.initialized()
-        await self._await_sight()
+        await self.await_sight(members)
         self.may_begin.set()
         waits = [member.ready for member in members if member.ready is not None]
         if waits:
@@ -307,11 +340,11 @@ class BehaviorDeployment:
 
     # Inside.
 
-    async def _await_sight(self) -> None:
-        """Wait until every reaction and guard has decided that can; not for ever."""
+    async def await_sight(self, members: Iterable[Member]) -> None:
+        """Wait until each reaction and guard has decided that can; not for ever."""
         able = [
             member.sight.decided()
-            for member in self.members.values()
+            for member in members
             if isinstance(member.action, Reaction)
             and all(
                 self.resources.is_ready(need.provider)
@@ -343,6 +376,19 @@ class BehaviorDeployment:
         performers = (m for m in self.performing if self.members.get(m.name) is m)
         users = (self.members[name] for name in self.resources.plan.users_of(resource))
         return list(dict.fromkeys([*users, *performers]))
+
+
+def _check_set_up(member: Member, ready: asyncio.Future[None]) -> None:
+    """Raise why the setup of a member has failed, if it has."""
+    if not ready.done():
+        told = f"its setup did not end in {SETUP_TIMEOUT:g} s"
+        raise BehaviorFailedError(member.name, told)
+    try:
+        ready.result()
+    except Exception as error:
+        if isinstance(error, BehaviorRemovedError):
+            raise
+        raise BehaviorFailedError(member.name, describe(error)) from error
 
 
 def refuse_all(found: list[Finding], action: Behavior | Reaction) -> None:

@@ -11,7 +11,7 @@ from esair.actions import Behavior, Reaction, Request, adapt_action
 from esair.exceptions import BehaviorRemovedError
 from esair.journal import Kind
 from esair.loop import VERB_COST, Budget
-from esair.messages import BehaviorState, BehaviorStatus, SupervisorPhase
+from esair.messages import BehaviorState, BehaviorStatus, Modes, SupervisorPhase
 from esair.plan import examine_action, in_use
 from esair.supervisors._behavior_deployment import (
     BehaviorDeployment,
@@ -56,6 +56,16 @@ class BehaviorSupervisor(abc.Supervisor):
     def zombies(self) -> tuple[Zombie, ...]:
         """What would not end when it was removed, the oldest first."""
         return tuple(self._deployment.zombies)
+
+    @property
+    def mode(self) -> str | None:
+        """The mode that the robot is in; None if it has none."""
+        return self._deployment.turns.mode
+
+    @property
+    def modes(self) -> Modes:
+        """The modes of the robot: who runs when."""
+        return self._deployment.turns.modes
 
     def names(self) -> list[str]:
         """Return the names of the behaviors and reactions."""
@@ -184,6 +194,9 @@ class BehaviorSupervisor(abc.Supervisor):
             refuse_all(examine_action(plan, action), action)
             member = Member(action, self._deployment, action.name)
             self._deployment.take_in(member)
+            if self._deployment.turns.rest(member):
+                self._journal.publish(Kind.ADDED, member.name, "behavior")
+                return
             member.sight.accept()
             try:
                 await self._deployment.begin(member)
@@ -268,6 +281,11 @@ class BehaviorSupervisor(abc.Supervisor):
             found = examine_action(plan, action, instead_of=old.action)
             refuse_all(found, action)
             new = Member(action, self._deployment, name)
+            if self._deployment.turns.rest(new):
+                self._commands.no_return()
+                self._put_in_place(new, old)
+                await self._deployment.end(old)
+                return [data for _, data in old.mail.inbox]
             new.gate = asyncio.get_running_loop().create_future()
             new.sight.stand_by()
             try:
@@ -277,7 +295,7 @@ class BehaviorSupervisor(abc.Supervisor):
                     self._commands.changed()
                     await asyncio.wait({new.sight.decided()}, timeout=TAKE_OVER)
                 old = self._deployment.member(name)  # it may be another one by now
-                if old.mail.is_leaving:
+                if old.mail.is_leaving or self._deployment.turns.rests(name):
                     raise BehaviorRemovedError(name)
             except BaseException:
                 new.give_up()
@@ -285,9 +303,8 @@ class BehaviorSupervisor(abc.Supervisor):
                 new.sight.leave()
                 raise
             self._commands.no_return()
-            self._deployment.take_in(new)
             new.sight.take_over(old.sight)
-            self._deployment.mediator.moved(old.mail, new.mail)
+            self._put_in_place(new, old)
             new.gate.set_result(None)  # its run begins when the old one is fenced off
             await self._deployment.end(old)
             self._deployment.ended()
@@ -329,6 +346,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
         Raises:
             UnknownNameError: No behavior has the name.
+            RefusedError: It rests in this mode.
             BehaviorFailedError: Its ``setup`` did not end in time.
             BehaviorRemovedError: It was removed meanwhile.
             StoppingError: The robot is not running.
@@ -336,6 +354,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
         async def work() -> None:
             await self._deployment.gone(name)
+            self._deployment.turns.check_turn(name)
             member = self._deployment.member(name)
             ending = member.end_run(self._deployment.grace)
             self._commands.changed()
@@ -343,6 +362,34 @@ class BehaviorSupervisor(abc.Supervisor):
             await self._deployment.begin(member)
 
         await self._commands.run(work, name=f"restart {name}", undo=False)
+
+    async def switch(self, mode: str, reason: str = "") -> None:
+        """Go to another mode: its behaviors begin, those of this one rest.
+
+        Those who enter are set up while the old ones run; an error there leaves the mode
+        as it is. Then the old ones end, what they moved is safe, and the new ones begin:
+        what runs in both modes goes on. Returns when they run. A newer switch ends one
+        that waits for a ``setup``.
+
+        Args:
+            mode: The name of the mode; nothing happens if the robot is in it.
+            reason: Why, for the log.
+
+        Raises:
+            UnknownNameError: No mode has the name.
+            BehaviorFailedError: A ``setup`` failed; the robot stays in its mode.
+            RefusedError: A newer switch has come before.
+            StoppingError: The robot is not running.
+        """
+
+        async def work() -> None:
+            await self._deployment.turns.switch(mode, reason)
+
+        await self._commands.run(work, name=f"switch {mode}", undo=True)
+
+    def _put_in_place(self, new: Member, old: Member) -> None:
+        self._deployment.take_in(new)
+        self._deployment.mediator.moved(old.mail, new.mail)
 
     async def command(self, text: str) -> str:
         """Do what an operator types; it has the rights of the user.

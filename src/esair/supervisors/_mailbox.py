@@ -34,6 +34,7 @@ _ALIVE = frozenset(
         BehaviorState.PARKED,
         BehaviorState.FINISHED,
         BehaviorState.RESTARTING,
+        BehaviorState.RESTING,
     }
 )
 
@@ -114,7 +115,10 @@ class Mailbox:
         self._state = state
         self.alive: bool = state in _ALIVE
         self.is_quick: bool = self.alive and not self.outlived
-        self.receives: bool = state is BehaviorState.RUNNING and self.room > 0
+        is_open = state is BehaviorState.RUNNING
+        if self.room and state is BehaviorState.RESTING:
+            is_open = self.action.open_at_rest  # type: ignore[union-attr]
+        self.receives: bool = is_open and self.room > 0
 
     @property
     def serves(self) -> Request | None:

@@ -48,6 +48,8 @@ from esair.values import check_duration
 if TYPE_CHECKING:
     from esair.supervisors._behavior_deployment import BehaviorDeployment
 
+_UNBOUND = frozenset({BehaviorState.RESTARTING, BehaviorState.RESTING})
+
 _log = logging.getLogger("esair")
 
 
@@ -198,7 +200,7 @@ class Member:
             )
             self._start_runner(self.runner, self.action)
             return
-        if self.task is not None and (misfit := self._misfit()):
+        if self.task is not None and (misfit := self.misfit()):
             self._runs(False, misfit)  # another device has come in the place of one
             return
         survivors = self.mail.owner.living()
@@ -407,15 +409,24 @@ class Member:
 
     def end_run(self, grace: float) -> Awaitable[None]:
         """End the run, so that another may begin; awaiting waits until it has ended."""
-        self.mail.state = BehaviorState.RESTARTING
+        self.mail.error = None
+        self.sight.blind("it is restarted by the user")
+        self._no_more(BehaviorState.RESTARTING)
+        return self._run_ended(grace)
+
+    def rest(self, why: str) -> None:
+        """End the run: it waits for a mode in which it runs."""
+        self.detail = why
+        self._no_more(BehaviorState.RESTING)
+
+    def _no_more(self, state: BehaviorState) -> None:
+        self.mail.state = state
         self._no_restart()
         self._is_ready()
-        self.task = self.mail.error = None
+        self.task = self.gate = None
         self.mail.carriers = ()
         self.life.restarts.fill()
-        self.sight.blind("it is restarted by the user")
         self._cut_off(None)
-        return self._run_ended(grace)
 
     def _cut_off(self, error: BaseException | None) -> None:
         """Let nothing of this run reach anything any more."""
@@ -455,7 +466,7 @@ class Member:
             return
         bind(runner, reaction, self.grants)
 
-    def _misfit(self) -> str:
+    def misfit(self) -> str:
         """Say why it cannot begin anew with what is there now; empty if it can."""
         needs = self.action.needs.values()
         found = (self.grants.misfit(self.action, need.provider) for need in needs)
@@ -467,7 +478,7 @@ class Member:
             for registration in step.uses:
                 if registration.reason is not None:
                     step.crash(registration.reason())
-        if not self.mail.alive or self.mail.state is BehaviorState.RESTARTING:
+        if not self.mail.alive or self.mail.state in _UNBOUND:
             return  # it will be bound anew in any case
         is_gone = resource not in self.crew.resources.lives
         needs = (n for n in self.action.needs.values() if n.provider == resource)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import Derived
@@ -29,7 +29,15 @@ from esair.exceptions import (
 )
 from esair.journal import Kind
 from esair.loop import now, wake
-from esair.messages import Access, Policy, ResourceState, Restart, is_placed
+from esair.messages import (
+    NO_MODES,
+    Access,
+    Modes,
+    Policy,
+    ResourceState,
+    Restart,
+    is_placed,
+)
 from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
 from esair.supervisors._buses import BUS_TIMEOUT, close_buses, open_buses
@@ -62,6 +70,7 @@ class ResourceDeployment:
         *,
         policies: Iterable[Policy] = (),
         declared: Declared = lambda _behavior, _resource: Access(0),
+        modes: Modes = NO_MODES,
         grace: float = 1.0,
     ) -> None:
         self.sensors = sensors
@@ -71,9 +80,11 @@ class ResourceDeployment:
         self.lives: dict[str, ResourceLife] = {}
         self._derived: dict[str, DerivedOpener] = {}
         self._leaving: set[str] = set()
-        rules = Rules(policies, registrations, declared)
+        rules = Rules(policies, registrations, declared, modes.meet)
         self.plan: Plan = Plan(
-            policies=tuple(rules.policies.values()), writers=rules.writers_of
+            policies=tuple(rules.policies.values()),
+            modes=modes,
+            writers=rules.writers_of,
         )
         """This robot as the rulebook sees it, with its actions: always as it is now."""
         self.control: ControlPath = ControlPath(
@@ -91,6 +102,8 @@ class ResourceDeployment:
         self._departures: dict[str, asyncio.Future[None]] = {}
         self.left: set[Call] = set()
         """The driver calls that were given up, and whose code still runs."""
+        self.mode: Callable[[], str | None] = lambda: None
+        """Tells in which mode the robot is; set by its behaviors."""
         self.seed = 0
         """What the random numbers of its components begin with; set by the robot."""
         self.began: float = (
@@ -135,6 +148,16 @@ class ResourceDeployment:
         return (
             f"when this process dies: {process}; "
             f"when this computer dies: {when_alone(life.resource)}"
+        )
+
+    def resting_writers(self, name: str) -> tuple[str, ...]:
+        """Say who would write an actuator in another mode than this one."""
+        modes, now_in = self.plan.modes, self.mode()
+        return tuple(
+            f"{writer} rests in mode {now_in}: it runs in "
+            f"{', '.join(modes.of_behavior(writer))}"
+            for writer in (self.plan.writes_of(name) if modes.table else ())
+            if not modes.runs(writer, now_in)
         )
 
     # How one comes.

@@ -109,6 +109,7 @@ class ResourceSupervisor(abc.Supervisor):
             ),
             guards=tuple(each.describe() for each in protections),
             dies=self._deployment.dies(name),
+            resting=self._deployment.resting_writers(name),
         )
 
     # What the user may do.

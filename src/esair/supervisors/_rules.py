@@ -28,6 +28,7 @@ class Rules:
         policies: Iterable[Policy],
         registrations: Registrations,
         declared: Declared,
+        meet: Callable[[str, str], bool],
     ) -> None:
         # What is no policy, or one too many, is found before the robot starts.
         self.policies: dict[str, Policy] = {
@@ -35,6 +36,7 @@ class Rules:
         }
         self._registrations = registrations
         self._declared = declared
+        self._meet = meet  # whether two run in the same mode
 
     def check(
         self, terms: Terms, *, is_actuator: bool, instead_of: str | None, provider: str
@@ -64,7 +66,7 @@ class Rules:
             raise refusal[1]
         if policy.exclusive and Access.WRITE in access:
             for other in self.writers_of(resource):
-                if other not in {behavior, instead_of}:
+                if other not in {behavior, instead_of} and self._meet(behavior, other):
                     raise not_alone(policy, behavior, other)
 
     def writers_of(self, resource: str) -> list[str]:

@@ -40,7 +40,14 @@ class Sight:
 
     def accept(self) -> None:
         """Enter the table: it is blind until its first decision."""
-        self._table.enter(self.entries)
+        self.blind(UNDECIDED)
+        self._decided = None
+        # A latch has stayed while its guard rested.
+        self._table.enter(each for each in self.entries if not each.latched)
+
+    def rest(self) -> None:
+        """Leave the table for a while; a latch stays, which only the user ends."""
+        self._table.leave(each for each in self.entries if not each.latched)
 
     def stand_by(self) -> None:
         """Enter the table where the one whose place it will take has no entry."""

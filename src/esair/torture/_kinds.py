@@ -101,7 +101,7 @@ def cast_of(robot: esair.Robot) -> Cast:
         group: tuple(sorted(each.name for each in members))
         for group, members in groups.items()
     }
-    return names | {"robot": ("",)}
+    return names | {"robot": ("",), "modes": tuple(plan.modes.table)}
 
 
 def _changeable(resource: Resource) -> bool:
@@ -334,6 +334,14 @@ def restart(world: World, step: Step) -> None:
     name = step.target
     work = _supervisor(world, name).restart(name)
     world.order(f"restart {name}", name, work)
+
+
+@_kind("user", "modes", weight=2.0)
+def switch(world: World, step: Step) -> None:
+    """It goes to this mode."""
+    _up(world)
+    mode = step.target
+    world.order(f"switch {mode}", mode, world.robot.behaviors.switch(mode))
 
 
 @_kind("user", "robot", lasts=SHORT, weight=2.0)

@@ -114,8 +114,8 @@ def habits_in(worlds: Sequence[World]) -> Habits:
 
 
 def lasting_in(robot: esair.Robot) -> set[str]:
-    """Return the actions of a robot that have not come to an end."""
-    ended = {BehaviorState.FINISHED, BehaviorState.FAILED}
+    """Return the actions of a robot that have not come to an end, nor rest."""
+    ended = {BehaviorState.FINISHED, BehaviorState.FAILED, BehaviorState.RESTING}
     states = {name: _state(robot, name) for name in robot.behaviors.names()}
     return {name for name, state in states.items() if state not in ended}
 
@@ -157,6 +157,7 @@ def judge_life(world: World) -> None:
         return
     idle = {name for name, each in _declared(robot) if _is_idle(each)}
     names = set(robot.behaviors.names())
+    idle |= {name for name in names if _state(robot, name) is BehaviorState.RESTING}
     gone = {each.name for each in robot.plan.behaviors} - names
     ended = {name: _ended(world, name, habits) for name in sorted(names)}
     for name, told in ended.items():
@@ -195,7 +196,9 @@ def _left_undone(
     for deed, pause in habits.steady.items():
         pair = deed.doer, deed.partner
         since = now - last.get(deed, 0.0)
-        if deed.doer in idle or pair in spared | owed or since <= AGAIN_WITHIN:
+        if not idle.isdisjoint(pair) or pair in spared | owed:
+            continue
+        if since <= AGAIN_WITHIN:
             continue
         yield (
             deed.doer,
@@ -204,7 +207,7 @@ def _left_undone(
             f"{quiet:.3g} s after the last fault",
         )
     for name, each in said:
-        if each.within is None or quiet < WELL_AFTER + each.within:
+        if each.within is None or name in idle or quiet < WELL_AFTER + each.within:
             continue
         for partner in each.partners or ("",):
             times = (

@@ -139,6 +139,11 @@ function show(status) {
   document.title = `${status.robot} - esair`;
   byId("halted").hidden = status.halted === null;
   byId("reason").textContent = `HALTED: ${status.halted}`;
+  byId("modes").hidden = status.mode === null;
+  if (document.activeElement !== byId("mode")) {
+    byId("mode").replaceChildren(...status.modes.map((each) => new Option(each, each)));
+    byId("mode").value = status.mode;
+  }
   const resources = document.createDocumentFragment();
   for (const each of status.resources) {
     const row = resources.appendChild(document.createElement("tr"));
@@ -296,6 +301,10 @@ function operation(resource, each) {
 byId("halt").onclick = () => {
   tell(isConnected() ? "" : "STOP was not sent: there is no connection to the robot");
   send("stop", { reason: "the page" });
+};
+byId("mode").onchange = (event) => {
+  send("mode", { name: event.target.value });
+  event.target.blur();
 };
 byId("resume").onclick = () => send("resume", {});
 
