@@ -62,7 +62,7 @@ PARTS_OF_ONE = {
     "esair.seat": {"_acts", "_operator"},
     "esair.standard": {"_recording", "_robot"},
     "esair.supervisors": {
-        *("_behavior_deployment", "_member", "_grants", "_perform"),
+        *("_behavior_deployment", "_member", "_grants", "_perform", "_turns"),
         *("_mailbox", "_mediator", "_requests", "_orders", "_circles"),
         *("_resource_deployment", "_opening", "_watching"),
     },
