@@ -459,6 +459,11 @@ class Policy:
         return ConfigError(f"policy of {self.resource!r}", field, message)
 
 
+def _kept(names: Sequence[str]) -> Sequence[str]:
+    """Keep a list as it is now."""
+    return tuple(names) if isinstance(names, list) else names
+
+
 @attrs.frozen
 class Mode:
     """Behaviors that take their turn together, and what follows them.
@@ -470,9 +475,7 @@ class Mode:
             FAILED.
     """
 
-    behaviors: Sequence[str] = attrs.field(
-        converter=lambda given: tuple(given) if isinstance(given, list) else given
-    )
+    behaviors: Sequence[str] = attrs.field(converter=_kept)
     then: str | None = attrs.field(default=None, kw_only=True)
     on_failure: str | None = attrs.field(default=None, kw_only=True)
 
