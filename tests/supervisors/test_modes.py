@@ -547,6 +547,10 @@ class _Wheels(esair.Actuator[float]):
         self.told.append((mode, command))
 
 
+SET_UPS: list[float | Exception] = [0.0, 0.0, 0.03, 0.3, RuntimeError("no")]
+"""How long a setup takes, in seconds, or what it raises."""
+
+
 async def _history(seed: int) -> None:
     """Tell one history of a switch that is interrupted at any await, and judge it."""
     dice = random.Random(seed)
@@ -557,7 +561,7 @@ async def _history(seed: int) -> None:
         name: Mover(
             name,
             speed,
-            sets_up=dice.choice([0.0, 0.0, 0.03, 0.3, RuntimeError("no")]),
+            sets_up=dice.choice(SET_UPS),
             lasts=dice.choice([1e6, 1e6, 0.3]),
             fails=dice.random() < 0.2,
             deaf=dice.choice([0.0, 0.0, 0.1, 3.0]),
