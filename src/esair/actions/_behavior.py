@@ -76,7 +76,7 @@ class Behavior(ProfiledAction):
     if TYPE_CHECKING:
 
         def setup(self) -> Awaitable[None] | None: ...
-        def run(self) -> Awaitable[None] | None: ...
+        def run(self) -> Awaitable[Any] | Any: ...
         def teardown(self) -> Awaitable[None] | None: ...
         def provide(self) -> Awaitable[Any] | Any: ...
 
@@ -241,37 +241,62 @@ class Behavior(ProfiledAction):
         """
         self._mail.offer(data, latest)
 
+    @overload
     async def perform(
         self,
-        reaction: Reaction | minimal.Reaction,
+        step: Reaction | minimal.Reaction,
         *,
         until: Callable[..., bool] | None = None,
         timeout: float | None = None,
         blind_timeout: float | None = None,
-    ) -> bool:
-        """Run a reaction as a step of this behavior.
+    ) -> bool: ...
+    @overload
+    async def perform(self, step: Behavior, *, timeout: float | None = None) -> Any: ...
+    async def perform(
+        self,
+        step: Reaction | minimal.Reaction | Behavior,
+        *,
+        until: Callable[..., bool] | None = None,
+        timeout: float | None = None,
+        blind_timeout: float | None = None,
+    ) -> Any:
+        """Run a reaction or another behavior as a step of this behavior.
+
+        Either acts in this behavior's name, and ends with it; what it held is safe
+        then. A behavior runs in the task that performs it, from its ``setup`` to its
+        ``teardown``, with this one's priority or less: an `asyncio.TaskGroup` performs
+        several at a time, `asyncio.timeout` limits many.
 
         Args:
-            reaction: What to run. It is registered in this behavior's name.
-            until: Asked after each of its steps; it ends the reaction. Its
+            step: What to run. It is registered in this behavior's name.
+            until: Of a reaction: asked after each of its steps; it ends the reaction. Its
                 parameters, if any, are named like readings and get them.
             timeout: How long it may run, in seconds.
-            blind_timeout: How long it may be blind at a time, in seconds; no limit
-                unless given. Meanwhile it keeps its actuators safe, as it does
+            blind_timeout: How long a reaction may be blind at a time, in seconds; no
+                limit unless given. Meanwhile it keeps its actuators safe, as it does
                 without a behavior, and ``query`` tells why.
 
         Returns:
-            True if the condition came true, False if the time was over.
+            Of a reaction: True if the condition came true, False if the time was over.
+            Of a behavior: what its ``run`` returns.
 
         Raises:
-            AccessDeniedError: This behavior may not do what the reaction does.
+            AccessDeniedError: This behavior may not do what the step does.
+            BehaviorUnavailableError: A behavior did not end within its timeout.
             DeviceLostError: It was blind for too long: a device is not there.
             StaleReadingError: It was blind for too long: a sensor is silent.
-            Exception: What the reaction raised.
+            Exception: What the step raised.
         """
         host = self._host
         await Budget.spend(VERB_COST)
-        adapted: Reaction = adapt_action(reaction)
+        if isinstance(step, Behavior):
+            if until is not None or blind_timeout is not None:
+                told = (
+                    "expected a timeout alone: until and blind_timeout are of reactions"
+                )
+                raise BadValueError(self.name, "perform", told)
+            return await host.perform_behavior(step, timeout)
+        adapted: Reaction = adapt_action(step)
         return await host.perform(adapted, until, timeout, blind_timeout)
 
     @overload

@@ -45,6 +45,7 @@ class Host(Protocol):
         timeout: float | None,
         blind_timeout: float | None,
     ) -> bool: ...
+    async def perform_behavior(self, behavior: Any, timeout: float | None) -> Any: ...
     async def register(
         self,
         resource: str,

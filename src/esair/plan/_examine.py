@@ -10,7 +10,7 @@ from esair.exceptions import ConfigError
 from esair.plan._actions import mistakes_in_action, mistyped
 from esair.plan._buses import claimed_twice, odd_buses, overloaded
 from esair.plan._derived import underivable
-from esair.plan._finding import Finding, because
+from esair.plan._finding import Finding, because, mistake
 from esair.plan._modes import mistakes_in_modes
 from esair.plan._names import in_use, taken, taken_by_another, used_already, wrong_kind
 from esair.plan._needs import unmet, untimely
@@ -87,15 +87,21 @@ def examine_action(
     ]
 
 
-def examine_step(plan: Plan, reaction: Any, *, performer: str) -> list[Finding]:
-    """Find what is wrong with a reaction that a behavior is about to perform.
+def examine_step(plan: Plan, action: Any, *, performer: str) -> list[Finding]:
+    """Find what is wrong with what a behavior is about to perform.
 
     Args:
         plan: The robot.
-        reaction: What is performed.
+        action: The reaction or behavior that is performed.
         performer: The name of the behavior, in whose name it is registered.
     """
-    return list(_about_action(plan, reaction, user=performer))
+    found = list(_about_action(plan, action, user=performer))
+    if in_use(action):
+        found.append(used_already(action))
+    if isinstance(action, Behavior) and action.takes:
+        told = "it takes requests: a step has no name of its own to be asked by"
+        found.append(mistake("declaration", action, "", told))
+    return found
 
 
 def _names(plan: Plan) -> Iterator[Finding]:

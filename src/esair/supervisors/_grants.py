@@ -34,6 +34,7 @@ from esair.plan import refuse, unmet
 if TYPE_CHECKING:
     from esair.supervisors._behavior_deployment import BehaviorDeployment
     from esair.supervisors._member import Member
+    from esair.supervisors._perform import BehaviorStep
 
 Action = Behavior | Reaction
 Port = SensorPort[Any] | ActuatorPort[Any]
@@ -50,12 +51,25 @@ _METHODS = {
 
 
 class Grants:
-    """Keeps the registrations of one component, and the ports that it declares."""
+    """Keeps the registrations of one component, and the ports that it declares.
 
-    __slots__ = ("_crew", "_name", "_ports", "registrations")
+    Args:
+        name: In whose name it is registered.
+        crew: The behaviors of the robot.
+        under: The needs of the behavior that performs it, if it is a step: it writes
+            with no higher priority than that.
+    """
 
-    def __init__(self, name: str, crew: BehaviorDeployment) -> None:
+    __slots__ = ("_crew", "_name", "_ports", "_under", "registrations")
+
+    def __init__(
+        self,
+        name: str,
+        crew: BehaviorDeployment,
+        under: Mapping[str, Need] | None = None,
+    ) -> None:
         self._name = name
+        self._under = under
         self._crew = crew
         self._ports: dict[str, Port] = {}
         """The declared ports of a behavior, by their attributes."""
@@ -74,6 +88,9 @@ class Grants:
         Never one of another member with the same name, which is about to give its
         place to this one and takes its registrations along.
         """
+        if self._under is not None:
+            own = [n.priority for n in self._under.values() if n.resource == resource]
+            priority = min(priority, max(own, default=0))
         terms = Terms(self._name, resource, access, priority, hold)
         for known in tuple(self.registrations):
             if known.resource == resource and known.terms == terms:
@@ -181,7 +198,7 @@ def bind(
 
 def fill(
     behavior: Behavior,
-    host: Member,
+    host: Member | BehaviorStep,
     grants: Grants,
     portal: Portal | None,
 ) -> None:
@@ -201,7 +218,9 @@ def fill(
             )
 
 
-def empty(behavior: Behavior | Reaction, host: Member, portal: Portal | None) -> None:
+def empty(
+    behavior: Behavior | Reaction, host: Member | BehaviorStep, portal: Portal | None
+) -> None:
     """Take a behavior its supervisor, if it has not another one by now."""
     if isinstance(behavior, Reaction) or vars(behavior).get("_host") is not host:
         return

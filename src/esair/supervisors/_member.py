@@ -41,7 +41,7 @@ from esair.supervisors._ending import UserRemovedError, cancel, end, living, unt
 from esair.supervisors._grants import Grants, bind, empty, fill
 from esair.supervisors._life import Life, absent, absent_for, where
 from esair.supervisors._mailbox import Mailbox
-from esair.supervisors._perform import Steps, runner_for
+from esair.supervisors._perform import Step, Steps, runner_for
 from esair.supervisors._sight import Sight
 from esair.values import check_duration
 
@@ -94,7 +94,7 @@ class Member:
         self.grants: Grants = Grants(name, crew)
         self.runner: ReactionRunner | None = None
         self.steps: Steps = Steps(name, crew, self.grants)
-        """The reactions that it performs now."""
+        """What it performs now."""
         self.task: asyncio.Task[BaseException | None] | None = None
         self.ready: asyncio.Future[None] | None = None
         self.gate: asyncio.Future[None] | None = None
@@ -137,14 +137,29 @@ class Member:
         hold: float | None,
         max_age: float | None,
     ) -> SensorPort[Any] | ActuatorPort[Any]:
+        terms = resource, access, wanted, priority, hold, max_age
+        return await self.register_for(self.grants, self._portal, *terms)
+
+    async def register_for(
+        self,
+        grants: Grants,
+        portal: Portal | None,
+        resource: str,
+        access: Access,
+        wanted: type | None,
+        priority: int,
+        hold: float | None,
+        max_age: float | None,
+    ) -> SensorPort[Any] | ActuatorPort[Any]:
+        """Register it, or a step of it, for a resource."""
         await Budget.spend()
         self.mail.check_speaker()
         if max_age is not None:
             check_duration(self.name, f"{resource}.max_age", max_age)
-        self.grants.check_type(self.action, resource, access, wanted)
-        right = self.grants.grant(resource, access, priority, hold)
-        port = self.grants.port(right, max_age)
-        return port if self._portal is None else blocking(port, self._portal)
+        grants.check_type(self.action, resource, access, wanted)
+        right = grants.grant(resource, access, priority, hold)
+        port = grants.port(right, max_age)
+        return port if portal is None else blocking(port, portal)
 
     async def perform(
         self,
@@ -160,6 +175,16 @@ class Member:
             return await self.steps.perform(
                 reaction, self.mail.owner, until, timeout, blind_timeout
             )
+        finally:
+            if not self.steps.now:
+                self.crew.performing.pop(self, None)
+
+    async def perform_behavior(self, behavior: Behavior, timeout: float | None) -> Any:
+        """Run a behavior as a step; returns what its run returns."""
+        self.mail.check_speaker()
+        self.crew.performing[self] = None
+        try:
+            return await self.steps.perform_behavior(behavior, self, timeout)
         finally:
             if not self.steps.now:
                 self.crew.performing.pop(self, None)
@@ -186,7 +211,7 @@ class Member:
 
     def _runners(self) -> list[ReactionRunner]:
         own = [] if self.runner is None else [self.runner]
-        return [*own, *(step.runner for step in self.steps.now)]
+        return [*own, *(step.runner for step in self.steps.now if step.runner)]
 
     def start(self) -> None:
         self.mail.state = BehaviorState.STARTING
@@ -387,8 +412,9 @@ class Member:
         for registration in uses:
             self.crew.resources.control.revoke(registration, reason)
         self.grants.registrations.clear()
-        if self._portal is not None:
-            self._portal.close()
+        for portal in (self._portal, *(step.portal for step in self.steps.now)):
+            if portal is not None:
+                portal.close()
 
     async def stop(self, grace: float) -> list[asyncio.Task[Any]]:
         """End it, whatever it does; returns the tasks that would not end."""
@@ -476,8 +502,9 @@ class Member:
         """Bind an action anew when one of its resources was added or removed."""
         for step in self.steps.now:
             for registration in step.uses:
-                if registration.reason is not None:
+                if registration.reason is not None and isinstance(step, Step):
                     step.crash(registration.reason())
+            step.revive(resource)
         if not self.mail.alive or self.mail.state in _UNBOUND:
             return  # it will be bound anew in any case
         is_gone = resource not in self.crew.resources.lives

@@ -1,27 +1,38 @@
-"""A reaction that a behavior performs as a step of its own."""
+"""What a behavior performs as a step of its own: a reaction, or another behavior."""
 
 from __future__ import annotations
 
 import asyncio
+import inspect
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from esair.actions import GuardRunner, Hooks, Reaction, ReactionRunner
+from esair.actions import (
+    ActuatorPort,
+    Behavior,
+    GuardRunner,
+    Hooks,
+    Reaction,
+    ReactionRunner,
+    SensorPort,
+)
 from esair.connections import Registration
-from esair.exceptions import ConfigError
-from esair.loop import Owner, fail, raisable
+from esair.exceptions import BehaviorUnavailableError, ConfigError
+from esair.loop import Owner, Portal, fail, raisable
+from esair.messages import Access
 from esair.plan import examine_step, refuse
-from esair.supervisors._grants import Grants, bind
+from esair.supervisors._grants import Grants, bind, empty, fill
 from esair.supervisors._sight import Sight
 from esair.values import check_duration
 
 if TYPE_CHECKING:
     from esair.placement import Seat
     from esair.supervisors._behavior_deployment import BehaviorDeployment
+    from esair.supervisors._member import Member
 
 
 class Steps:
-    """The reactions that one behavior performs now."""
+    """What one behavior performs now."""
 
     __slots__ = ("_crew", "_grants", "_name", "now")
 
@@ -29,7 +40,7 @@ class Steps:
         self._name = name
         self._crew = crew
         self._grants = grants
-        self.now: tuple[Step, ...] = ()
+        self.now: tuple[Step | BehaviorStep, ...] = ()
 
     async def perform(
         self,
@@ -44,11 +55,8 @@ class Steps:
             if seconds is not None:
                 check_duration(self._name, field, seconds)
         if not isinstance(reaction, Reaction):
-            raise ConfigError(
-                self._name,
-                "perform",
-                f"expected an esair.Reaction, not {reaction!r:.80}",
-            )
+            told = f"expected a Reaction or a Behavior, not {reaction!r:.80}"
+            raise ConfigError(self._name, "perform", told)
         found = examine_step(self._crew.resources.plan, reaction, performer=self._name)
         refuse(found, f"what {self._name} performs is described wrongly")
         resources = self._crew.resources
@@ -73,9 +81,110 @@ class Steps:
                 resources.control.revoke(registration)
             sight.leave()
 
+    async def perform_behavior(
+        self, behavior: Behavior, member: Member, timeout: float | None
+    ) -> Any:
+        """Run a behavior to its end, in the task of its performer."""
+        if timeout is not None:
+            check_duration(self._name, "timeout", timeout)
+        plan = self._crew.resources.plan
+        found = examine_step(plan, behavior, performer=self._name)
+        refuse(found, f"what {self._name} performs is described wrongly")
+        step = BehaviorStep(behavior, member)
+        self.now = (*self.now, step)
+        try:
+            return await step.run(timeout)
+        finally:
+            self.now = tuple(each for each in self.now if each is not step)
+
+
+class BehaviorStep:
+    """A behavior that is performed now, and the `Host` that it talks to.
+
+    It runs in the task of its performer: errors, cancellation and time limits are those
+    of any coroutine. It speaks in the name of its performer; its rights are its own
+    registrations in that name, which end with it.
+    """
+
+    def __init__(self, behavior: Behavior, member: Member) -> None:
+        self.behavior, self._member = behavior, member
+        self.needs = tuple(behavior.needs.values())
+        self.mail = member.mail
+        self.grants = Grants(member.name, member.crew, member.action.needs)
+        self.own = self.grants.registrations
+        self.uses: tuple[Registration, ...] = ()  # its ports tell it what has gone
+        self.runner = None
+        self.detail = f"performs {behavior.name}"
+        table = member.crew.resources.actuators.protections
+        self._sight = Sight(table, behavior, behavior.name, step_of=member.name)
+        self.portal: Portal | None = None
+        if not inspect.iscoroutinefunction(behavior.run):
+            self.portal = Portal(member.name, member.mail.owner)
+        self.query, self.manage = member.query, member.manage
+        self.perform, self.perform_behavior = member.perform, member.perform_behavior
+        self.halt_robot, self.stop_robot = member.halt_robot, member.stop_robot
+
+    async def register(
+        self,
+        resource: str,
+        access: Access,
+        wanted: type | None,
+        priority: int,
+        hold: float | None,
+        max_age: float | None,
+    ) -> SensorPort[Any] | ActuatorPort[Any]:
+        terms = resource, access, wanted, priority, hold, max_age
+        return await self._member.register_for(self.grants, self.portal, *terms)
+
+    async def run(self, timeout: float | None) -> Any:
+        """Set it up, run it, and clean up; returns what its run returns."""
+        behavior, member = self.behavior, self._member
+        control = member.crew.resources.control
+        self._sight.accept()
+        try:
+            fill(behavior, self, self.grants, self.portal)
+            try:
+                async with asyncio.timeout(timeout) as limit:
+                    await self._call(behavior.setup)
+                    self._sight.sees()
+                    return await self._call(behavior.run)
+            except TimeoutError:
+                if timeout is None or not limit.expired():
+                    raise
+                told = "come to its end"
+                state = f"a step of {member.name}"
+                raise BehaviorUnavailableError(
+                    behavior.name, told, timeout, state
+                ) from None
+            finally:
+                await self._call(behavior.teardown)
+        finally:
+            for registration in tuple(self.own):
+                control.revoke(registration)
+            self._sight.leave()
+            empty(behavior, self, self.portal)
+            if self.portal is not None:
+                self.portal.close()
+
+    def revive(self, resource: str) -> None:
+        """Give its ports their rights to a resource again that has come back."""
+        self.grants.revive(self.behavior.needs, resource)
+
+    async def _call(self, method: Callable[[], Any]) -> Any:
+        if inspect.iscoroutinefunction(method):
+            return await method()
+        found: list[Any] = [None]
+        way = self.portal
+        if way is None or way.closed:
+            way = Portal(self._member.name, self.mail.owner)
+        await way.run(lambda: found.append(method()))
+        return found[-1]
+
 
 class Step:
     """A reaction that is performed now: what runs it, and whether it sees."""
+
+    portal = None
 
     def __init__(
         self,
@@ -114,6 +223,9 @@ class Step:
         """Take no further step."""
         self.runner.stop()
         self._sees_again()
+
+    def revive(self, resource: str) -> None:
+        """It is bound for as long as it lasts: what has gone ends it."""
 
     def _state(self, running: bool, why: str) -> None:
         if not running:
