@@ -366,17 +366,26 @@ def _count(instance: object, attribute: attrs.Attribute[int], value: int) -> Non
 class Restart:
     """How often, and how fast, a crashed component is started again.
 
+    The restarts of the budget are spread over its window: a network or disk that is away
+    for some seconds does not spend it.
+
     Attributes:
         max: How many restarts within the window; one more and it is FAILED.
         within: The window, in seconds.
-        delay: The pause before the first restart, in seconds; it doubles each time.
+        delay: The pause before the first restart, in seconds; those after it double, and
+            are four fifths of ``within / max`` at least.
         max_delay: The longest pause, in seconds.
+        retry: When the budget is spent: try again after this many seconds, for ever,
+            with one line in the log each time. None: it is FAILED.
     """
 
     max: int = attrs.field(default=3, validator=_count)
     within: float = attrs.field(default=30.0, validator=_positive)
     delay: float = attrs.field(default=0.1, validator=_positive)
-    max_delay: float = attrs.field(default=5.0, validator=_positive)
+    max_delay: float = attrs.field(default=10.0, validator=_positive)
+    retry: float | None = attrs.field(
+        default=None, validator=attrs.validators.optional(_positive)
+    )
 
 
 @attrs.frozen

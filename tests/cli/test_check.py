@@ -117,6 +117,7 @@ def test_the_json_has_the_schema_that_is_promised(
         "with_simulation",
         "findings",
         "actuators",
+        "failures",
     ]
     assert (report["schema"], report["file"], report["ok"]) == (1, str(path), True)
 

@@ -19,6 +19,7 @@ from tests.supervisors.actors import (
 )
 
 import esair
+from esair.plan import examine, failures
 from esair.supervisors._life import RestartBudget
 from esair.testing import FakeSensor
 
@@ -28,14 +29,14 @@ pytestmark = pytest.mark.virtual_clock
 @pytest.mark.promise("SUP-4")
 @pytest.mark.fault("B17", "B02")
 async def test_a_crash_loop_ends_in_failed() -> None:
-    """Three restarts with growing pauses, then FAILED; the others go on."""
+    """Three restarts, spread over their time, then FAILED; the others go on."""
     behavior = Scripted(raises(RuntimeError("always")), name="a")
     ticker = Ticker()
     async with esair.Robot(behaviors=[behavior, ticker]) as robot:
         await asyncio.sleep(60.0)
         status = robot.behaviors.query("a")
 
-        assert behavior.begun == pytest.approx([0.0, 0.1, 0.3, 0.7], abs=1e-6)
+        assert behavior.begun == pytest.approx([0.0, 0.1, 8.1, 16.1], abs=1e-6)
         assert status.state is State.FAILED
         assert status.restarts == 3
         assert isinstance(status.error, RuntimeError)
@@ -57,13 +58,13 @@ async def test_the_budget_is_for_a_window_of_time() -> None:
     async with esair.Robot(behaviors=[behavior]) as robot:
         await asyncio.sleep(200.0)
         assert robot.behaviors.query("a").state is State.RUNNING
-        assert robot.behaviors.query("a").restarts == 9
+        assert robot.behaviors.query("a").restarts == 7
 
 
 @pytest.mark.promise("SUP-4")
 def test_pauses_double_up_to_their_limit() -> None:
     """However many restarts a policy allows, the pause stays within its bounds."""
-    policy = esair.Restart(max=2000, within=1e6, delay=0.1, max_delay=5.0)
+    policy = esair.Restart(max=2000, within=100.0, delay=0.1, max_delay=5.0)
     budget = RestartBudget(policy)
     pauses = [budget.spend(0.0) for _ in range(2000)]
 
@@ -294,3 +295,82 @@ async def test_a_child_task_that_exits_ends_itself_only():
 
         assert isinstance(parent.caught.__cause__, SystemExit)
         assert robot.behaviors.query("parent").state is esair.BehaviorState.RUNNING
+
+
+@pytest.mark.promise("SUP-4")
+async def test_with_retry_it_is_tried_for_ever() -> None:
+    """After its budget once in each pause, with one line; what works again has it all."""
+    is_away = True
+
+    async def run(_behavior: object) -> None:
+        if is_away:
+            raise OSError(101, "Network is unreachable")
+        await asyncio.sleep(1e6)
+
+    restart = esair.Restart(max=2, within=10.0, retry=60.0)
+    behavior = Scripted(run, restart=restart, name="a")
+    async with esair.Robot(behaviors=[behavior]) as robot:
+        await asyncio.sleep(200.0)
+        assert behavior.begun == pytest.approx([0.0, 0.1, 4.1, 64.1, 124.1, 184.1])
+        assert robot.behaviors.query("a").state is State.RESTARTING
+        is_away = False
+        await asyncio.sleep(60.0)
+        assert robot.behaviors.query("a").state is State.RUNNING
+
+
+@pytest.mark.promise("SUP-4")
+async def test_retries_are_a_line_each(caplog: pytest.LogCaptureFixture) -> None:
+    """Without a traceback: a day of outage is 288 lines."""
+    restart = esair.Restart(max=1, within=10.0, retry=60.0)
+    failing = Scripted(raises(RuntimeError("away")), restart=restart, name="a")
+    async with esair.Robot(behaviors=[failing]):
+        await asyncio.sleep(600.0)
+    told = [record for record in caplog.records if "tried again" in record.message]
+    assert len(told) == 10
+    assert told[0].message == "a: failed: RuntimeError: away; tried again in 60 s"
+    assert not any(record.exc_info for record in told)
+
+
+@pytest.mark.promise("SUP-4")
+async def test_an_essential_one_ends_the_robot() -> None:
+    """Everything is safe, and whoever waits for its end has the error."""
+    device = wheels()
+
+    class Vital(Scripted):
+        essential = True
+
+    async def run(_behavior: object) -> None:
+        await asyncio.sleep(1.0)
+        raise RuntimeError("no brain")
+
+    vital = Vital(run, restart=esair.Restart(max=0), name="a")
+    ticker = Ticker()
+    async with esair.Robot(resources=[device], behaviors=[vital, ticker]) as robot:
+        with pytest.raises(esair.BehaviorFailedError, match="no brain"):
+            await robot.ended()
+        await asyncio.sleep(0.5)
+        assert robot.stopped.reason == "a is essential, and has failed"
+        assert robot.behaviors.query("ticker").state is State.REMOVED
+
+
+def test_essential_and_retried_is_a_contradiction() -> None:
+    """And the check says of each what its failure means."""
+
+    class Vital(Idle):
+        essential = True
+
+    policy = esair.Restart(retry=300.0)
+    both, one, other = Vital(name="both"), Vital(name="one"), Idle(name="other")
+    both.restart = other.restart = policy
+    plain, turns = Idle(name="plain"), Idle(name="turns")
+    robot = esair.Robot(
+        behaviors=[both, one, other, plain, turns],
+        modes={"a": esair.Mode(["turns"], on_failure="b"), "b": []},
+        mode="a",
+    )
+    assert [each.component for each in examine(robot.plan) if each.is_error] == ["both"]
+    told = failures(robot.plan)
+    assert told["one"] == "3 restarts in 30 s, then the robot ends with an exit code"
+    assert told["other"] == "3 restarts in 30 s, then again every 300 s, for ever"
+    assert told["plain"].endswith("it is FAILED: the others go on without it")
+    assert told["turns"].endswith("it is FAILED: mode b follows a")

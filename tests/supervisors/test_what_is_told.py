@@ -131,12 +131,12 @@ async def test_one_that_is_removed_is_stopping_until_it_has_ended() -> None:
 async def test_a_restart_that_was_asked_for_begins_with_a_full_budget() -> None:
     """Number, pauses and count, all three."""
     budget = RestartBudget(esair.Restart(max=2, within=10.0, delay=0.5))
-    assert [budget.spend(0.0), budget.spend(1.0), budget.spend(2.0)] == [0.5, 1.0, None]
+    assert [budget.spend(0.0), budget.spend(1.0), budget.spend(2.0)] == [0.5, 4.0, None]
     assert budget.count == 2
     budget.fill()
     assert budget.count == 0
-    assert [budget.spend(3.0), budget.spend(4.0), budget.spend(5.0)] == [0.5, 1.0, None]
-    assert budget.spend(13.5) == 0.5 * 2.0  # the one of 4.0 still counts
+    assert [budget.spend(3.0), budget.spend(4.0), budget.spend(5.0)] == [0.5, 4.0, None]
+    assert budget.spend(13.5) == 0.8 * 10.0 / 2  # the one of 4.0 still counts
 
 
 @pytest.mark.promise("RS-3")

@@ -68,6 +68,10 @@ class Behavior(ProfiledAction):
     """What a full outbox does: ``"reject"`` raises `BusyError` from `offer`."""
 
     restart: Restart = Restart()
+
+    essential: bool = False
+    """Whether the robot ends, with an exit code, when it is FAILED."""
+
     """How often it is started again after a crash."""
 
     _host = cast("Host", Unbound())

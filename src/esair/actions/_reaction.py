@@ -12,7 +12,7 @@ from esair.values import snake_case
 
 T = TypeVar("T")
 
-_OF_STD = ("rate", "restart", "budget", "overrun_limit", "placement")
+_OF_STD = ("rate", "restart", "essential", "budget", "overrun_limit", "placement")
 """What a class of MIN may say about itself; all but the rate is for STD alone."""
 
 
@@ -108,6 +108,10 @@ class Reaction(ProfiledAction):
     """How many steps in a row may exceed the budget; one more is an error of it."""
 
     restart: Restart = Restart()
+
+    essential: bool = False
+    """Whether the robot ends, with an exit code, when it is FAILED."""
+
     """How often it is started again after an error."""
 
     mute_limit: float = 30.0

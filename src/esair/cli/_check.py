@@ -44,6 +44,8 @@ def check(robot: str, /, *, as_json: AsJson = False, strict: bool = False) -> in
         unmade = any(found.rule == "configuration" for found in report.findings)
         if report.actuators and not unmade:  # else a guard may be what is missing
             console.print(_actuators(report))
+        if report.failures and not unmade:
+            console.print(_failures(report))
         for told in (*_of_boards(robot, report), *_of_real_time(robot, report)):
             console.print(Text(told), soft_wrap=True)
         console.print(_summary(report), soft_wrap=True)
@@ -107,6 +109,8 @@ def to_json(report: Report) -> dict[str, Any]:
             own_timeout      number: seconds | null
             when_the_process_dies   string
             when_the_host_dies   string
+        failures         object: for each behavior, what happens when it fails again and
+                         again, in words
     """
     return {
         "schema": 1,
@@ -118,6 +122,7 @@ def to_json(report: Report) -> dict[str, Any]:
         "with_simulation": report.with_simulation,
         "findings": [attrs.asdict(finding) for finding in report.findings],
         "actuators": [attrs.asdict(actuator) for actuator in report.actuators],
+        "failures": dict(report.failures),
     }
 
 
@@ -165,6 +170,15 @@ def _actuators(report: Report) -> Panel:
             "when this computer dies", Text(actuator.when_the_host_dies, style)
         )
     return Panel(table, title="How each actuator is made safe", title_align="left")
+
+
+def _failures(report: Report) -> Panel:
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column("who", style="dim", no_wrap=True)
+    table.add_column("what", overflow="fold", ratio=1)
+    for name, told in report.failures.items():
+        table.add_row(Text(name), Text(told))
+    return Panel(table, title="What a failure means", title_align="left")
 
 
 def _summary(report: Report) -> Text:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 
 import attrs
 
@@ -10,7 +11,7 @@ from esair.config._draft import Draft
 from esair.config._module import is_of_module, robot_of
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
-from esair.plan import Protection, examine, protection
+from esair.plan import Protection, examine, failures, protection
 from esair.standard import Robot
 
 
@@ -46,6 +47,8 @@ class Report:
         findings: What was found, in the order of the file, errors first.
         actuators: How each actuator is made safe.
         with_simulation: Whether the ``sim`` tables were checked too.
+        failures: What happens when a behavior or reaction fails again and again, by its
+            name, in words.
     """
 
     file: str
@@ -53,6 +56,7 @@ class Report:
     findings: tuple[FoundInFile, ...]
     actuators: tuple[Protection, ...]
     with_simulation: bool
+    failures: Mapping[str, str] = attrs.field(factory=dict)
 
     @property
     def errors(self) -> int:
@@ -104,6 +108,7 @@ def check(path: str | os.PathLike[str], *, robot_class: type = Robot) -> Report:
         findings=tuple(found),
         actuators=tuple(protection(real.plan())),
         with_simulation=with_simulation,
+        failures=failures(real.plan()),
     )
 
 
@@ -114,7 +119,8 @@ def _of_module(target: str) -> Report:
         key = ".".join(part for part in (each.component, each.field) if part)
         level = each.severity.value
         found.append(FoundInFile(level, each.rule, key, None, each.text))
-    return Report(target, "", tuple(found), tuple(protection(plan)), False)
+    table = tuple(protection(plan))
+    return Report(target, "", tuple(found), table, False, failures(plan))
 
 
 def _tables(holder: object) -> list[object]:

@@ -26,6 +26,7 @@ from esair.plan._protection import (
     when_alone,
 )
 from esair.plan._rights import denial, not_alone
+from esair.plan._together import failures
 
 __all__ = [
     "SCRIPT",
@@ -43,6 +44,7 @@ __all__ = [
     "examine_action",
     "examine_resource",
     "examine_step",
+    "failures",
     "in_use",
     "inner_of",
     "not_alone",

@@ -19,7 +19,7 @@ from esair.plan._plan import Plan
 from esair.plan._protection import unprotected
 from esair.plan._resources import mistakes_in_resource
 from esair.plan._rights import denied, mistakes_in_policies
-from esair.plan._together import starving, unused
+from esair.plan._together import never_failed, starving, unused
 from esair.resources import Resource
 
 
@@ -39,6 +39,7 @@ def examine(plan: Plan) -> list[Finding]:
         *mistakes_in_policies(plan),
         *mistakes_in_modes(plan),
         *starving(plan),
+        *never_failed(plan),
         *unprotected(plan),
         *unused(plan),
         *odd_buses(plan),

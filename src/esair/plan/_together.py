@@ -6,7 +6,8 @@ import itertools
 from collections.abc import Iterator
 
 from esair.actions import Behavior
-from esair.plan._finding import Finding, warning
+from esair.messages import Restart
+from esair.plan._finding import Finding, mistake, warning
 from esair.plan._plan import Plan
 from esair.resources import Actuator
 
@@ -42,6 +43,39 @@ def starving(plan: Plan) -> Iterator[Finding]:
                 )
                 advice = f"see that it releases {resource!r}, or lower its priority"
                 yield warning("starve", action, high.attribute, told, advice)
+
+
+def failures(plan: Plan) -> dict[str, str]:
+    """Say of each behavior and reaction what happens when it fails again and again."""
+    return {name: _failure(plan, name) for name in plan.action_of}
+
+
+def _failure(plan: Plan, name: str) -> str:
+    action, modes = plan.action_of[name], plan.modes
+    policy = action.restart
+    if not isinstance(policy, Restart):
+        return "its restart is none"  # that is told as a mistake
+    times = f"{policy.max} restart{'s' * (policy.max != 1)} in {policy.within:g} s"
+    if policy.retry is not None:
+        return f"{times}, then again every {policy.retry:g} s, for ever"
+    if action.essential:
+        return f"{times}, then the robot ends with an exit code"
+    next_ones = {
+        f"mode {modes.table[mode].on_failure} follows {mode}"
+        for mode in modes.of_behavior(name)
+        if modes.table[mode].on_failure
+    }
+    then = ", ".join(sorted(next_ones)) or "the others go on without it"
+    return f"{times}, then it is FAILED: {then}"
+
+
+def never_failed(plan: Plan) -> Iterator[Finding]:
+    """Find what ends the robot when it is FAILED, and is tried for ever instead."""
+    for action in plan.action_of.values():
+        policy = action.restart
+        if action.essential and isinstance(policy, Restart) and policy.retry:
+            told = "it is essential, and never FAILED, for restart.retry tries for ever"
+            yield mistake("declaration", action, "essential", told, "leave one out")
 
 
 def unused(plan: Plan) -> Iterator[Finding]:

@@ -66,6 +66,7 @@ from esair.messages import (
 from esair.plan import Plan, errors_in, examine
 from esair.resources import Resource, adapt_resource
 from esair.standard._recording import Keeping, repeats
+from esair.standard._service import ServiceManager
 from esair.supervisors import (
     BehaviorDeployment,
     BehaviorSupervisor,
@@ -106,6 +107,7 @@ class LoopCare:
         self._undo: list[Callable[[], None]] = []
         self._gaps: Gaps | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._service: ServiceManager | None = None
 
     def start(self, loop: asyncio.AbstractEventLoop, *crowds: int) -> None:
         """Begin, for so many components of each kind; nothing is deployed yet."""
@@ -132,7 +134,8 @@ class LoopCare:
             stalls = StallWatch.of(loop)
             stalls.start(seconds)
             self._undo.append(lambda: stalls.stop(seconds))
-        glances: Job = scheduler.every(GLANCE, lambda _now: None)
+        self._service = ServiceManager()
+        glances: Job = scheduler.every(GLANCE, self._service.beat)
         self._undo.append(glances.stop)
         real_time.lead()
 
@@ -149,6 +152,8 @@ class LoopCare:
 
     def is_up(self, loop: asyncio.AbstractEventLoop) -> None:
         """Everything runs: garbage is collected in the gaps from now on."""
+        if self._service is not None:
+            self._service.tell("READY=1")
         self._gaps = Gaps.of(loop)
         self._gaps.start()
 
@@ -163,6 +168,8 @@ class LoopCare:
 
     def is_down(self) -> None:
         """The stop has begun: it is no time for garbage."""
+        if self._service is not None:
+            self._service.tell("STOPPING=1")
         if self._gaps is not None:
             self._gaps.stop()
             self._gaps = None

@@ -21,7 +21,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Event, Kind
-from esair.loop import ProcessWatch, current_owner, script_context, wake
+from esair.loop import ProcessWatch, current_owner, script_context, spawn, wake
 from esair.messages import (
     Access,
     BehaviorsPolicy,
@@ -112,6 +112,9 @@ class BehaviorDeployment:
         self._start_patience = start_patience
         self.halt_robot, self.stop_robot = halt, stop
         self._all_ended: asyncio.Future[None] | None = None
+        self.fatal: BehaviorFailedError | None = None
+        """The failure of an essential one, which ends the robot."""
+        self.ends: asyncio.Task[Stopped] | None = None
         self.journal.count("behaviors", self._counted)
         self.journal.attach(Kind.UP, self._resource_up)
         self.journal.attach(Kind.ADDED, self._resource_changed)
@@ -158,6 +161,14 @@ class BehaviorDeployment:
         if behaviors and all(member.mail.state in over for member in behaviors):
             self._all_ended.set_result(None)
 
+    def essential_failed(self, failed: BehaviorFailedError) -> None:
+        """End the robot: one has failed that it cannot do without."""
+        self.fatal = self.fatal or failed
+        wake(self._all_ended)
+        stop = self.stop_robot(f"{failed.behavior} is essential, and has failed")
+        loop = asyncio.get_running_loop()
+        self.ends = spawn(loop, stop, name="end of the robot")  # type: ignore[arg-type]
+
     # What is asked about them.
 
     def declared(self, behavior: str, resource: str) -> Access:
@@ -180,6 +191,8 @@ class BehaviorDeployment:
 
     def failures(self) -> list[BehaviorFailedError]:
         members = self.members.values()
+        if self.fatal is not None:
+            return [self.fatal]
         return [
             each.mail.failure()
             for each in members

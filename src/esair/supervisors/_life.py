@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 _log = logging.getLogger("esair")
 
 
+_SPREAD = 0.8  # over which part of its window the restarts of a budget are spread
+
+
 class Life:
     """The life of one component: it fails, and is begun anew while its budget lasts.
 
@@ -55,15 +58,18 @@ class Life:
     def pause_after(self, error: BaseException, now: float) -> float | None:
         """Take a restart from the budget, after an error."""
         pause = self.restarts.spend(now)
+        told = describe(error)
         if pause is None:
-            self.tell(Kind.FAILED, error, describe(error))
+            self.tell(Kind.FAILED, error, told)
             _log.error(
                 "%s: failed for good, %d restarts did not help: %s",
                 self.name,
                 self.restarts.policy.max,
-                describe(error),
+                told,
                 exc_info=raisable(error),
             )
+        elif self.restarts.retries:
+            _log.error("%s: failed: %s; tried again in %g s", self.name, told, pause)
         return pause
 
 
@@ -75,17 +81,20 @@ def where(seat: Seat | None) -> tuple[str, int | None]:
 class RestartBudget:
     """Counts restarts within a window and says how long to wait before each."""
 
-    __slots__ = ("_times", "count", "policy")
+    __slots__ = ("_begins", "_times", "count", "policy", "retries")
 
     def __init__(self, policy: Restart) -> None:
         self.policy: Restart = policy
         self.count: int = 0  # how many restarts there were since it was full
+        self.retries: bool = False  # it is spent, and is tried again from time to time
         self._times: collections.deque[float] | None = None
+        self._begins = 0.0  # when the last restart has begun
 
     def fill(self) -> None:
         """Begin anew: somebody has asked for a restart, or nothing else helps."""
         self._times = None
         self.count = 0
+        self.retries = False
 
     def spend(self, now: float) -> float | None:
         """Return the pause before the next restart in seconds, or None if it is spent."""
@@ -95,11 +104,20 @@ class RestartBudget:
         times = self._times
         while times and now - times[0] > policy.within:
             times.popleft()
-        if len(times) >= policy.max:
-            return None
-        doublings = min(len(times), 64)  # more would leave the range of a float
-        pause = min(policy.delay * 2.0**doublings, policy.max_delay)
+        lasted = now - self._begins > policy.within
+        self.retries = self.retries and not lasted
+        if self.retries or len(times) >= policy.max:
+            if policy.retry is None:
+                return None
+            self.retries, pause = True, policy.retry
+        else:
+            doublings = min(len(times), 64)  # more would leave the range of a float
+            pause = policy.delay * 2.0**doublings
+            if times:
+                pause = max(pause, _SPREAD * policy.within / policy.max)
+            pause = min(pause, policy.max_delay)
         times.append(now)
+        self._begins = now + pause
         self.count += 1
         return pause
 

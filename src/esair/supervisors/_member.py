@@ -364,17 +364,20 @@ class Member:
             self.mail.state = BehaviorState.FAILED
         else:
             self.mail.state = BehaviorState.RESTARTING
-            _log.warning(
-                "%s: failed: %s; restart %d in %g s",
-                self.name,
-                describe(error),
-                self.life.restarts.count,
-                pause,
-                exc_info=raisable(error),
-            )
+            if not self.life.restarts.retries:
+                _log.warning(
+                    "%s: failed: %s; restart %d in %g s",
+                    self.name,
+                    describe(error),
+                    self.life.restarts.count,
+                    pause,
+                    exc_info=raisable(error),
+                )
             self._timer = loop.call_later(pause, self._restart)
         self.crew.mediator.peer_failed(self.mail, error)
         if pause is None:
+            if self.action.essential:
+                self.crew.essential_failed(self.mail.failure())
             self.crew.ended()
 
     def resource_up(self, resource: str) -> None:
