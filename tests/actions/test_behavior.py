@@ -526,17 +526,17 @@ def _raise(error: Exception) -> bool:
 
 
 @pytest.mark.promise("BEH-3")
-async def test_only_a_reaction_with_a_condition_is_performed() -> None:
-    """A behavior in its place, or a condition that is no function, is refused."""
+async def test_only_an_action_with_a_condition_is_performed() -> None:
+    """What is none, or a condition that is no function, is refused."""
     sonar, wheels = devices()
     user = Idle(
         reads={"sonar": esair.reads(float)}, writes={"wheels": esair.writes(float)}
     )
     async with esair.Robot(resources=[sonar, wheels], behaviors=[user]):
-        with pytest.raises(esair.ConfigError, match=r"expected an esair\.Reaction"):
-            await user.perform(Idle(name="other"))  # type: ignore[arg-type]
+        with pytest.raises(esair.ConfigError, match="a Reaction or a Behavior"):
+            await user.perform(sonar)  # type: ignore[call-overload]
         with pytest.raises(esair.BadValueError, match="until: expected a function"):
-            await user.perform(Follow(), until=True)  # type: ignore[arg-type]
+            await user.perform(Follow(), until=True)  # type: ignore[call-overload]
 
 
 @pytest.mark.promise("ROB-1")

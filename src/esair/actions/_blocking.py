@@ -9,12 +9,14 @@ import functools
 from collections.abc import Awaitable, Callable
 from typing import Any, Concatenate, Literal, ParamSpec, TypeVar, cast, overload
 
+from esair import minimal
 from esair.actions._behavior import Behavior, D, portal_of
 from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
     in_loop,
 )
+from esair.actions._reaction import Reaction
 from esair.actions._supervisor import BlockingBehaviors
 from esair.messages import Access
 
@@ -52,8 +54,21 @@ class BlockingCalls:
     @waits(Behavior.receive_from)
     def receive_from(self) -> None: ...
 
-    @waits(Behavior.perform)
-    def perform(self) -> None: ...
+    @overload
+    def perform(
+        self,
+        step: Reaction | minimal.Reaction,
+        *,
+        until: Callable[..., bool] | None = None,
+        timeout: float | None = None,
+        blind_timeout: float | None = None,
+    ) -> bool: ...
+    @overload
+    def perform(self, step: Behavior, *, timeout: float | None = None) -> Any: ...
+
+    def perform(self: Any, step: Any, **terms: Any) -> Any:
+        """Run a reaction or another behavior as a step; see `Behavior.perform`."""
+        return portal_of(self).call(in_loop, Behavior.perform, self, step, **terms)
 
     @waits(Behavior.stop_robot)
     def stop_robot(self) -> None: ...
@@ -112,7 +127,7 @@ class ThreadBehavior(BlockingCalls, Behavior):  # type: ignore[misc]  # as it sa
         ...             self.arm.write(0.5)
     """
 
-    def run(self) -> None:
+    def run(self) -> Any:
         """Do the work, in the thread. Unless overridden it waits."""
         portal_of(self).call(asyncio.Event().wait)
 
