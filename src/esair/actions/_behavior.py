@@ -248,17 +248,19 @@ class Behavior(ProfiledAction):
     @overload
     async def perform(
         self,
-        step: Reaction | minimal.Reaction,
+        reaction: Reaction | minimal.Reaction,
         *,
         until: Callable[..., bool] | None = None,
         timeout: float | None = None,
         blind_timeout: float | None = None,
     ) -> bool: ...
     @overload
-    async def perform(self, step: Behavior, *, timeout: float | None = None) -> Any: ...
+    async def perform(
+        self, reaction: Behavior, *, timeout: float | None = None
+    ) -> Any: ...
     async def perform(
         self,
-        step: Reaction | minimal.Reaction | Behavior,
+        reaction: Reaction | minimal.Reaction | Behavior,
         *,
         until: Callable[..., bool] | None = None,
         timeout: float | None = None,
@@ -272,7 +274,7 @@ class Behavior(ProfiledAction):
         several at a time, `asyncio.timeout` limits many.
 
         Args:
-            step: What to run. It is registered in this behavior's name.
+            reaction: What to run, a behavior too. It is registered in this behavior's name.
             until: Of a reaction: asked after each of its steps; it ends the reaction. Its
                 parameters, if any, are named like readings and get them.
             timeout: How long it may run, in seconds.
@@ -293,14 +295,14 @@ class Behavior(ProfiledAction):
         """
         host = self._host
         await Budget.spend(VERB_COST)
-        if isinstance(step, Behavior):
+        if isinstance(reaction, Behavior):
             if until is not None or blind_timeout is not None:
                 told = (
                     "expected a timeout alone: until and blind_timeout are of reactions"
                 )
                 raise BadValueError(self.name, "perform", told)
-            return await host.perform_behavior(step, timeout)
-        adapted: Reaction = adapt_action(step)
+            return await host.perform_behavior(reaction, timeout)
+        adapted: Reaction = adapt_action(reaction)
         return await host.perform(adapted, until, timeout, blind_timeout)
 
     @overload

@@ -57,18 +57,18 @@ class BlockingCalls:
     @overload
     def perform(
         self,
-        step: Reaction | minimal.Reaction,
+        reaction: Reaction | minimal.Reaction,
         *,
         until: Callable[..., bool] | None = None,
         timeout: float | None = None,
         blind_timeout: float | None = None,
     ) -> bool: ...
     @overload
-    def perform(self, step: Behavior, *, timeout: float | None = None) -> Any: ...
+    def perform(self, reaction: Behavior, *, timeout: float | None = None) -> Any: ...
 
-    def perform(self: Any, step: Any, **terms: Any) -> Any:
+    def perform(self: Any, reaction: Any, **terms: Any) -> Any:
         """Run a reaction or another behavior as a step; see `Behavior.perform`."""
-        return portal_of(self).call(in_loop, Behavior.perform, self, step, **terms)
+        return portal_of(self).call(in_loop, Behavior.perform, self, reaction, **terms)
 
     @waits(Behavior.stop_robot)
     def stop_robot(self) -> None: ...
