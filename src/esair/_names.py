@@ -65,7 +65,7 @@ from esair.messages import (
     Why,
     Written,
 )
-from esair.resources import HOLD, Actuator, Resource, Sensor, operation, setting
+from esair.resources import HOLD, REFUSE, Actuator, Resource, Sensor, operation, setting
 from esair.standard import Robot, run
 from esair.supervisors import BehaviorSupervisor, ResourceSupervisor
 
@@ -74,6 +74,7 @@ random = ComponentRandom()
 
 __all__ = [
     "HOLD",
+    "REFUSE",
     "Access",
     "AccessDeniedError",
     "Action",

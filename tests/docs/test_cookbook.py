@@ -49,7 +49,7 @@ def drawing_of(recipe):
 def sign_of(command) -> str:
     if isinstance(command, float):
         return str(round(10 * command)) if command else "."
-    return command[0].upper()
+    return str(command)[0].upper()
 
 
 async def run_of(recipe, signs):

@@ -16,6 +16,8 @@ CODE = Path(__file__).parents[2] / "docs" / "code"
 async def test_it_explores_docks_and_charges() -> None:
     """Each mode begins when the one before has ended; the battery decides."""
     spec = importlib.util.spec_from_file_location("turns", CODE / "turns.py")
+    assert spec is not None
+    assert spec.loader is not None
     turns = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(turns)
     battery = FakeSensor("battery", 1.0)

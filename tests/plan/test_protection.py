@@ -108,6 +108,16 @@ def test_what_does_not_move_needs_no_protection() -> None:
     assert told(parts.Drive(), motor=parts.Wheels) == []
 
 
+@pytest.mark.parametrize(("says", "warnings"), [(None, 1), (True, 1), (False, 0)])
+def test_an_actuator_says_whether_it_moves(says: bool | None, warnings: int) -> None:
+    """A lamp with a time-out of its own is no motor."""
+
+    class Lamp(Motor):
+        moves = says
+
+    assert len(told(parts.Drive(), motor=Lamp)) == warnings
+
+
 def test_a_hold_at_the_priority_of_those_it_is_against_is_found() -> None:
     """Blind it stops them, seeing it does not."""
     findings = told(parts.Drive(), Level(), motor=parts.Wheels)

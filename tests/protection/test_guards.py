@@ -684,3 +684,28 @@ async def test_what_stands_is_made_less_by_a_call_like_any_other(takes: float) -
         ("user", 0.3),
         ("", 0.15),
     ]
+
+
+@pytest.mark.promise("PRO-8")
+@pytest.mark.parametrize("answer", [None, esair.REFUSE])
+async def test_refuse_is_the_word_for_none(answer: Any) -> None:
+    """Nothing passes, and a latch closes, whichever a guard says."""
+
+    class Closed(Button):
+        def react(self, button: bool, wheels: float) -> Any:
+            return answer if button else wheels
+
+    button = FakeSensor("button", True, type=bool, rate=RATE)
+    wheels = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(
+        resources=[button, wheels], behaviors=[Closed(name="closed"), user()]
+    ) as robot:
+        await asyncio.sleep(1.0)
+        port: Any = robot.behaviors.action("user").wheels  # type: ignore[union-attr]
+        refused = await port.write(1.0)
+        assert not refused
+        assert "latched" in refused.rule
+        button.feed(False)
+        await asyncio.sleep(0.5)
+        robot.behaviors.reset("closed")
+        assert await port.write(1.0)

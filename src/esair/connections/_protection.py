@@ -20,7 +20,7 @@ from esair.connections._wire import IDLE, SafeCommand, Wire
 from esair.exceptions import BadValueError, EsairError, describe
 from esair.loop import DeadMan, OneShot, Order, Scheduler, clock_of, ignore
 from esair.messages import Refused, ResourceState
-from esair.resources import HOLD
+from esair.resources import HOLD, REFUSE
 
 if TYPE_CHECKING:
     from esair.connections._actuator_channel import ActuatorChannel
@@ -152,14 +152,14 @@ class Protection:
             handed: Any = None
             if self.judge is not None and not self.reason:
                 handed = hand(command)
-                passed = self.judge(handed)
+                passed = self._answer(self.judge, handed)
             if passed is BLIND:
                 if moving:
                     self._latch(self.reason or "it was blind", command)
                 passed = None
                 if self.fallback is not None and not self.latch:
                     handed = hand(command)
-                    passed = self.fallback(handed)
+                    passed = self._answer(self.fallback, handed)
             elif passed is None:
                 self._latch("it has refused a command", command)
             if passed is None or passed is command:
@@ -179,6 +179,11 @@ class Protection:
             self.crash(error)
             return None
         return command if is_same(passed, command) else passed
+
+    @staticmethod
+    def _answer(judge: Judge, command: Any) -> Any:
+        passed = judge(command)
+        return None if passed is REFUSE else passed
 
     def note(self, stops: bool) -> None:
         """Say in the log when a guard begins and ceases to stop commands."""
@@ -205,7 +210,7 @@ class Protection:
         if self.reason or self.judge is None:
             return f"it is blind: {self.reason}"
         try:
-            passed = self.judge(copy.deepcopy(self.refused))
+            passed = self._answer(self.judge, copy.deepcopy(self.refused))
             if passed is None or passed is BLIND:
                 return f"it still refuses {self.refused!r:.80}"
         except Exception as error:  # contained: one component's failure

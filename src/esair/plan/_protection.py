@@ -10,7 +10,7 @@ import attrs
 from esair.actions import Behavior, Guards, Reaction, Writes
 from esair.plan._finding import Finding, warning
 from esair.plan._plan import Plan
-from esair.resources import Actuator
+from esair.resources import Actuator, Resource
 from esair.values import is_positive
 
 _IN_DEVICE = "its device decides"  # What is said of a guard that is not of this robot
@@ -214,8 +214,11 @@ def _bare(plan: Plan, name: str, row: Protection) -> Iterator[Finding]:
         yield warning("protect", actuator, "", told, advice)
 
 
-def _moves(actuator: object) -> bool:
-    """Tell whether an actuator declares a command time-out of its own: it moves."""
+def _moves(actuator: Resource) -> bool:
+    """Tell whether an actuator moves: it says so, or has a time-out of its own."""
+    says: bool | None = getattr(actuator, "moves", None)
+    if says is not None:
+        return says
     classes = type(actuator).__mro__
     own = classes[: classes.index(Actuator)]
     return "command_timeout" in vars(actuator) or any(

@@ -1,6 +1,12 @@
 """What the hardware is: sensors, actuators, and their settings."""
 
-from esair.resources._actuator import APPLIED, HOLD, Actuator, ActuatorSettings
+from esair.resources._actuator import (
+    APPLIED,
+    HOLD,
+    REFUSE,
+    Actuator,
+    ActuatorSettings,
+)
 from esair.resources._from_minimal import MinimalActuator, MinimalSensor, adapt_resource
 from esair.resources._operation import (
     Operation,
@@ -30,6 +36,7 @@ __all__ = [
     "APPLIED",
     "HIDDEN",
     "HOLD",
+    "REFUSE",
     "Actuator",
     "ActuatorSettings",
     "MinimalActuator",

@@ -19,16 +19,21 @@ APPLIED = ".applied"
 """What follows the name of an actuator in that of its last command as a reading."""
 
 
-class _Hold(enum.Enum):
+class _Word(enum.Enum):
     """A command of its own kind: it has no numbers, and equals nothing else."""
 
     HOLD = "stay where you are"
+    REFUSE = "nothing passes"
 
     def __repr__(self) -> str:
-        return "esair.HOLD"
+        return f"esair.{self.name}"
 
 
-HOLD: Any = _Hold.HOLD
+REFUSE: Any = _Word.REFUSE
+"""What a guard returns that lets nothing pass; so does None, which a forgotten ``return``
+gives, too."""
+
+HOLD: Any = _Word.HOLD
 """The safe command of an actuator whose commands are places to go: stay where you are.
 
 Its driver gets it in ``write``, as any other command, and stops where it is.
@@ -68,6 +73,10 @@ class Actuator(Resource, Generic[T]):
 
     command_timeout: float = 0.2
     """After this many seconds without a write the device gets ``safe``; never 0."""
+
+    moves: bool | None = None
+    """Whether it can hurt somebody; a lamp says False. None: if it has a
+    ``command_timeout`` of its own. `esair check` warns of what moves unprotected."""
 
     limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None
     """Least and greatest value: of the command, or of each of its fields by name."""
