@@ -46,6 +46,8 @@ class Mover(esair.Behavior):
         self.fails, self.deaf = fails, deaf
         self.story: list[str] = [] if story is None else story
         self.running = 0
+        self.others: list[Mover] = []  # those of other modes
+        self.overlaps: list[str] = []
 
     async def setup(self) -> None:
         self.story.append(f"{self.name} sets up")
@@ -56,6 +58,7 @@ class Mover(esair.Behavior):
     async def run(self) -> None:
         self.running += 1
         self.story.append(f"{self.name} runs")
+        self.overlaps += [each.name for each in self.others if each.running]
         end = esair.now() + self.lasts
         try:
             async for _ in esair.every(0.05):
@@ -570,6 +573,12 @@ async def _history(seed: int) -> None:
     }
     for name in ("wander", "look"):
         movers[name].sets_up = 0.0
+    for one in movers.values():
+        one.others = [  # one that swallows its end is fenced off, and not waited for
+            other
+            for other in movers.values()
+            if mode_of[other.speed] != mode_of[one.speed] and other.deaf <= 0.1
+        ]
     wheels = _Wheels(dice.choice([0.0, 0.0, 0.01]))
     then: dict[str, str] = {}
     if dice.random() < 0.3:
@@ -628,6 +637,7 @@ async def _history(seed: int) -> None:
             _judge_mode(robot, movers, names, removed)
     await asyncio.gather(*asked, return_exceptions=True)
     assert wheels.told[-1][1] == 0.0
+    assert not any(each.overlaps for each in movers.values())
     assert not any(each.running for each in movers.values() if not each.deaf)
     _judge_commands(wheels, mode_of)
 

@@ -459,7 +459,7 @@ class Robot:
             "seed": seed,
             "operator": operator,
         }
-        self._modes = Modes.of({} if modes is None else modes, mode)
+        turns = Modes.of({} if modes is None else modes, mode)
         self.sensors: SensorConnection = SensorConnection()
         self.actuators: ActuatorConnection = ActuatorConnection()
         self.journal: Journal = Journal()
@@ -471,7 +471,7 @@ class Robot:
             policies=given,
             declared=lambda *names: self._behaviors.declared(*names),
             grace=self._grace,
-            modes=self._modes,
+            modes=turns,
         )
         self.resources: ResourceSupervisor = ResourceSupervisor(self._resources)
         self._halts = Halts(
@@ -488,7 +488,7 @@ class Robot:
             halt=self._halts.halt,
             stop=self.stop,
             policies=given,
-            modes=self._modes,
+            modes=turns,
         )
         self.behaviors: BehaviorSupervisor = BehaviorSupervisor(
             self._behaviors, self._typed
@@ -561,7 +561,7 @@ class Robot:
             resources=self._list_of_resources,
             behaviors=self._list_of_behaviors,
             policies=self._rules["policies"],
-            modes=self._modes,
+            modes=self._behaviors.turns.modes,
             watchdog=self._keeper is not None,
         )
 
