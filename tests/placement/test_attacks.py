@@ -225,3 +225,24 @@ async def test_what_cannot_be_placed_is_a_finding() -> None:
     assert "cannot be sent to a process" in text
     assert "expected 'process', 'task'" in text
     assert len(raised.value.exceptions) == 5
+
+
+@pytest.mark.promise("PLC-1")
+def test_nobody_pays_who_places_nothing() -> None:
+    """Without a placed component nothing of it is imported, and no process is begun."""
+    script = (
+        "import asyncio, sys, esair\n"
+        "async def main():\n"
+        "    async with esair.Robot(behaviors=[esair.Behavior(name='one')]):\n"
+        "        await asyncio.sleep(0.05)\n"
+        "asyncio.run(main())\n"
+        "print([name for name in sys.modules if name.startswith('esair.placement')])\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert ended.stdout == "[]\n"
