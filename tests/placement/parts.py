@@ -16,6 +16,7 @@ from typing import Any
 import attrs
 
 import esair
+import esair.minimal as emin
 from esair.placement._wire import Item
 
 
@@ -259,3 +260,24 @@ class Liar(esair.Behavior):
             read, _ = os.pipe()
             socket.send_fds(wire._end, [b"\0"], [read])
         await asyncio.sleep(1.0)
+
+
+class SmallSonar(emin.Sensor):
+    placement = "process"
+
+    def read(self) -> float:
+        return 0.2
+
+
+class SmallAvoid(emin.Reaction):
+    """Written for a board; here it has a process."""
+
+    placement = "process"
+    sonar = emin.reads(float)
+    wheels = emin.writes(float, priority=10)
+
+    def __init__(self, turn: float) -> None:
+        self.turn = turn
+
+    def react(self, sonar: float) -> float | None:
+        return self.turn if sonar < 0.4 else None

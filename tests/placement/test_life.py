@@ -19,6 +19,8 @@ from tests.placement.parts import (
     Docking,
     Drive,
     Pusher,
+    SmallAvoid,
+    SmallSonar,
     Sonar,
     ThreadDrive,
     Twist,
@@ -250,3 +252,14 @@ async def test_a_driver_that_dies_at_open_is_tried_again() -> None:
         status = robot.resources.query("sonar")
         assert status.state is not esair.ResourceState.READY
         assert "exited with 3" in str(status.error)
+
+
+@pytest.mark.promise("PLC-1", "MIN-2")
+async def test_classes_of_min_are_placed_too() -> None:
+    """A sensor and a reaction that were written for a board, each in a process."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    sonar, avoid = SmallSonar(name="sonar"), SmallAvoid(0.7)
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[avoid]) as robot:
+        await wheels.until(0.7, timeout=10.0)
+        assert robot.behaviors.query("small_avoid").placement == "process"
+        assert robot.resources.query("sonar").placement == "process"

@@ -94,6 +94,7 @@ class Seat:
         self.placement = placement
         self.name: str = component.name
         self.process: Process | None = None
+        self._recipe = recipe_of(component)  # now: later it knows its robot
         self.lost = 0
         """How many of its processes have died."""
         self._seats = seats
@@ -186,7 +187,7 @@ class Seat:
             "level": logging.getLogger().getEffectiveLevel(),
         }
         process.call("settle", (settled,), self._settled)
-        process.call("make", (recipe_of(component),), self._settled)
+        process.call("make", (self._recipe,), self._settled)
 
     def _settled(self, _value: Any, error: BaseException | None) -> None:
         """What could not be made answers every call with why."""

@@ -47,7 +47,7 @@ def recipe_of(component: Any) -> dict[str, Any]:
         "class": kind.__qualname__,
         "args": args,
         "options": options,
-        "fields": vars(inner) if options is None else {},
+        "fields": dict(vars(inner)) if options is None else {},
         "name": component.name,
     }
     if kind.__module__ == SCRIPT:
