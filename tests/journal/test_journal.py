@@ -4,6 +4,7 @@ import asyncio
 import logging
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -310,6 +311,39 @@ async def test_lines_of_the_log_are_events():
         await asyncio.to_thread(log.warning, "from a thread")
         await asyncio.sleep(0.1)
     assert [event.text for event in events[:2]] == ["from the loop", "from a thread"]
+
+
+class Stuck(logging.Handler):
+    """Takes one line, and has not done so before it is told."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.goes_on = threading.Event()
+        self.threads = set[str]()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.threads.add(threading.current_thread().name)
+        assert self.goes_on.wait(30.0)
+
+
+@pytest.mark.real_clock
+@pytest.mark.fault("O15")
+async def test_a_handler_that_hangs_holds_up_nobody():
+    """What it would have to keep is bounded, and what it missed is counted."""
+    robot, stuck = esair.Robot(name="rover"), Stuck()
+    log = logging.getLogger("esair")
+    log.addHandler(stuck)
+    try:
+        async with robot:
+            for number in range(1500):
+                log.warning("line %d", number)
+            dropped = robot.journal.counts()["log"]["dropped"]
+            stuck.goes_on.set()
+    finally:
+        stuck.goes_on.set()
+        log.removeHandler(stuck)
+    assert stuck.threads == {"esair-log"}
+    assert 499 <= dropped <= 510  # the robot says something itself
 
 
 async def test_what_a_listener_logs_is_told_to_no_listener(caplog):

@@ -83,10 +83,8 @@ async def test_who_changes_the_process_is_named_when_it_is_added(
         await robot.behaviors.add(esair.Behavior(name="good"))
         assert warnings(caplog) == []
         await robot.behaviors.add(Meddler(what, late=late))
-        (line,) = warnings(caplog)
         await robot.behaviors.add(esair.Behavior(name="better"))
-
-        assert warnings(caplog) == [line]
+    (line,) = warnings(caplog)
     assert line.startswith(f"meddler: changed {named},")
 
 
@@ -97,6 +95,6 @@ async def test_who_changes_the_process_at_the_start_is_among_those_named(
     """All setups run at the same time there, so all are named."""
     meddler: Any = Meddler(MEDDLING[0][0])
     async with esair.Robot(behaviors=[esair.Behavior(name="good"), meddler]):
-        (line,) = warnings(caplog)
-
+        pass
+    (line,) = warnings(caplog)
     assert line.startswith("good or meddler: changed the handler of SIGTERM,")

@@ -7,19 +7,14 @@ import copy
 import io
 import logging
 import os
-import queue
 import sys
-import threading
 from collections.abc import Iterator
 from typing import Final
 
 from rich.console import Console
 from rich.logging import RichHandler
 
-from esair.exceptions import describe
-
-LIMIT: Final = 1000
-"""How many records may wait for the terminal; what comes then is dropped and counted."""
+from esair.journal import Beside, text_of
 
 LAST_MOMENT: Final = 1.0  # How long the end waits for the records that wait, in seconds
 
@@ -32,7 +27,7 @@ def shown_log(*, verbose: bool) -> Iterator[None]:
     its own writes, so a terminal that takes nothing more (a pipe that nobody reads, a
     suspended session) never holds up the robot, nor its end.
     """
-    handler = _Beside(_shown(_console()), tracebacks=verbose)
+    handler = _Handler(_shown(_console()), tracebacks=verbose)
     log = logging.getLogger()
     levels = {"": logging.WARNING, "esair": logging.INFO, "asyncio": logging.WARNING}
     if verbose:
@@ -72,54 +67,22 @@ def _shown(console: Console) -> logging.Handler:
     return handler
 
 
-class _Beside(logging.Handler):
-    """Hands records to another handler, in a thread that nobody waits for."""
+class _Handler(logging.Handler):
+    """Hands lines to another handler, in a thread that nobody waits for."""
 
     def __init__(self, shown: logging.Handler, *, tracebacks: bool) -> None:
         super().__init__()
-        self.dropped = 0
-        self._shown = shown
         self._tracebacks = tracebacks
-        self._records: queue.Queue[logging.LogRecord | None] = queue.Queue(LIMIT)
-        self._thread = threading.Thread(
-            target=self._show, name="esair-log", daemon=True
-        )
-        self._thread.start()
+        self._beside = Beside(shown.emit)  # not handle(): its lock is taken at the exit
 
     def emit(self, record: logging.LogRecord) -> None:
         record = copy.copy(record)
-        try:  # now: what is in the line may be another thing when it is shown
-            record.msg = record.getMessage()
-        except Exception as error:  # the caller's mistake, or a __str__ of anybody
-            record.msg = f"a line of {record.name!r} cannot be shown: {describe(error)}"
-        record.args = None
+        record.msg, record.args = text_of(record), None
         if not self._tracebacks:
             record.exc_info = record.exc_text = None
-        try:
-            self._records.put_nowait(record)
-        except queue.Full:
-            self.dropped += 1
+        self._beside.hand(record)
 
     def close(self) -> None:
         """Show what waits, within a limited time."""
-        with contextlib.suppress(queue.Full):
-            self._records.put_nowait(None)
-            self._thread.join(LAST_MOMENT)
+        self._beside.close(LAST_MOMENT)
         super().close()
-
-    def _show(self) -> None:
-        told = 0
-        while (record := self._records.get()) is not None:
-            self._write(record)
-            if self.dropped > told:
-                text = f"{self.dropped - told} lines were dropped: they came too fast"
-                told = self.dropped
-                self._write(
-                    logging.LogRecord(
-                        "esair", logging.WARNING, __file__, 0, text, None, None
-                    )
-                )
-
-    def _write(self, record: logging.LogRecord) -> None:
-        with contextlib.suppress(Exception):  # the next line may be better
-            self._shown.emit(record)  # not handle(): its lock is taken at the exit

@@ -5,6 +5,17 @@ that a listener does changes an order, a decision or a command.
 """
 
 from esair.journal._event import Event, Kind
-from esair.journal._journal import BACKLOG, SLICE, Journal, Listener, LogLines
+from esair.journal._journal import BACKLOG, SLICE, Journal, Listener
+from esair.journal._log_lines import Beside, LogLines, text_of
 
-__all__ = ["BACKLOG", "SLICE", "Event", "Journal", "Kind", "Listener", "LogLines"]
+__all__ = [
+    "BACKLOG",
+    "SLICE",
+    "Beside",
+    "Event",
+    "Journal",
+    "Kind",
+    "Listener",
+    "LogLines",
+    "text_of",
+]

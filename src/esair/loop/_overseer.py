@@ -164,13 +164,7 @@ class StallWatch(OfLoop):
             self.stalls += 1
             frame = sys._current_frames().get(self._thread)  # noqa: SLF001 - the only way to see it
             if frame is not None:
-                # In a thread of its own: the loop may be stuck in the log.
-                threading.Thread(
-                    target=_log.log,
-                    args=(*describe_holder(frame), limit),
-                    daemon=True,
-                    name="esair-stall",
-                ).start()
+                _log.log(*describe_holder(frame), limit)
         return now + limit / 2
 
     def _answer(self) -> None:

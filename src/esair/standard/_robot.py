@@ -745,6 +745,7 @@ class Robot:
             leave_behind(self._behaviors.undead)
             await self._seat.close()
             self.stopped.recording = await self._keeping.end()
+            await self._log_lines.be_shown()
 
     def _hurry(self) -> None:
         """Somebody is impatient: no more grace for components; safe comes first still."""

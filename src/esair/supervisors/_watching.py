@@ -233,9 +233,9 @@ class Keeper:
             self._missing(_not_watched(name, why))
 
     def _missing(self, why: str) -> None:
-        _log.critical("%s", why)
         if self._on_death == "stop" or self.watchdog.latched:
             self._halt(why, "the watchdog")
+        _log.critical("%s", why)
 
     def _died(self) -> None:
         lived = asyncio.get_running_loop().time() - self._started

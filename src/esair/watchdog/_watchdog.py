@@ -160,8 +160,8 @@ class Watchdog:
 
     def _die(self, why: str) -> None:
         self._forget()
+        self._on_death()  # what is safe comes before words
         _log.critical("watchdog: %s", why)
-        self._on_death()
 
     # Devices.
 
